@@ -133,6 +133,23 @@ def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
     assert 60 < begin < 90
 
 
+def test_others_react_to_a_lane_change_of_the_ego_vehicle(tmp_path: Path) -> None:
+    code = """
+def control(o, p):
+    off = o["lane_offset"] - (o["lane_width"] if o["lane"] == 0 and o["time"] > 2 else 0.0)
+    return {"curvature": max(min(-0.0015 * off - 0.05 * o["heading_error"], 0.003), -0.003), "acceleration": 0.0}
+"""
+    bundle, controller = python(tmp_path, code, output=["acceleration", "curvature"])
+    follower = {"s": 15, "lane": 1, "speed": 32}
+    outcome = result(bundle, drive([follower], 15.0, ego={"speed": 25}), controller)
+    assert outcome.failure is None
+    assert outcome.measures["lane_changes"] == 1
+    assert series(outcome, "lane")[-1] == 1
+    assert series(outcome, "rear_gap_m")[0] == 1000
+    assert series(outcome, "follower_speed_mps")[-1] < 28
+    assert 5 < series(outcome, "rear_gap_m")[-1] < 60
+
+
 def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
     drift = {"do": "drift", "s": 400, "offset": -1.6, "seconds": 2}
     outcome = result(folder, drive([{"lane": 1, "s": 160, "speed": 30, "model": "constant", "actions": [drift]}], 12.0))
@@ -140,9 +157,9 @@ def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
     assert 80 <= seen <= 100  # 240 m at 30 m/s
 
 
-def test_three_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
-    outcomes = [result(folder, drive([BRAKING], 20.0), CONTROLLERS[kind]) for kind in ("python", "process", "fmu")]
-    assert outcomes[0] == outcomes[1] == outcomes[2]
+def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
+    outcomes = [result(folder, drive([BRAKING], 20.0), controller) for controller in CONTROLLERS.values()]
+    assert all(outcome == outcomes[0] for outcome in outcomes)
     assert outcomes[0].failure is None
 
 
@@ -253,6 +270,12 @@ for line in sys.stdin:
         assert session.evaluate({"x": 0}) == expected
 
 
+def test_a_program_that_is_not_there_refuses_the_worker(folder: Path) -> None:
+    for command in (["./missing"], ["no-such-program"]):
+        with pytest.raises(UnavailableError), driven(folder, drive(), CONTROLLERS["process"] | {"command": command}):
+            pass
+
+
 def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
     with driven(folder, drive(), CONTROLLERS["fmu"]) as session:
         assert "v00" in lost(session, {"v00": 1}, Breakdown.ERROR)
@@ -271,7 +294,7 @@ def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
         ({"route": ["e0", "e9"]}, "e9"),
         ({"route": ["e0", "e2"]}, "e2"),
         ({"ego": {"lane": 5, "s": 100, "speed": 30}}, "lane 5"),
-        ({"ego": {"lane": 0, "s": 4000, "speed": 30}}, "4000 m is not on the route"),
+        ({"ego": {"lane": 0, "s": 4000, "speed": 30}}, "s = 4000 m"),
         ({"traffic": [{"s": 150, "edge": "e9", "speed": 30}]}, "e9"),
         ({"traffic": [{"s": 150, "speed": 30}, {"s": 151, "speed": 30}]}, "vehicle1"),
     ],

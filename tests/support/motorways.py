@@ -53,22 +53,28 @@ static double number(const char *name) {
     snprintf(key, sizeof key, "\"%s\":", name);
     return atof(strstr(line, key) + strlen(key));
 }
-int main(void) {
+int main(int count, char **words) {
     double s[3], p[4] = {0};
-    fgets(line, sizeof line, stdin); /* the greeting */
+    const int lines = count > 1;
+    if (!fgets(line, sizeof line, stdin)) return 1; /* the greeting */
     puts("{\"ready\": true}"); fflush(stdout);
     int next = 1;
     for (;;) {
-        if (next) {
-            if (!fgets(line, sizeof line, stdin)) return 0;
+        if ((next || lines) && !fgets(line, sizeof line, stdin)) return 0;
+        if (next || (lines && strstr(line, "\"run\":"))) {
             p[0] = number("v0"); p[1] = number("T"); p[2] = number("k"); p[3] = number("c");
             puts("{\"ready\": true}"); fflush(stdout);
+            next = 0;
+            continue;
         }
-        if (fread(s, sizeof s, 1, stdin) != 1) return 0;
+        if (lines) {
+            s[0] = number("speed"); s[1] = number("gap"); s[2] = number("leader_speed");
+        } else if (fread(s, sizeof s, 1, stdin) != 1) return 0;
         next = isnan(s[0]);
         if (next) continue;
         double a = law(s[0], s[1], s[2], p[0], p[1], p[2], p[3]);
-        fwrite(&a, sizeof a, 1, stdout); fflush(stdout);
+        if (lines) printf("{\"acceleration\": %.17g}\n", a); else fwrite(&a, sizeof a, 1, stdout);
+        fflush(stdout);
     }
 }
 """
@@ -129,6 +135,12 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         "frames": "binary",
         "output": ["acceleration"],
     },
+    "json": {
+        "kind": "process",
+        "command": ["./acc", "--json"],
+        "signals": ["speed", "gap", "leader_speed"],
+        "output": ["acceleration"],
+    },
     "fmu": {
         "kind": "fmu",
         "file": "acc.fmu",
@@ -136,7 +148,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         "output": ["acceleration"],
     },
 }
-"""The same law in three kinds."""
+"""The same law in all kinds."""
 
 
 def motorway(folder: Path, code: str = PYTHON, network: Path = NETWORK) -> Path:

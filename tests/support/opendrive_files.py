@@ -228,4 +228,48 @@ def two_way() -> bytes:
     return document([road])
 
 
-FILES = {"exit_ramp": exit_ramp, "entrance": entrance, "two_way": two_way}
+def direct() -> bytes:
+    """A motorway that a ramp leaves, and one that a ramp joins, by direct junctions: without connecting roads."""
+    two = {-1: ("driving", PAVED), -2: ("driving", PAVED)}
+    three = two | {-3: ("exit", opening(80.0, 3.5))}
+    main = Road(
+        "1", [line(120.0), arc(180.0, 1 / 800)], [(0.0, two), (150.0, three)], (10.0, 20.0, 2.0), "-1",
+        {"successor": ("junction", "8")}, [], ("120", "km/h"), {0: {-1: (None, -1), -2: (None, -2)}, 1: {-1: (-1, None), -2: (-2, None)}},
+    )  # fmt: skip
+    after = Road(
+        "2", [line(250.0)], [(0.0, two)], main.end(), "-1", {"predecessor": ("junction", "8"), "successor": ("junction", "9")}
+    )
+    x, y, heading = main.end()
+    side = (x + 7.0 * sin(heading), y - 7.0 * cos(heading), heading)
+    ramp = Road(
+        "3", [spiral(150.0, 0.0, -1 / 300)], [(0.0, {-1: ("offRamp", PAVED)})], side, "-1", {"predecessor": ("junction", "8")}
+    )
+    joined = Road(
+        "4", [line(300.0)], [(0.0, two | {-3: ("entry", PAVED)}), (200.0, two | {-3: ("entry", closing(60.0, 3.5))}), (260.0, two)],
+        after.end(), "-1", {"predecessor": ("junction", "9")},
+        lane_links={
+            0: {-1: (None, -1), -2: (None, -2), -3: (None, -3)}, 1: {-1: (-1, -1), -2: (-2, -2), -3: (-3, None)},
+            2: {-1: (-1, None), -2: (-2, None)},
+        },
+    )  # fmt: skip
+    x, y, heading = after.end()
+    x, y = x + 7.0 * sin(heading) - 150.0 * cos(heading), y - 7.0 * cos(heading) - 150.0 * sin(heading)
+    entry = Road("5", [line(150.0)], [(0.0, {-1: ("onRamp", PAVED)})], (x, y, heading), "-1", {"successor": ("junction", "9")})
+    root = ET.fromstring(document([main, after, ramp, joined, entry]))
+    pairs = {
+        "8": [("1", "2", [(-1, -1), (-2, -2)]), ("1", "3", [(-3, -1)])],
+        "9": [("4", "2", [(-1, -1), (-2, -2)]), ("5", "4", [(-1, -3)])],
+    }
+    for name, connections in pairs.items():
+        junction = ET.SubElement(root, "junction", id=name, name="", type="direct")
+        for number, (incoming, linked, lanes) in enumerate(connections):
+            contact = "end" if linked == "2" and name == "9" else "start"
+            connection = ET.SubElement(
+                junction, "connection", id=str(number), incomingRoad=incoming, linkedRoad=linked, contactPoint=contact
+            )
+            for first, second in lanes:
+                ET.SubElement(connection, "laneLink", {"from": str(first), "to": str(second)})
+    return ET.tostring(root)
+
+
+FILES = {"exit_ramp": exit_ramp, "entrance": entrance, "two_way": two_way, "direct": direct}

@@ -143,6 +143,7 @@ SERIES: Mapping[str, Quantity] = MappingProxyType(
         "leader_speed_mps": Quantity("m/s", "speed of the leader in the own lane, the own speed without one"),
         "rear_gap_m": Quantity("m", f"gap to the follower in the own lane, {FAR:g} without one"),
         "follower_speed_mps": Quantity("m/s", "speed of the follower in the own lane, the own speed without one"),
+        "lane_width_m": Quantity("m", "width of the own lane"),
     }
 )
 """Time series that a manifest may declare: a value at the start and after each step of the traffic."""

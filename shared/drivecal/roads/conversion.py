@@ -14,6 +14,7 @@ from xml.etree.ElementTree import fromstring, indent, tostring
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
+from drivecal.roads.direct import connect_directly
 from drivecal.roads.network import read_network, source_comment
 from drivecal.roads.opendrive import DRIVEN, IGNORED, RoadFile, read_opendrive
 from drivecal.roads.placement import place
@@ -45,7 +46,7 @@ def converted(content: bytes, name: str) -> Conversion:
     """
     file = read_opendrive(content, name)
     notes = _completed(file)
-    raw, warnings = _run(_normalized(content), name)
+    raw, warnings = _run(_normalized(content, file), name)
     net = fromstring(raw)  # noqa: S314  # written by netconvert
     notes += place(net, file)
     indent(net, "    ")
@@ -87,13 +88,16 @@ def _completed(file: RoadFile) -> list[str]:
     return list(notes)
 
 
-def _normalized(content: bytes) -> bytes:
-    """Returns the file with lanes in the order that the standard wants and netconvert relies on: from the left to the right."""
+def _normalized(content: bytes, file: RoadFile) -> bytes:
+    """Returns the file as netconvert wants it: lanes from the left to the right, and no direct junctions."""
     document = fromstring(content)  # noqa: S314  # `read_opendrive` has refused document types
     for section in document.iter("laneSection"):
         for side in section:
             if side.tag in {"left", "right"}:
                 side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
+    for lane in document.iter("lane"):
+        lane.attrib.setdefault("type", "none")
+    connect_directly(document, file)
     return tostring(document)
 
 

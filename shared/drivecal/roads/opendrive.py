@@ -201,12 +201,6 @@ class _Reader:
         )
         self.roads[name] = self.road
 
-    def on_opendrive_junction(self, attributes: Attributes) -> None:
-        """Checks a junction's kind."""
-        if attributes.values.get("type") == "direct":
-            message = "netconvert reads no direct junctions (OpenDRIVE 1.7)"
-            raise attributes.fault(message, "export it with connecting roads, or as OpenDRIVE 1.6")
-
     def on_planview_geometry(self, attributes: Attributes) -> None:
         """Opens a geometry."""
         self.geometry = attributes

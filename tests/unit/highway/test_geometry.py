@@ -30,9 +30,10 @@ LINE = line_of(CURVE)
 
 def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.ndarray:
     """Tracks with these centres along the whole line."""
-    lanes = np.zeros((len(LINE), len(centres), 4))
+    lanes = np.zeros((len(LINE), len(centres), 5))
     for track, centre in enumerate(centres):
-        lanes[:, track] = centre, width, limit, 0.0
+        lanes[:, track, :4] = centre, width, limit, 0.0
+        lanes[:, track, 4] = 1.01 * LINE[:, 0]
     return lanes
 
 
@@ -46,7 +47,7 @@ def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarra
 
 
 def placed(s: float, d: float, lanes: np.ndarray = LANES, **motion: float) -> tuple[bool, np.ndarray, np.ndarray]:
-    place, front = np.zeros(8), np.zeros(3)
+    place, front = np.zeros(9), np.zeros(3)
     on_road = geometry.place(LINE, lanes, pose(s, d, **motion), s + 3.0, SIZE, place, front)
     return on_road, place, front
 
@@ -83,6 +84,7 @@ def test_a_vehicle_is_placed_in_its_lane() -> None:
     assert place[geometry.OFFSET] == pytest.approx(-0.5)
     assert place[geometry.HEADING_ERROR] == pytest.approx(0.02)
     assert (place[geometry.LIMIT], place[geometry.WIDTH]) == (30, 3.5)
+    assert place[geometry.ALONG] == pytest.approx(1.01 * (300 + 2.5 / (1 - 0.004 * 3)))
     x, y, heading, *_ = pose(300.0, 3.0, 0.02)
     assert front == pytest.approx([x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 90 - math.degrees(heading)])
 

@@ -26,6 +26,7 @@ def record(columns: dict[str, Any] | None = None, dynamics: dict[int, Any] | Non
         "rear_gap_m": FAR,
         "leader_speed_mps": 20.0,
         "follower_speed_mps": 20.0,
+        "lane_width_m": 3.5,
     }
     for name, values in (usual | (columns or {})).items():
         rows[:, COLUMNS.index(name)] = values
@@ -33,7 +34,7 @@ def record(columns: dict[str, Any] | None = None, dynamics: dict[int, Any] | Non
     samples[:, 0] = 20.0
     for column, values in (dynamics or {}).items():
         samples[:, column] = values
-    return Record(rows, samples, np.full(steps + 1, 3.5), 30.0, 2000.0, 2.0)
+    return Record(rows, samples, 30.0, 2000.0, 2.0)
 
 
 def test_every_measure_of_the_catalogue_is_there_and_finite() -> None:

@@ -50,6 +50,11 @@ def test_a_type_has_the_driver_s_values_and_no_randomness_of_its_own() -> None:
     assert "minGap" not in kind.attrib
 
 
+def test_all_vehicles_move_in_strips_if_one_does() -> None:
+    kinds = written(scenario(traffic=[{"s": 1, "speed": 20, "lane_change": "SL2015"}, {"s": 50, "speed": 20}])).iter("vType")
+    assert {kind.get("laneChangeModel") for kind in kinds} == {"SL2015"}
+
+
 def test_a_desired_speed_holds_whatever_the_limit_is() -> None:
     kind = list(written(scenario(traffic=[{"s": 1, "speed": 20, "desired_speed": 40}])).iter("vType"))[-1]
     assert (kind.get("maxSpeed"), float(kind.get("speedFactor", 0)) * 10 > 40) == ("40.0", True)

@@ -30,6 +30,9 @@ ROUTES: dict[tuple[str, str], tuple[str, ...]] = {
     ("exit_ramp", "exit"): ("-1#0", "-1#1", "-1#2", "-3"),
     ("entrance", "through"): ("-1", "-2#0", "-2#1", "-2#2", "-2#3"),
     ("entrance", "ramp"): ("-3", "-2#0", "-2#1", "-2#2", "-2#3"),
+    ("direct", "through"): ("-1#0", "-1#1", "-1#2", "-2", "-4#0", "-4#1", "-4#2", "-4#3"),
+    ("direct", "exit"): ("-1#0", "-1#1", "-1#2", "-3"),
+    ("direct", "ramp"): ("-5", "-4#0", "-4#1", "-4#2", "-4#3"),
     ("two_way", "along"): ("-5#0", "-5#1", "-5#2", "-5#3", "-5#4", "-5#5"),
     ("two_way", "against"): ("5#5", "5#4", "5#3", "5#2", "5#1", "5#0"),
 }
@@ -214,7 +217,10 @@ def test_sumo_takes_the_network(file: str, tmp_path: Any) -> None:
         (r"<OpenDRIVE>(.*)</OpenDRIVE>", r"<net>\1</net>"),
         (r"<road .*</road>", ""),
         (r"</OpenDRIVE>", ""),
-        (r"</OpenDRIVE>", '<junction id="4" type="direct"/></OpenDRIVE>'),
+        (
+            r"</OpenDRIVE>",
+            '<junction id="4" type="direct"><connection id="0" incomingRoad="5" linkedRoad="6"/></junction></OpenDRIVE>',
+        ),
         (r"<width ", "<border "),
     ],
 )

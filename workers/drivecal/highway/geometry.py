@@ -3,9 +3,10 @@
 Functions that call each other share this module, because numba's cache does not notice edits in imported modules. Arrays:
 
 `line`, shape (n, 7): the corridor's reference line (s, x, y, heading, curvature) with cosine and sine of the heading. `lanes`, shape
-(n, m, 4): centre, width, limit and slope of the centre of each of m tracks at these rows; NaN if the track does not exist. `pose`: as from
-`drivecal.vehicle`. `motion`, shape (8,): see `place`. `others`, shape (k, 6): s, d and speed along the line, acceleration, length and width
-of other vehicles' centres. `outlines`, shape (k, 6): their x, y, heading, half length, half width, and speed.
+(n, m, 5): centre, width, limit and slope of the centre of each of m tracks at these rows, NaN if the track does not exist, and the position
+along its lanes as SUMO counts. `pose`: as from `drivecal.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s, d and
+speed along the line, acceleration, length and width of other vehicles' centres. `outlines`, shape (k, 6): their x, y, heading, half length,
+half width, and speed.
 """
 
 from math import atan, cos, inf, isnan, pi, sin
@@ -28,9 +29,9 @@ FAR = 1000.0
 OWN, BESIDE = 20, 7
 """Number of signals of the vehicle itself, and of each lane beside its own; the own lane has one less. Order: see `observe`."""
 SIGNALS = OWN + 3 * BESIDE - 1
-RECORDED = 16
+RECORDED = 17
 """Columns of a record, see `record`."""
-S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH = range(8)
+S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH, ALONG = range(9)
 """Entries of `motion`."""
 
 
@@ -128,8 +129,9 @@ def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
 def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, motion: Floats, front: Floats) -> bool:
     """Writes the ego vehicle's place in the corridor and SUMO's position of it; returns whether it is on the road.
 
-    `motion`: s, d, track, offset from its centre, heading error, metres of the lane per metre of s, limit and width of the lane. `front`:
-    SUMO's position, i.e. x and y of the front and the angle in degrees clockwise from north, shape (3,). `size`: half length, half width.
+    `motion`: s, d, track, offset from its centre, heading error, metres of the lane per metre of s, limit and width of the lane, and the
+    position of the vehicle's front along the track's lanes as SUMO counts. `front`: SUMO's position, i.e. x and y of the front and the
+    angle in degrees clockwise from north, shape (3,). `size`: half length, half width.
     """
     s, d, heading, curvature = foot(line, pose[0], pose[1], near)
     row, share = _row(line, s)
@@ -147,6 +149,8 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     motion[OFFSET] = d - _lane(lanes, row, share, track, 0)
     motion[HEADING_ERROR], motion[STRETCH] = yaw - slope, stretch
     motion[LIMIT], motion[WIDTH] = _lane(lanes, row, 0.0, track, 2), _lane(lanes, row, 0.0, track, 1)
+    row_ahead, share_ahead = _row(line, s + size[0] / stretch)
+    motion[ALONG] = _lane(lanes, row_ahead, share_ahead, track, 4)
     right, left = inf, -inf
     for other in range(lanes.shape[1]):
         centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
@@ -206,13 +210,6 @@ def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
         ):
             return i
     return -1
-
-
-@njit(cache=True)
-def settle(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, pose: Floats, size: Floats) -> int:
-    """Combines `locate` and `hit` in one call."""
-    locate(line, raw, others, outlines, step)
-    return hit(outlines, pose, size)
 
 
 @njit(cache=True)
@@ -321,7 +318,18 @@ def record(
     row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], steering, motion[LIMIT]
     seen = np.empty(6)
     _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], 0.0, seen)
-    row[12], row[13], row[14], row[15] = seen[0], seen[1], seen[3], seen[4]
+    row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
+
+
+@njit(cache=True)
+def settle(
+    line: Floats, lanes: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, motion: Floats, pose: Floats,
+    steering: float, size: Floats, time: float, row: Floats,
+) -> int:  # fmt: skip
+    """Combines `locate`, `record` and `hit` in one call."""
+    locate(line, raw, others, outlines, step)
+    record(line, lanes, others, motion, pose, steering, size[0], time, row)
+    return hit(outlines, pose, size)
 
 
 @njit(cache=True)

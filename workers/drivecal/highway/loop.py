@@ -13,7 +13,7 @@ from drivecal.highway import geometry
 from drivecal.highway.controllers import Checked
 from drivecal.highway.measures import TICK, Record
 from drivecal.highway.observation import keeper_acceleration
-from drivecal.highway.road import Road
+from drivecal.highway.road import HighwayRoad
 from drivecal.highway.traffic import Traffic
 from drivecal.vehicle.model import SingleTrackModel
 
@@ -28,7 +28,7 @@ class StartError(DrivecalError):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FinishedRun:
     """A run's record and its failure, if any: see `highway_catalogue.FAILURES`."""
 
     record: Record
@@ -43,7 +43,7 @@ class Loop:
         name: str,
         simulator: HighwaySimulator,
         scenario: HighwayScenario,
-        road: Road,
+        road: HighwayRoad,
         traffic: Traffic,
         vehicle: SingleTrackModel,
         controller: Checked,
@@ -65,12 +65,12 @@ class Loop:
         self._steer = lateral or "path"
         self._size = np.array([0.5 * scenario.ego.length, 0.5 * scenario.ego.width])
         self._rows = np.zeros((self._ticks // self._ticks_per_step + 1, geometry.RECORDED))
-        self._widths = np.zeros(len(self._rows))
+        self._row_views = list(self._rows)
         self._dynamics = np.zeros((self._ticks * samples, 5))
         self._samples = [self._dynamics[index * samples : (index + 1) * samples] for index in range(self._ticks)]
         self._path = np.zeros((round((tick + PATH_AHEAD) / PATH_SPACING) + 2, 7))
         self._path[:, 0] = np.arange(len(self._path)) * PATH_SPACING
-        self._motion, self._front, self._signals = np.zeros(8), np.zeros(3), np.zeros(geometry.SIGNALS)
+        self._motion, self._front, self._signals = np.zeros(9), np.zeros(3), np.zeros(geometry.SIGNALS)
         self._start = (*road.start(traffic.start_s, traffic.start_d), scenario.ego.speed)
         limits = np.nanmax(road.lanes[:, :, 2], axis=1)
         self._wanted = max(_way(road.line[:, 0], limits, traffic.start_s, scenario.duration), 1e-9)
@@ -83,10 +83,11 @@ class Loop:
         vehicle.start(*self._start)
         if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
             raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
-        if (row := geometry.hit(traffic.outlines, vehicle.pose, self._size)) >= 0:
-            message = f"it starts inside of the vehicle {traffic.names[row]}; place them farther apart"
-            raise StartError(f"scenarios.{self._name}.ego: {message}")
-        geometry.settle(road.line, traffic.raw, traffic.others, traffic.outlines, self._step, vehicle.pose, self._size)
+        self._check_apart(vehicle.pose)
+        geometry.settle(
+            road.line, road.lanes, traffic.raw, traffic.others, traffic.outlines, self._step, motion, vehicle.pose, vehicle.steering,
+            self._size, 0.0, self._row_views[0],
+        )  # fmt: skip
         geometry.observe(
             road.line,
             road.lanes,
@@ -101,10 +102,19 @@ class Loop:
             self._signals,
         )
         geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
-        self._record(0, 0.0)
         vehicle.keep(self._path, 0.0, 0.0, dynamics)
 
-    def run(self, parameters: Mapping[str, Any]) -> Outcome:
+    def _check_apart(self, pose: Floats) -> None:
+        """Raises StartError if two vehicles overlap at the start."""
+        names, outlines = [*self._traffic.names, "ego"], self._traffic.outlines
+        starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
+        for row, (x, y, heading, *size) in enumerate(starts[1:].tolist(), 1):
+            other = geometry.hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
+            if other >= 0:
+                message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
+                raise StartError(f"scenarios.{self._name}: {message}")
+
+    def run(self, parameters: Mapping[str, Any]) -> FinishedRun:
         """Runs one parameter set. Raises ControllerError, TrafficError and others without a result."""
         road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
         line, lanes, ends, size, motion, front, signals = (
@@ -117,7 +127,7 @@ class Loop:
         vehicle.start(*self._start)
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
-        self._record(0, 0.0)
+        geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, self._row_views[0])
         controller.begin(parameters)
         failure, rows, ticks = None, 1, 0
         acceleration = lateral = 0.0
@@ -148,8 +158,10 @@ class Loop:
             if ticks % per_step == 0:
                 if not traffic.advance(index // per_step, motion, front, pose.item(3)):
                     break  # the end of the route
-                hit = geometry.settle(line, traffic.raw, traffic.others, traffic.outlines, step, pose, size)
-                self._record(rows, ticks * tick)
+                hit = geometry.settle(
+                    line, lanes, traffic.raw, traffic.others, traffic.outlines, step, motion, pose, vehicle.steering, size,
+                    ticks * tick, self._row_views[rows],
+                )  # fmt: skip
                 rows += 1
                 if hit >= 0:
                     failure = "collision"
@@ -158,20 +170,11 @@ class Loop:
         record = Record(
             self._rows[:rows],
             self._dynamics[: ticks * samples],
-            self._widths[:rows],
             self._wanted,
             vehicle.parameters.mass,
             self._scenario.ego.width,
         )
-        return Outcome(record, failure)
-
-    def _record(self, row: int, time: float) -> None:
-        road, vehicle = self._road, self._vehicle
-        geometry.record(
-            road.line, road.lanes, self._traffic.others, self._motion, vehicle.pose, vehicle.steering, self._size.item(0), time,
-            self._rows[row],
-        )  # fmt: skip
-        self._widths[row] = self._motion[geometry.WIDTH]
+        return FinishedRun(record, failure)
 
 
 def _way(s: Floats, limits: Floats, start: float, duration: float) -> float:

@@ -5,21 +5,25 @@ from math import atan, cos, sin
 import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
+from drivecal.highway.lanes import SumoLanes
 from drivecal.roads.corridor import Corridor
 
 SMOOTHING = 5.0
 """Distance (m) to both sides over which the slope of a lane's centre is taken."""
 
 
-class Road:
+class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
     def __init__(self, corridor: Corridor) -> None:
         self.corridor = corridor
         line = corridor.line
         self.line: Floats = np.ascontiguousarray(np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])]))
+        self.sumo = SumoLanes(corridor)
         self.lanes: Floats = np.ascontiguousarray(
-            np.stack([corridor.centres, corridor.widths, corridor.limits, _slopes(line, corridor.centres)], axis=-1)
+            np.stack(
+                [corridor.centres, corridor.widths, corridor.limits, _slopes(line, corridor.centres), self.sumo.totals], axis=-1
+            )
         )
         self.ends: Floats = np.array([track.end for track in corridor.tracks])
         self.length = float(line[-1, 0])

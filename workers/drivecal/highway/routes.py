@@ -51,12 +51,15 @@ def route_id(name: str) -> str:
 def routes_file(scenario: HighwayScenario) -> bytes:
     """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself."""
     vehicles, flows = drivers(scenario)
+    unmoved = "SL2015" if _is_sublane(scenario) else "LC2013"
     root = Element("routes")
     ego = scenario.ego
-    SubElement(root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY))
+    SubElement(
+        root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY, unmoved)
+    )
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
     for name, entry in (vehicles | flows).items():
-        SubElement(root, "vType", {"id": name} | _type(entry))
+        SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
         SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, entry.edge)))
     for name, flow in sorted(flows.items(), key=lambda entry: entry[1].begin):
         SubElement(root, "flow", _flow(name, flow, scenario.duration))
@@ -75,13 +78,19 @@ def _route(scenario: HighwayScenario, driver: Driver, edge: str | None) -> list[
     return route
 
 
-def _model(driver: Driver) -> dict[str, str]:
+def _is_sublane(scenario: HighwayScenario) -> bool:
+    """Returns whether vehicles move in strips: then SUMO takes no other model of lane changes."""
+    return any(entry.lane_change == "SL2015" for entry in (*scenario.traffic, *scenario.flows))
+
+
+def _model(driver: Driver, unmoved: str) -> dict[str, str]:
+    """Returns the names of models. `unmoved`: that of vehicles whose lane changes are switched off."""
     model = "Krauss" if driver.model == "constant" else driver.model
-    lane_change = "LC2013" if driver.lane_change == "none" else driver.lane_change
+    lane_change = unmoved if driver.lane_change == "none" else driver.lane_change
     return {"carFollowModel": model, "laneChangeModel": lane_change, "vClass": driver.vehicle_class}
 
 
-def _type(driver: Driver) -> dict[str, str]:
+def _type(driver: Driver, unmoved: str) -> dict[str, str]:
     values: dict[str, float | None] = {
         "length": driver.length,
         "width": driver.width,
@@ -97,7 +106,7 @@ def _type(driver: Driver) -> dict[str, str]:
     if driver.desired_speed is not None:
         values |= {"maxSpeed": driver.desired_speed, "speedFactor": ANY_LIMIT, "speedDev": 0.0}
     values |= driver.parameters
-    return _model(driver) | {name: repr(float(value)) for name, value in values.items() if value is not None}
+    return _model(driver, unmoved) | {name: repr(float(value)) for name, value in values.items() if value is not None}
 
 
 def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
@@ -120,9 +129,11 @@ def options(scenario: HighwayScenario, network: str, route_file: str, step: floa
 
     SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
     """
-    models = {entry.lane_change for entry in (*scenario.traffic, *scenario.flows)}
-    sideways = {"lateral-resolution": repr(SUBLANE)} if "SL2015" in models else {}
-    sideways |= {"lanechange.duration": repr(LANE_CHANGE_SECONDS)} if "LC2013" in models else {}
+    sideways = {}
+    if _is_sublane(scenario):
+        sideways = {"lateral-resolution": repr(SUBLANE)}
+    elif any(entry.lane_change == "LC2013" for entry in (*scenario.traffic, *scenario.flows)):
+        sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
     values = {
         "net-file": network,
         "route-files": route_file,
