@@ -270,6 +270,12 @@ for line in sys.stdin:
         assert session.evaluate({"x": 0}) == expected
 
 
+def test_a_program_that_is_not_there_refuses_the_worker(folder: Path) -> None:
+    for command in (["./missing"], ["no-such-program"]):
+        with pytest.raises(UnavailableError), driven(folder, drive(), CONTROLLERS["process"] | {"command": command}):
+            pass
+
+
 def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
     with driven(folder, drive(), CONTROLLERS["fmu"]) as session:
         assert "v00" in lost(session, {"v00": 1}, Breakdown.ERROR)

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from drivecal.adapters.children import Launch
+from drivecal.adapters.children import Launch, check_command
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
@@ -39,6 +39,12 @@ class HighwayAdapter:
                 extra = "fmu" if package == "fmpy" else "worker"
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
         scratch = Scratch(folder)
+        try:
+            if controller["kind"] == "process":
+                check_command(controller["command"], scratch.work)
+        except UnavailableError:
+            scratch.remove()
+            raise
         settings = {
             "folder": str(folder),
             "work": str(scratch.work),

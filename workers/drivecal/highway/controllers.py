@@ -30,7 +30,7 @@ class Controller(Protocol):
         """Returns the commands in the order of the manifest's `output`. `signals`: in the order of `observation.NAMES`."""
 
 
-class FunctionController:
+class FunctionController(Controller):
     """A function `(observation, parameters)`, or a class with `step(observation)` that is made for each run."""
 
     def __init__(self, target: Callable[..., Any], output: Sequence[str], scenario: Mapping[str, Any]) -> None:
@@ -58,7 +58,7 @@ class FunctionController:
         return (answer,)
 
 
-class FmuControl:
+class FmuControl(Controller):
     """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end."""
 
     def __init__(self, file: Path, unpacked: Path, signals: Mapping[str, str], output: Sequence[str], period: float) -> None:

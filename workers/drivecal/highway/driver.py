@@ -19,7 +19,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.controllers import controller
     from drivecal.highway.loop import Loop
     from drivecal.highway.measures import measures, series
-    from drivecal.highway.road import Road
+    from drivecal.highway.road import HighwayRoad
     from drivecal.highway.traffic import Traffic
     from drivecal.roads.corridor import corridor
     from drivecal.roads.network import network_file, read_network
@@ -30,13 +30,13 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     scenario = HighwayScenario.model_validate(settings["data"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
     network = folder / network_file(scenario.network)
-    road = Road(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
+    road = HighwayRoad(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
-    print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201
+    print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
-    print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201
+    print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = settings["simulator"]["controller"]
     control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
     loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)

@@ -13,7 +13,7 @@ from drivecal.highway import geometry
 from drivecal.highway.controllers import Checked
 from drivecal.highway.measures import TICK, Record
 from drivecal.highway.observation import keeper_acceleration
-from drivecal.highway.road import Road
+from drivecal.highway.road import HighwayRoad
 from drivecal.highway.traffic import Traffic
 from drivecal.vehicle.model import SingleTrackModel
 
@@ -28,7 +28,7 @@ class StartError(DrivecalError):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class FinishedRun:
     """A run's record and its failure, if any: see `highway_catalogue.FAILURES`."""
 
     record: Record
@@ -43,7 +43,7 @@ class Loop:
         name: str,
         simulator: HighwaySimulator,
         scenario: HighwayScenario,
-        road: Road,
+        road: HighwayRoad,
         traffic: Traffic,
         vehicle: SingleTrackModel,
         controller: Checked,
@@ -114,7 +114,7 @@ class Loop:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
                 raise StartError(f"scenarios.{self._name}: {message}")
 
-    def run(self, parameters: Mapping[str, Any]) -> Outcome:
+    def run(self, parameters: Mapping[str, Any]) -> FinishedRun:
         """Runs one parameter set. Raises ControllerError, TrafficError and others without a result."""
         road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
         line, lanes, ends, size, motion, front, signals = (
@@ -174,7 +174,7 @@ class Loop:
             vehicle.parameters.mass,
             self._scenario.ego.width,
         )
-        return Outcome(record, failure)
+        return FinishedRun(record, failure)
 
 
 def _way(s: Floats, limits: Floats, start: float, duration: float) -> float:

@@ -43,6 +43,7 @@ class ProgramController:
         self._stdin = self._stdout = -1
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
+        """Tells the program of a run and waits until it is ready. Raises ProgramError."""
         self._number += 1
         try:
             if self._process is None:
@@ -55,6 +56,7 @@ class ProgramController:
             raise
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
+        """Returns the program's commands, unchecked. Raises ProgramError."""
         try:
             chosen = [signals[index] for index in self._indices]
             if self._is_binary:
@@ -79,7 +81,7 @@ class ProgramController:
         except OSError as error:
             raise ProgramError(f"{self._command[0]} cannot be started: {error}") from error
         assert self._process.stdin is not None  # noqa: S101  # for the type checker
-        assert self._process.stdout is not None  # noqa: S101
+        assert self._process.stdout is not None  # noqa: S101  # for the type checker
         self._stdin, self._stdout, self._received = self._process.stdin.fileno(), self._process.stdout.fileno(), b""
         greeting = {"drivecal": 1, "signals": self._signals, "output": self._output, "period": self._period}
         self._ask(greeting | {"frames": "binary" if self._is_binary else "json"})

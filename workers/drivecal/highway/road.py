@@ -12,7 +12,7 @@ SMOOTHING = 5.0
 """Distance (m) to both sides over which the slope of a lane's centre is taken."""
 
 
-class Road:
+class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
     def __init__(self, corridor: Corridor) -> None:

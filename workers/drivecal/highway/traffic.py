@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEntry
-from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
 from drivecal.highway.actions import Actions
-from drivecal.highway.road import Road
+from drivecal.highway.road import HighwayRoad
 from drivecal.highway.routes import EGO, drivers, is_exact, options, route_id, routes_file
 from drivecal.roads.corridor import LanePiece
 
@@ -50,7 +50,9 @@ class Traffic:
     `names`: ids of the other vehicles, in the order of the rows of `raw`, `others` and `outlines`.
     """
 
-    def __init__(self, name: str, scenario: HighwayScenario, network: Path, road: Road, step: float, folder: Path) -> None:
+    def __init__(
+        self, name: str, scenario: HighwayScenario, network: Path, road: HighwayRoad, step: float, folder: Path
+    ) -> None:
         """Starts SUMO. `name`: the scenario's; `folder`: for its route file. Raises TrafficError and InvalidInputError."""
         self._name, self._scenario, self._road, self._step = name, scenario, road, step
         vehicles, flows = drivers(scenario)
@@ -194,7 +196,7 @@ class Traffic:
             cell += 3
 
 
-def _centre(road: Road, placed: Placed, field: str) -> tuple[float, float]:
+def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
     """Returns s and d of a vehicle's centre. Raises InvalidInputError."""
     try:
         if placed.edge is not None:
@@ -205,8 +207,8 @@ def _centre(road: Road, placed: Placed, field: str) -> tuple[float, float]:
         raise _prefixed(error, field) from error
 
 
-def _front(road: Road, placed: Placed, length: float, field: str) -> tuple[str, float]:
-    """Returns lane and position along it of a vehicle's front. Raises InvalidInputError and SUMO's errors."""
+def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tuple[str, float]:
+    """Returns lane and position along it of a vehicle's front. Raises InvalidInputError."""
     edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
     if edge is None:
         try:
@@ -219,10 +221,14 @@ def _front(road: Road, placed: Placed, length: float, field: str) -> tuple[str, 
                 raise _prefixed(error, field) from error
             edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
     name = f"{edge}_{lane}"
-    return name, min(position, libsumo.lane.getLength(name))
+    try:
+        return name, min(position, libsumo.lane.getLength(name))
+    except SUMO_ERRORS as error:
+        message = f"the network has no lane {name}"
+        raise InvalidInputError(Problem(f"{field}.lane", message, "give an edge and a lane of the network")) from error
 
 
-def _along(road: Road, piece: LanePiece, s: float) -> float:
+def _along(road: HighwayRoad, piece: LanePiece, s: float) -> float:
     """Returns the position along a lane (m, as SUMO counts) at s of the corridor."""
     places = road.corridor.places[piece.edge, piece.index]
     return float(np.interp(s, places[:, 1], places[:, 0]))
