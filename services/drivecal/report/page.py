@@ -102,7 +102,11 @@ def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
-    content = [part for studied in findings.predictions[:1] for part in validation.validated_predictions(studied, findings.campaign.scale)]
+    content = [
+        part
+        for studied in findings.predictions[:1]
+        for part in validation.validated_predictions(studied, findings.campaign.scale)
+    ]
     if findings.validation:
         drawings = _figures(drawn, "figure-14-")
         return [
