@@ -3,6 +3,8 @@
 .PHONY: help demo test test-faults test-compose check bench train page format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+# Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
+WHOLE_FILES := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -17,11 +19,11 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
 	@$(BIN)/python -m tests.support.web
-	@$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	@$(WHOLE_FILES)
 
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
 	@DRIVECAL_LONG=1 $(BIN)/pytest tests/faults -m faults
-	@DRIVECAL_LONG=1 $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --ignore tests/faults --ignore tests/browser
+	@DRIVECAL_LONG=1 $(WHOLE_FILES) --ignore tests/faults --ignore tests/browser
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s

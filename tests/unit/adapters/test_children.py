@@ -58,7 +58,7 @@ def test_grandchildren_end_with_a_failed_run(tmp_path: Path, mark: str, body: st
 def test_grandchildren_end_with_the_session(tmp_path: Path, mark: str) -> None:
     with served(tmp_path, f"subprocess.Popen({SLEEPER.format(mark=mark)})") as session:
         session.evaluate({"x": 1.0})
-        assert len(running(mark)) == 1
+        eventually(lambda: len(running(mark)) == 1)  # a program that was just executed has no command yet
     assert running(mark) == []
 
 
@@ -123,10 +123,12 @@ def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str)
     """)
     with subprocess.Popen([sys.executable, "-c", worker], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
-        scratch = Path(process.stdout.readline().strip())
-        assert scratch.is_dir()
-        assert len([one for one in running(mark) if one.pid != process.pid]) == 2
-        process.kill()
+        try:
+            scratch = Path(process.stdout.readline().strip())
+            assert scratch.is_dir()
+            eventually(lambda: len([child for child in running(mark) if child.pid != process.pid]) == 2)
+        finally:
+            process.kill()
     eventually(lambda: running(mark) == [] and not scratch.exists())
 
 
