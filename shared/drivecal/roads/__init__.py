@@ -1,4 +1,4 @@
-"""Roads of SUMO networks: reads a network, and follows a route's lanes along a smooth reference line.
+"""Roads of SUMO networks and OpenDRIVE files: a route's lanes along one smooth reference line. See `roads.md`.
 
-`network`: a `.net.xml`; `corridor`: the lanes of a route in Frenet coordinates; `documents`: reads XML of strangers safely.
+`network`: a `.net.xml`; `corridor`: the lanes of a route in Frenet coordinates; `conversion`: OpenDRIVE by netconvert.
 """

@@ -23,7 +23,7 @@ WIDENINGS = 10
 """Times that the tolerance grows by half there, at most."""
 LARGEST_GAP = 100.0
 """Metres between lanes that follow each other."""
-SHORTEST, LONGEST = 10.0, 200_000.0
+SHORTEST, LONGEST = 10.0, 100_000.0
 """Metres of a route."""
 
 

@@ -39,7 +39,7 @@ class FileLane:
 
 
 @dataclass(slots=True)
-class Section:
+class LaneSection:
     """A lane section, from s = `begin` of its road on."""
 
     begin: float
@@ -56,7 +56,7 @@ class FileRoad:
     line: int
     geometries: list[Geometry] = field(default_factory=list)
     offset: Cubics = field(default_factory=Cubics)
-    sections: list[Section] = field(default_factory=list)
+    sections: list[LaneSection] = field(default_factory=list)
     limits: list[tuple[float, float | None]] = field(default_factory=list)
 
     def reference(self, s: Floats) -> tuple[Floats, Floats, Floats]:
@@ -215,7 +215,7 @@ class _Reader:
         begin = attributes.number("s", 0.0, LONGEST)
         if road.sections and begin < road.sections[-1].begin:
             raise attributes.fault(f"road {shown(road.id, 60)}: the lane sections are not in order of s", "order them")
-        road.sections.append(Section(begin))
+        road.sections.append(LaneSection(begin))
 
     def _on_lane(self, attributes: Attributes) -> None:
         road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
