@@ -16,12 +16,12 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 	@$(BIN)/drivecal demo
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
-	@$(BIN)/pytest --numprocesses 2 --dist loadfile --ignore tests/faults --ignore tests/browser
-	@$(BIN)/pytest tests/faults tests/browser
+	@$(BIN)/python -m tests.support.web
+	@$(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-test-faults: $(INSTALLED) ## kill, stop and starve everything there is, at random points: the long forms of the fault suite (hours)
-	@$(BIN)/pytest tests/faults -m faults
-	@DRIVECAL_LONG=1 $(BIN)/pytest tests/integration/test_api_schema.py tests/unit/reduction/test_sabotage.py
+test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
+	@DRIVECAL_LONG=1 $(BIN)/pytest tests/faults -m faults
+	@DRIVECAL_LONG=1 $(BIN)/pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --ignore tests/faults --ignore tests/browser
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s

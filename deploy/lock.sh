@@ -8,7 +8,7 @@ compile() {
     "$uv" pip compile --universal --generate-hashes --no-annotate --no-emit-index-url --no-emit-find-links --quiet \
         --custom-compile-command "make lock" "$@"
 }
-compile pyproject.toml --extra service --extra worker --group dev "$@" --output-file deploy/requirements.lock
+compile pyproject.toml --extra cluster --group dev "$@" --output-file deploy/requirements.lock
 for list in deploy/images/*.in; do
     compile "$list" --constraint deploy/requirements.lock --python-version 3.11 --output-file "${list%.in}.lock"
 done

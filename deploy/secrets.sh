@@ -7,7 +7,8 @@
 # ray_token          between the nodes of the Ray cluster; nodes on other machines need the same
 # tokens             who may use the API: NAME read|write|author TOKEN, a line each; add lines as you like, the server reads them again
 #
-# Nothing that exists is ever replaced. Only you can enter the folder; inside, the files are readable, for the users in the containers are
+# With DRIVECAL_ALLOW_PUSH=true, `tokens` gets a line with an author if it has none, and the author's token is the one that is shown: it
+# pushes problems, which are code that the workers run. Nothing that exists is ever replaced. Only you can enter the folder; inside, the files are readable, for the users in the containers are
 # others than you. The folder is deploy/secrets, or DRIVECAL_SECRETS.
 set -eu
 cd "$(dirname "$0")/.."
@@ -19,7 +20,7 @@ setting() { # NAME DEFAULT: from the environment, else from .env, without quotes
     printf '%s' "${value:-$2}"
 }
 random() { od -An -tx1 -N32 /dev/urandom | tr -d ' \n'; }
-make() { # FILE CONTENT: in one step, so that nobody ever reads half a secret
+make() { # FILE CONTENT: in one step, so that no reader sees half a secret
     [ -e "$folder/$1" ] && return
     printf '%s\n' "$2" >"$folder/$1.$$"
     chmod 644 "$folder/$1.$$"
@@ -33,18 +34,24 @@ chmod 700 "$folder"
 make postgres_password "$(random)"
 make ray_token "$(random)"
 make tokens "me write $(random)"
+role=write
+if [ "$(setting DRIVECAL_ALLOW_PUSH "")" = true ]; then
+    role=author
+    grep -Eq '^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]+author[[:space:]]' "$folder/tokens" ||
+        printf 'author author %s\n' "$(random)" >>"$folder/tokens"
+fi
 
 quoted() { # for eval: whatever a token or an address holds, the shell takes it as one word and runs nothing
     printf "'%s'" "$(printf '%s' "$1" | sed "s/'/'\\\\''/g")"
 }
 address=$(setting DRIVECAL_BIND 127.0.0.1)
-case $address in # everybody's address is nobody's to call; in a URL, one with colons stands in brackets
+case $address in # a client cannot call 0.0.0.0 or ::; in a URL, an address with colons stands in brackets
 0.0.0.0) address=127.0.0.1 ;;
 :: | '[::]') address='[::1]' ;;
 \[*) ;;
 *:*) address="[$address]" ;;
 esac
-token=$(sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}write[[:space:]]\{1,\}\([^[:space:]]*\).*/\1/p' "$folder/tokens" | head -n 1)
+token=$(sed -n 's/^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]\{1,\}'"$role"'[[:space:]]\{1,\}\([^[:space:]]*\).*/\1/p' "$folder/tokens" | head -n 1)
 
 echo "export DRIVECAL_URL=$(quoted "http://$address:$(setting DRIVECAL_PORT 8000)")"
 [ -z "$token" ] || echo "export DRIVECAL_TOKEN=$(quoted "$token")"

@@ -10,18 +10,51 @@ import hypothesis
 import psycopg
 import pytest
 from sqlalchemy import make_url
+from tests.support import effort
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
+from tests.support.tree import PROJECT
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 from drivecal.campaigns.resolve.problem import trial
+from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
+from drivecal.execution.supervised import WorkerLimits
 
-# No test asserts a time: a first example that imports or compiles something may take as long as it likes.
-hypothesis.settings.register_profile("drivecal", deadline=None)
-hypothesis.settings.load_profile("drivecal")
+# Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
+# imports or compiles something may take as long as it likes.
+hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
+hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
+"""The files that use `ray_backend`: one process runs them all and starts Ray once."""
+SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
+"""From those with long files to those with short ones."""
+
+
+class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
+    """Gives each process whole files, so that what a file starts is started once."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = str(super()._split_scope(nodeid))
+        return "ray" if file in SHARE_RAY else file
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFiles | None:
+    """The scheduler of `make test`."""
+    return WholeFiles(config, log) if config.option.dist == "loadfile" else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts long files first, so that no process is left alone with one at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
 
 
 @pytest.hookimpl(wrapper=True)
@@ -44,6 +77,21 @@ def ray_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RayBackend
     backend.close()
     os.environ.clear()
     os.environ.update(environment)
+
+
+@pytest.fixture(scope="session")
+def processes_backend(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ProcessBackend]:
+    """Two workers as processes of this machine on which the plug-in of `tests.support` is installed."""
+    before = {name: os.environ.get(name) for name in ("HOME", "PYTHONPATH")}
+    os.environ.update(HOME=str(tmp_path_factory.mktemp("home")), PYTHONPATH=str(FOLDER))
+    backend = ProcessBackend(WorkerLimits(workers=2, deadline_seconds=10.0), trial())
+    while len(backend.slots()) < 2:
+        backend.wait(1.0)
+    yield backend
+    backend.close()
+    os.environ.update({name: value for name, value in before.items() if value is not None})
+    for name in [name for name, value in before.items() if value is None]:
+        del os.environ[name]
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,16 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 WEB = Path(__file__).parent
 TARGET = WEB.parent / "drivecal" / "api" / "static"
 REASON, STAMP = "missing.txt", "sources.sha256"
-SOURCES = ("src/**/*", "index.html", "package.json", "package-lock.json", "vite.config.ts", "licences.ts", "svelte.config.js")
+SOURCES = (
+    "src/**/*",
+    "index.html",
+    "docs.html",
+    "package.json",
+    "package-lock.json",
+    "vite.config.ts",
+    "licences.ts",
+    "svelte.config.js",
+)
 OLDEST = (20, 19)
 SECONDS_TO_FETCH, SECONDS_TO_BUILD = 180, 180
 FETCHING = (

@@ -24,7 +24,7 @@ export function licences(): Plugin {
 
 function licenceOf(folder: string): string {
   const about = JSON.parse(readFileSync(join(folder, "package.json"), "utf8")) as { name: string; version: string; license?: string };
-  const files = existsSync(folder) ? readdirSync(folder).filter((name) => /^(licen[cs]e|notice|copying)/i.test(name)) : [];
+  const files = existsSync(folder) ? readdirSync(folder).filter((name) => /^(licen[cs]e|notice|copying)|\.licen[cs]e\.txt$/i.test(name)) : [];
   if (files.length === 0) throw new Error(`${about.name} ships no licence; the page may not hold it`);
   const texts = files.sort().map((name) => readFileSync(join(folder, name), "utf8").trim());
   return `${about.name} ${about.version} (${about.license ?? "see below"})\n\n${texts.join("\n\n")}\n`;

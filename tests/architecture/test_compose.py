@@ -24,7 +24,7 @@ IMAGES = PROJECT / "deploy" / "images"
 OURS = ("migrate", "api", "ray-head", "ray-worker", "dispatcher")
 ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
 OF_CLIENTS = {"url", "token"}
-FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address"}
+FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address", "backend"}
 """Settings that the compose file gives its services itself."""
 
 
@@ -249,6 +249,31 @@ def test_the_address_that_the_secrets_name_can_be_called(tmp_path: Path, bind: s
     script = str(PROJECT / "deploy" / "secrets.sh")
     done = subprocess.run([script], env=given, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[0] == f"export DRIVECAL_URL='http://{host}:8000'"
+
+
+def test_an_author_is_made_once_where_problems_may_be_pushed(tmp_path: Path) -> None:
+    def run(**environment: str) -> str:
+        given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path / "secrets"), **environment}
+        script = str(PROJECT / "deploy" / "secrets.sh")
+        return subprocess.run([script], env=given, capture_output=True, text=True, check=True).stdout
+
+    first, tokens = run(), tmp_path / "secrets" / "tokens"
+    assert [line.split()[1] for line in tokens.read_text().splitlines()] == ["write"]
+    allowed = run(DRIVECAL_ALLOW_PUSH="true")
+    me, author = (line.split() for line in tokens.read_text().splitlines())
+    assert (me[1], author[1]) == ("write", "author")
+    assert author[2] in allowed
+    assert me[2] in first
+    assert run(DRIVECAL_ALLOW_PUSH="true") == allowed
+    assert run() == first
+    assert len(tokens.read_text().splitlines()) == 2
+
+
+def test_nodes_can_run_programs_of_problems() -> None:
+    node = document()["services"]["ray-worker"]
+    assert any("exec" in options.split(":")[1].split(",") for options in node["tmpfs"] if options.startswith("/tmp:"))
+    assert node["environment"]["DRIVECAL_BUNDLE_CACHE"].startswith("/tmp/")
+    assert any(line.startswith("fmpy==") for line in locked(IMAGES / "ray-worker.lock"))
 
 
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:

@@ -27,7 +27,7 @@ def declared() -> list[Requirement]:
     lists = [table["project"]["dependencies"], *table["project"]["optional-dependencies"].values()]
     lists += table["dependency-groups"].values()
     lists.append(table["build-system"]["requires"])
-    return [Requirement(entry) for entries in lists for entry in entries]
+    return [Requirement(entry) for entries in lists for entry in entries if not entry.startswith("drivecal[")]
 
 
 @cache

@@ -23,7 +23,7 @@ TEXT = (Path(__file__).parents[2] / "deploy" / "examples" / "highway.yaml").read
 
 
 def test_every_field_of_a_campaign_is_there_and_those_that_are_commented_out_have_their_defaults() -> None:
-    start = TEXT.index("# robustness:")
+    start = TEXT.index("# sensitivity:")
     given: dict[str, Any] = yaml.safe_load(TEXT[:start] + re.sub(r"^# ?", "", TEXT[start:], flags=re.MULTILINE))
     assert set(given) == set(CampaignSpecification.model_fields)
     whole = validated(CampaignSpecification, given | {"optimizer": None})

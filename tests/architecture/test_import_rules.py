@@ -29,7 +29,7 @@ PLANTED = {
     "The coordinator's imports point down": ("services/drivecal/storage", "import drivecal.campaigns"),
     "The workers' imports point down": ("workers/drivecal/comfort", "import drivecal.episode"),
     "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.vehicle.single_track"),
-    "Only the Ray backend and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
+    "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
     "Only the simulations of traffic speak to SUMO": ("workers/drivecal/episode", "import libsumo"),
     "The adapters import no simulator": (
@@ -103,7 +103,7 @@ def test_the_layers_name_every_package() -> None:
     ("name", "source", "forbidden"),
     [
         ("What both sides speak knows neither side", packages(SHARED), packages(SERVICES) | packages(WORKERS)),
-        ("Only the Ray backend and drivecal.local reach the workers", packages(SERVICES), packages(WORKERS)),
+        ("Only the backends and drivecal.local reach the workers", packages(SERVICES), packages(WORKERS)),
         ("The workers do not know the coordinator", packages(WORKERS), packages(SERVICES)),
         ("No database and no web server beside the simulation", packages(WORKERS), {"sqlalchemy", "fastapi"}),
         ("No simulator and no compiler in the coordinator", packages(SERVICES), {"libsumo", "numba"}),
@@ -114,9 +114,10 @@ def test_a_rule_between_roots_names_every_package(name: str, source: set[str], f
     assert set(rule(name)["forbidden_modules"]) >= forbidden
 
 
-def test_the_ray_backend_and_drivecal_local_are_the_only_exceptions() -> None:
+def test_the_backends_and_drivecal_local_are_the_only_exceptions() -> None:
     exceptions = [exception for one in rules() for exception in one.get("ignore_imports", [])]
     assert {exception.split(" -> ")[0] for exception in exceptions} == {
+        "drivecal.execution.processes.child",
         "drivecal.execution.ray.backend",
         "drivecal.local.evaluation",
         "drivecal.local.problems",

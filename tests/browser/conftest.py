@@ -23,7 +23,7 @@ def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, lis
     """What axe-core finds in the page as it is: the rule, and the first elements that break it. Whatever does not fit into the page's
     width counts as well. Skips where axe-core is not there."""
     if not AXE.is_file():
-        pytest.skip("axe-core is not there: make check fetches it")
+        pytest.skip("axe-core is not there: `make test` could not fetch it")
     expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting|Choose two"))
     if not page.evaluate("'axe' in window"):
         page.evaluate(AXE.read_text())

@@ -15,7 +15,7 @@ from tests.browser.conftest import Opening, barriers
 from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, free_port, serving
 
 from drivecal.storage.campaigns import StoredCampaign
 
@@ -140,7 +140,7 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
     again = opening(page.url)
     expect(again.locator("[aria-selected=true]")).to_have_count(1)
     assert rows_shown(again) == some
-    expect(again.get_by_role("columnheader", name="score")).to_have_attribute("aria-sort", "ascending")
+    expect(again.get_by_role("columnheader", name="score")).to_have_attribute("aria-sort", "descending")  # the best first
     expect(again.get_by_role("slider", name="Opacity")).to_have_value("2.5")
     expect(again.get_by_role("slider", name="Range of P7")).to_have_count(1)
     again.get_by_role("button", name="Show all again").click()
@@ -162,16 +162,28 @@ def test_a_table_of_any_length_is_scrolled_row_by_row(shown: Shown, opening: Ope
 
 def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/submit", expected=("422",))
-    page.get_by_role("checkbox", name="sensitivity").uncheck()
     page.get_by_label("population").fill("10")
     page.get_by_label("iterations").fill("2")
+    mode, analysed = page.get_by_label("mode", exact=True), page.get_by_role("checkbox", name="sensitivity")
+    expect(mode).to_have_value("predicted")
+    analysed.check()
+    expect(mode).to_have_value("both")
+    expect(page.get_by_text("takes more runs than the search")).to_be_visible()
+    analysed.uncheck()
+    expect(mode).to_have_value("predicted")
     page.get_by_label("name").fill("from the form")
     expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
-    page.get_by_label("weights").fill('{"S9": 1}')
-    expect(page.get_by_role("alert")).to_contain_text("S9")
-    page.get_by_label("weights").fill('{"S1": 3')
-    expect(page.get_by_role("alert")).to_contain_text("weights: this is no valid JSON")
-    page.get_by_label("weights").fill(json.dumps({"S" * 63: 1}))
+    lower = page.get_by_label("P1 from")
+    lower.fill("20")
+    lower.blur()
+    expect(page.get_by_role("alert")).to_contain_text("parameters[0]")
+    lower.fill("-15")
+    lower.blur()
+    expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
+    sets = page.get_by_label("start sets")
+    sets.fill('[{"P1": 3')
+    expect(page.get_by_role("alert")).to_contain_text("optimizer.start_sets: this is no valid JSON")
+    sets.fill(json.dumps([{"S" * 63: 1}]))
     expect(page.get_by_role("alert")).to_contain_text("S" * 63)
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     page.get_by_label("population").fill("-3")
@@ -179,11 +191,13 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     expect(page.get_by_text("undefined")).to_have_count(0)
     page.get_by_label("population").fill("10")
     expect(page.get_by_role("button", name="Start it")).to_be_disabled()
-    page.get_by_label("weights").fill('{"S1": 3}')
+    sets.fill("")
+    page.get_by_label("Weight of S1").fill("3")
     page.get_by_role("button", name="Start it").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("from the form")
     stored = shown.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
     assert (stored["sensitivity"], stored["weights"], stored["optimizer"]["population"]) == (None, {"S1": 3}, 10)
+    assert stored["reduction"]["mode"] == "predicted"
     page.get_by_role("button", name="Cancel").click()
     page.get_by_role("button", name="Really cancel").click()
     expect(page.get_by_text("cancelled").first).to_be_visible()
@@ -249,3 +263,48 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_label("Token")).to_be_visible()
         page.reload()
         expect(page.get_by_label("Token")).to_be_visible()
+
+
+def test_every_view_comes_back_with_the_server(tmp_path: Path, opening: Opening) -> None:
+    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
+    with serving(url, port) as api:
+        campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
+        views = [*(f"campaigns/{campaign.id}/{tab}" for tab in TABS), "evaluations/1", "", "submit", "problems", "compare"]
+        away = ("ERR_CONNECTION_REFUSED", "WebSocket", "409", "ERR_CONNECTION_RESET", "Failed to load")
+        pages = [opening(f"{api.url}/#/nowhere", expected=away) for _ in views]
+        address = api.url
+    for page, view in zip(pages, views, strict=True):
+        page.evaluate("window.neverReloaded = true")
+        page.goto(f"{address}/#/{view}")
+        expect(page.get_by_text("cannot be reached").first).to_be_visible()
+        expect(page.get_by_text(re.compile("^(Nothing to rank|No evaluation|No campaign|No problem) "))).to_have_count(0)
+        expect(page.get_by_text("Connection lost")).to_be_visible()
+    with serving(url, port):
+        for page in pages:
+            expect(page.get_by_text("Connection lost")).to_have_count(0)
+            expect(page.get_by_text(re.compile("cannot be reached"))).to_have_count(0)
+            expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting"))
+            assert page.evaluate("window.neverReloaded")
+
+
+def test_a_connection_that_nobody_waits_for_is_not_reported_as_lost(tmp_path: Path, opening: Opening) -> None:
+    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
+    with serving(url, port) as api:
+        campaign = run(api.database, submit(api.database, **SMALL))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("ERR_CONNECTION_REFUSED", "WebSocket", "409"))
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        address = api.url
+    expect(page.get_by_text("Connection lost")).to_be_visible()
+    page.goto(f"{address}/#/evaluations/1")
+    with serving(url, port):
+        expect(page.get_by_text("Connection lost")).to_have_count(0)
+        expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation 1")
+
+
+def test_the_documentation_of_the_api_asks_no_other_host(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/docs")
+    expect(page.get_by_role("heading", name="drivecal")).to_be_visible()
+    operation = page.locator(".opblock-summary", has_text="/api/v1/problems").first
+    operation.click()
+    page.get_by_role("button", name="Try it out").click()
+    expect(page.get_by_role("button", name="Execute")).to_be_visible()

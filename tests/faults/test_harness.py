@@ -64,7 +64,7 @@ def test_whatever_a_campaign_found_differently_is_named() -> None:
         replace(one, runs=runs) for runs in ({}, {("setup", "set"): ("others",)}, {("setup", "other set"): ("metrics",)})
     ]
     for other in others:
-        with pytest.raises(AssertionError, match="campaign this differs from its run without faults"):
+        with pytest.raises(AssertionError, match="campaign this"):
             assert_equal("this", other, one)
 
 

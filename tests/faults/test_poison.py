@@ -70,7 +70,7 @@ def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their
     pool.submit(Work(setup, [Cell(1, {"dose": 0.0})]), tag="test")  # tells what a cell costs, without which batches are of one
     _drain(pool)
     deadline = max(SHORTEST_DEADLINE_SECONDS, PATIENCE_FACTOR * (time.monotonic() - begin))
-    monkeypatch.setattr(healed, "_options", replace(healed._options, deadline_seconds=deadline))
+    monkeypatch.setattr(healed, "_limits", replace(healed._limits, deadline_seconds=deadline))
     pool.submit(Work(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)]), tag="test")
     completed = {one.result.id - 100: one for one in _drain(pool)}
     assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES

@@ -113,7 +113,7 @@ def test_the_client_tells_of_a_database_that_stays_away(api: RunningApi, monkeyp
     waits: list[float] = []
     monkeypatch.setattr("time.sleep", waits.append)
     run_sql(api, "ALTER TABLE campaigns RENAME TO elsewhere")
-    with Client(api.url) as client, pytest.raises(UnavailableError, match="the database does not do"):
+    with Client(api.url) as client, pytest.raises(UnavailableError):
         client.submit(SMALL)
     assert sum(waits) <= 30.0
     assert len(waits) > 1

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import func, select
+from tests.support.effort import examples
 from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -41,7 +42,7 @@ GETS = [
     "/api/v1/scenarios/{}",
     "/api/v1/influence-maps/{}",
 ]
-many = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+many = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])

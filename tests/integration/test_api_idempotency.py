@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -10,6 +11,10 @@ import httpx
 import pytest
 from tests.support.found import carry_out
 from tests.support.server import RunningApi, new_database, serving
+
+from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification
+from drivecal.domain.setups import canonical_json, digest
+from drivecal.storage import campaigns
 
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
 
@@ -45,6 +50,50 @@ def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None
         responses = list(pool.map(post, range(50)))
     assert {response.status_code for response in responses} == {202}
     assert len({response.json()["id"] for response in responses}) == 1
+
+
+EARLIER: dict[str, Any] = {
+    "sensitivity": SensitivitySpecification().model_dump(mode="json"),
+    "reduction": {"mode": "influence"},
+}
+"""Defaults of the releases before predictions were the default."""
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ({}, EARLIER),
+        ({"reduction": {"audit": 0.1}}, EARLIER | {"reduction": {"mode": "influence", "audit": 0.1}}),
+        ({"sensitivity": None}, EARLIER | {"sensitivity": None}),
+        ({"sensitivity": {"samples": 4}, "reduction": {"mode": "exact"}}, {}),
+    ],
+)
+def test_a_request_of_an_earlier_release_is_known_again_after_the_defaults_changed(
+    api: RunningApi, given: dict[str, Any], meant: dict[str, Any]
+) -> None:
+    body = {"optimizer": {"population": 10, "iterations": 2}, **given}
+    stored = CampaignSpecification.model_validate(body | meant)
+    document = {"path": "campaigns", "body": stored.model_dump(mode="json")}
+    key = uuid.uuid4().hex
+    with api.database.transaction() as connection:
+        earlier = campaigns.insert(
+            connection,
+            name="earlier",
+            spec=stored.model_dump(mode="json"),
+            idempotency_key=key,
+            body_digests=[digest(canonical_json(document).encode())],
+        )
+    again = api.http.post("/api/v1/campaigns", json=body, headers={"Idempotency-Key": key})
+    assert (again.status_code, again.json()["id"]) == (202, earlier.id)
+    assert again.json()["spec"] == stored.model_dump(mode="json"), "it keeps the meaning that it had"
+    other = api.http.post("/api/v1/campaigns", json=body | {"weights": {"S1": 2}}, headers={"Idempotency-Key": key})
+    assert other.status_code == 409
+
+
+def test_the_earlier_defaults_are_another_request_than_todays(api: RunningApi) -> None:
+    key = {"Idempotency-Key": uuid.uuid4().hex}
+    assert api.http.post("/api/v1/campaigns", json={}, headers=key).status_code == 202
+    assert api.http.post("/api/v1/campaigns", json=EARLIER, headers=key).status_code == 409
 
 
 def test_fifty_reruns_at_once_with_one_key_are_one_and_no_other_request(api: RunningApi) -> None:

@@ -73,10 +73,10 @@ def test_every_run_is_a_campaign_that_can_be_read_but_not_steered(run: Run, api:
     assert campaign["cells"]["simulated"] == first["simulations"]
     assert len(api.http.get(campaign["links"]["generations"]).json()["items"]) == 3
     refused = api.http.post(f"/api/v1/campaigns/{first['run']}/cancel")
-    assert (refused.status_code, f"is a run of the comparison {ended['id']}" in refused.text) == (409, True)
+    assert (refused.status_code, ended["id"] in refused.text) == (409, True)
     for table in ("solutions", "accounting", "setup"):
         answer = api.http.get(f"/api/v1/campaigns/{ended['id']}/{table}")
-        assert (answer.status_code, "whose runs are campaigns of their own" in answer.text) == (409, True)
+        assert answer.status_code == 409
     assert api.http.get(f"/api/v1/campaigns/{first['run']}/comparison").status_code == 409
     assert run("rerun", ended["id"], "--weights", "S1=2").exit_code == 1
 

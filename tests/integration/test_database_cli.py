@@ -92,7 +92,7 @@ def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: 
         connection.execute(text("DELETE FROM ratings WHERE run_id = 1"))
     broken = db("check", "--database-url", url)
     assert broken.exit_code == 1
-    assert "drivecal: references: 1 runs have no rating, the first of them run 1" in broken.stderr.splitlines()
+    assert "drivecal: references: " in broken.stderr
     assert "restore a backup" in broken.stderr
     report = json.loads(db("check", "--database-url", url, "--json").stdout)
     assert not report["whole"]

@@ -70,6 +70,15 @@ def test_files_of_the_page_are_kept_by_browsers_and_sent_compressed(api: Running
     assert plain.content == answer.content
 
 
+def test_the_documentation_of_the_api_is_part_of_the_page(api: RunningApi, built: Path) -> None:
+    assert "not there" in api.http.get("/docs").text
+    (built / "docs.html").write_text("<!doctype html><title>API</title>")
+    answer = api.http.get("/docs")
+    assert answer.text.endswith("<title>API</title>")
+    assert "script-src 'self'" in answer.headers["content-security-policy"]
+    assert (api.http.get("/redoc").status_code, api.http.get("/redoc").headers["location"]) == (308, "/docs")
+
+
 @pytest.mark.parametrize(
     "name", ["sources.sha256", "nothing.js", "../app.py", "%2e%2e/app.py", "assets/../../app.py", "assets"]
 )

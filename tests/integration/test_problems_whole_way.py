@@ -2,63 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
-from tests.support.fmus import build
 from tests.support.serve import Server, serving, until
+from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
 
-EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples" / "problems"
-SPEC: dict[str, Any] = {
-    "sensitivity": None,
-    "optimizer": {"kind": "genetic", "population": 40, "iterations": 4, "seed": 3},
-    "reduction": {"mode": "exact"},
-}
-RESULTS = ("outcome", "score", "failure", "iteration", "individual", "scenario")
-
-
-FMU = {
-    "problem": "fmu",
-    "parameters": {
-        "rate": {"lower": -3, "upper": 3},
-        "factor": {"lower": 1, "upper": 4, "integer": True},
-        "mode": {"choices": ["eco", "sport"]},
-    },
-    "simulator": {
-        "kind": "fmu",
-        "file": "trial2.fmu",
-        "duration": 2.0,
-        "step": 0.1,
-        "measures": {"end": "last(body.x[1])", "most": "max(body.x[1])"},
-        "deterministic": True,
-    },
-    "scenarios": {"plain": {}, "flagged": {"flag": True}},
-    "measures": {"end": "m", "most": "m"},
-    "scores": {"miss": {"formula": "abs(end - 4)", "direction": "minimise", "range": [0, 40]}},
-}
-"""A whole system, compiled by the test."""
-
-
-def problem(name: str, folder: Path) -> Path:
-    """A problem's folder, ready to be pushed: a copy of an example, or an FMU with its manifest."""
-    copy = folder / name
-    if name == "fmu":
-        copy.mkdir()
-        build(copy, 2)
-        (copy / "problem.yaml").write_text(yaml.safe_dump(FMU, sort_keys=False))
-        return copy
-    shutil.copytree(EXAMPLES / name, copy)
-    if (copy / "Makefile").is_file():
-        subprocess.run(["make", "-s"], cwd=copy, check=True)
-    return copy
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +25,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module")  # the last test kills it
 def server(home: Path) -> Iterator[Server]:
     with started(home) as running:
         yield running
@@ -78,12 +33,6 @@ def server(home: Path) -> Iterator[Server]:
 
 def started(folder: Path) -> AbstractContextManager[Server]:
     return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
-
-
-def rows(client: Client, campaign: str) -> list[tuple[object, ...]]:
-    """The results of a campaign in their order, without what depends on workers."""
-    page = client.evaluations(campaign).to_pandas()
-    return [tuple(row) for row in page[list(RESULTS)].itertuples(index=False, name=None)]
 
 
 @pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
@@ -126,17 +75,14 @@ def test_a_killed_server_resumes_a_problem_to_the_same_results(name: str, server
         client.push_problem(folder)
         expected = client.wait(client.submit(spec).id)
         results = rows(client, expected.id)
-    (tmp_path / "home").mkdir()
-    shutil.copy(home / "home" / "push.secret", tmp_path / "home")
-    with started(tmp_path) as killed, Client(killed.url) as client:
-        client.push_problem(folder)
         begun = client.submit(spec)
         until(lambda: client.campaign(begun.id).cells.simulated > 30, "some cells are simulated")
-        family = killed.family()
-        killed.process.kill()
-        for process in family:
-            process.kill()
-    with started(tmp_path) as resumed, Client(resumed.url) as client:
+    family = server.family()
+    server.process.kill()
+    for process in family:
+        process.kill()
+    server.process.wait()
+    with started(home) as resumed, Client(resumed.url) as client:
         ended = client.wait(begun.id)
         assert (ended.state, ended.best) == ("succeeded", expected.best)
         assert rows(client, begun.id) == results

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, func, select, text
 from tests.support.computed import ComputedBackend, computed
+from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, get, post_map, submit
 from tests.support.server import new_database
 
@@ -136,7 +137,7 @@ def leased(database: Database) -> int:
         return connection.scalar(select(func.count()).select_from(leases_table)) or 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
     databases: Callable[[], Database], seed: int
 ) -> None:

@@ -260,7 +260,7 @@ def test_a_simulator_that_died_between_two_runs_costs_one_run() -> None:
     subject = runner(S1)
     before = subject.run(changes_lane(S1))
     libsumo.close()
-    with pytest.raises(SimulationError, match="cannot place the vehicles"):
+    with pytest.raises(SimulationError, match="place"):
         subject.run(changes_lane(S1))
     assert subject.run(changes_lane(S1)) == before
 
@@ -285,7 +285,7 @@ def test_a_scenario_is_loaded_anew_after_a_vehicle_got_lost_in_it() -> None:
     length = libsumo.vehicletype.getLength("follower")
     libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
     libsumo.vehicle.remove("follower")
-    with pytest.raises(SimulationError, match="lost a vehicle"):
+    with pytest.raises(SimulationError, match="lost"):
         sumo.advance(0, to_cartesian(reference_line(S1.road), S1.ego.s, S1.ego.d), np.zeros(8))
     sumo.load(S1)
     assert libsumo.vehicletype.getLength("follower") == length

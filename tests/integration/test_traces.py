@@ -147,14 +147,14 @@ def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pyte
     work(api)
     answer = ask(api, number)
     assert answer.status_code == 409
-    assert "could not be driven again: the driving function gave up" in answer.json()["detail"]
+    assert "gave up" in answer.json()["detail"]
     assert ask(api, 10**6).status_code == 404
     assert ask(api, "nobody").status_code == 404
     other = evaluated(api)["items"][0]["id"]
     monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "another")
     answer = ask(api, other)
     assert answer.status_code == 409
-    assert "driven with another driving_function_version than is installed now" in answer.json()["detail"]
+    assert "driving_function_version" in answer.json()["detail"]
 
 
 def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
@@ -166,7 +166,7 @@ def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
     work(api)
     answers = [ask(api, number) for _ in range(2)]
     assert [one.status_code for one in answers] == [409, 409]
-    assert "it took too long. That may have passed: ask again after 30 s" in answers[0].json()["detail"]
+    assert "30 s" in answers[0].json()["detail"]
     assert work(api).sent == [], "who polls is told and starts nothing"
     monkeypatch.setattr("drivecal.campaigns.cells.tracing.AGAIN_AFTER", timedelta(0))
     FAILING.clear()
@@ -182,7 +182,7 @@ def test_who_may_only_read_sees_traces_and_has_none_driven(tmp_path: Path) -> No
         number = evaluated(api)["items"][0]["id"]
         reader = {"Authorization": "Bearer reader-0123456789abcdef"}
         refused = ask(api, number, **reader)
-        assert (refused.status_code, "the token of reader may only read" in refused.json()["detail"]) == (403, True)
+        assert refused.status_code == 403
         assert work(api).sent == []
         assert [ask(api, number, **headers).status_code for headers in ({}, reader)] == [202, 202]
         work(api)

@@ -10,7 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from tests.support.serve import Server, serving
+from tests.support import server as api
+from tests.support.faults.oracle import NAME, InThisProcess
+from tests.support.runs import working
+from tests.support.serve import serving
 
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts
@@ -23,7 +26,7 @@ OTHER_WEIGHTS = {"S1": 3, "S5": 0}
 PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 BOLD = {name: {"influential": False} for name in PARAMETERS[3:]}
 """A map that claims too much, so that even a small campaign reuses; what is reused wrongly may be."""
-REDUCTION = {"audit": 0.2, "max_error": 1}
+REDUCTION = {"mode": "influence", "audit": 0.2, "max_error": 1}
 NOT_COMPARED = {"milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 
@@ -53,8 +56,8 @@ def _ended(client: Client, campaign: Campaign) -> Campaign:
     return ended
 
 
-def _carry_out(server: Server) -> Gone:
-    client = Client(server.url)
+def _carry_out(url: str) -> Gone:
+    client = Client(url)
     posted = client.post_influence_map({"scenarios": dict.fromkeys(("S1", "S2", "S3", "S4", "S5", "S6"), BOLD)})
     specification = {"sensitivity": {"map": posted.id}, "optimizer": OPTIMIZER, "reduction": REDUCTION}
     campaign = _ended(client, client.submit(specification))
@@ -64,7 +67,7 @@ def _carry_out(server: Server) -> Gone:
 @pytest.fixture(scope="module")
 def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gone]:
     with serving(tmp_path_factory.mktemp("two"), workers=2) as server:
-        yield _carry_out(server)
+        yield _carry_out(server.url)
 
 
 def _check_cells(campaign: Campaign, rows: list[Row]) -> None:
@@ -153,10 +156,10 @@ def answered(cells: CellCounts) -> tuple[int, ...]:
     return cells.requested, cells.repeated, cells.reused, cells.certified + cells.simulated, cells.audited, cells.failed
 
 
-def test_one_worker_gives_the_same_evaluations_bit_for_bit(two_workers: Gone, tmp_path: Path) -> None:
-    with serving(tmp_path, workers=1) as server:
-        one_worker = _carry_out(server)
-    assert {row["worker"] for row in one_worker.rows if row["outcome"] == "simulated"} == {"worker-1"}
+def test_one_worker_without_ray_gives_the_same_evaluations_bit_for_bit(two_workers: Gone, tmp_path: Path) -> None:
+    with api.serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running, working(running.database, InThisProcess()):
+        one_worker = _carry_out(running.url)
+    assert {row["worker"] for row in one_worker.rows if row["outcome"] == "simulated"} == {NAME}
     assert len(one_worker.rows) == len(two_workers.rows)
     for ours, theirs in zip(one_worker.rows, two_workers.rows, strict=True):
         assert what_came_out(ours) == what_came_out(theirs)

@@ -26,7 +26,7 @@ CAMPAIGN: dict[str, Any] = {
     "parameters": FINE,
     "fixed": {f"P{number}": 0.5 for number in range(7, 12)},
     "optimizer": {"kind": "genetic", "population": 600, "iterations": 12, "seed": 11, "mutation": 1},
-    "reduction": {"audit": 0.2, "max_error": 1, "certified": False},
+    "reduction": {"mode": "influence", "audit": 0.2, "max_error": 1, "certified": False},
 }
 """Every way to an answer but certificates, and long enough (a minute on two idle cores) for what is done to the cluster meanwhile."""
 

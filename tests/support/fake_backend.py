@@ -38,6 +38,7 @@ class _Worker:
     begun_at: float = 0.0
     fault: str | None = None
     refusal: str | None = None
+    tools: str | None = None
     bad: bool = False
     """What it is in the batch that runs."""
 
@@ -67,6 +68,8 @@ class FakeBackend:
     """Places whose workers refuse every setup, and why."""
     replaced: list[tuple[str, str | None]] = field(default_factory=list)
     """Worker and fault of each replacement that was asked for."""
+    tools: dict[int, str] = field(default_factory=dict)
+    """What probes answer at places; "1.0" elsewhere."""
     closed: bool = False
 
     def __post_init__(self) -> None:
@@ -150,6 +153,10 @@ class FakeBackend:
         seconds = self.overhead_seconds
         worker.begun_at = self.now
         worker.refusal, worker.bad = self.refusing.get(worker.place), worker.place in self.bad
+        wanted = None if batch.setup.bundle is None else batch.setup.tools
+        worker.tools = self.tools.get(worker.place, "1.0") if batch.cells == () or wanted is not None else None
+        if worker.refusal is None and wanted not in {None, worker.tools}:
+            worker.refusal = f"the probe answers {worker.tools} and {wanted}"
         for cell in batch.cells if worker.refusal is None else ():
             self.attempts[cell.id] = self.attempts.get(cell.id, 0) + 1
             behaviour = behaviour_of(cell)
@@ -175,7 +182,10 @@ class FakeBackend:
         if worker.queue:
             self._begin(worker)
         if refusal is not None:
-            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal))]
+            tools = worker.tools if worker.place not in self.refusing else None
+            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools))]
+        if not batch.cells:
+            return [Finished(batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
         answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)
         if any(one.breakdown is None for one in answers):
             worker.fault = None

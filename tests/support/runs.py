@@ -27,6 +27,7 @@ SMALL: dict[str, Any] = {
     "parameters": EXPERT_SPACE,
     "catalogue": ["S1", "S2", "S3"],
     "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
+    "reduction": {"mode": "influence"},
 }
 WITH_ANALYSIS: dict[str, Any] = {
     "catalogue": ["S1", "S2"],
@@ -34,7 +35,7 @@ WITH_ANALYSIS: dict[str, Any] = {
     "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
     "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
-    "reduction": {"audit": 0.1},
+    "reduction": {"mode": "influence", "audit": 0.1},
 }
 MOST_STEPS = 5_000
 
@@ -83,6 +84,7 @@ def post_map(database: Database, scenarios: dict[str, Any]) -> str:
 def submit(database: Database, *, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
     """Queues `SMALL` with changes, on a stored map where one is given."""
     document = SMALL | changes
+    document["reduction"] = {**SMALL["reduction"], **document["reduction"]}
     if stored_map is not None:
         document["sensitivity"] = {"map": stored_map}
     specification = CampaignSpecification.model_validate(document)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -18,6 +19,9 @@ from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
+PROCESSES = multiprocessing.get_context("forkserver")
+"""Processes of their own, forked from one that has imported what they need: importing it takes longer than most tests."""
+PROCESSES.set_forkserver_preload(["pytest", "tests.support.runs", "drivecal.storage.maintenance.backup"])
 EVALUATOR = "reference 1"
 SETUP = DrivenSetup(
     scenario="S1",

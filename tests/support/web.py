@@ -1,18 +1,39 @@
-"""The build hook of the page, which is no module of any package."""
+"""The build hook of the page, which is no module of any package. Run as a program, it fetches what the page's tests need."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
+import sys
 from types import ModuleType
 
 from tests.support.tree import PROJECT
 
+WEB = PROJECT / "services" / "web"
+
 
 def hook() -> ModuleType:
     """`services/web/build_hook.py`, loaded anew."""
-    spec = importlib.util.spec_from_file_location("build_hook", PROJECT / "services" / "web" / "build_hook.py")
+    spec = importlib.util.spec_from_file_location("build_hook", WEB / "build_hook.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def fetch() -> None:
+    """Fetches the libraries that check and test the page. Prints the reason if they cannot be fetched."""
+    module = hook()
+    wanted = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["devDependencies"]
+    if module._complete() and all((WEB / "node_modules" / name).is_dir() for name in wanted):
+        return
+    try:
+        node, npm = module._node()
+        module._run([*npm, *module.FETCHING], node, module.SECONDS_TO_FETCH, module.UNFETCHED)
+    except (module.PageError, OSError) as error:
+        print(f"the unit tests of the page are skipped: {error}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    fetch()

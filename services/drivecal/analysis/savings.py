@@ -1,5 +1,7 @@
 """Savings and costs of reuse: the simulations that it saved beside what it took. Pure.
 
+Simulators that mostly wait (a licence, a device, another machine) are accounted in wall-clock time, all others in CPU time.
+
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
 scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
 certificates, recording of runs, probes, the predictor. Audited cells are simulated like any other: they are a saving forgone, already
@@ -10,7 +12,7 @@ A further outcome that saves simulations goes into `SAVING`, with its fields of 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
@@ -19,6 +21,8 @@ from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
 
 SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED)
 """Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
+WAITING = 2.0
+"""Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
 
@@ -46,6 +50,11 @@ def account(
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
     of reused cells; `confirmed`: how many of those were simulated after the search, by scenario; `predictors`: CPU time of the predictor,
     by scenario."""
+    cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
+    waits = wall_seconds > WAITING * cpu_seconds
+    if waits:
+        costs = _by_the_wall(costs)
+        origin = None if origin is None else replace(origin, costs=_by_the_wall(origin.costs))
     proved = {proof.scenario: proof for proof in proofs}
     rows = [
         _scenario(
@@ -68,6 +77,9 @@ def account(
     accounting = Accounting(
         campaign=campaign,
         state=state,
+        clock="wall" if waits else "cpu",
+        cpu_seconds=cpu_seconds,
+        wall_seconds=max(wall_seconds, cpu_seconds),
         sensitivity=sensitivity,
         map=used,
         scenarios=rows,
@@ -87,6 +99,13 @@ def account(
         sentence="",
     )
     return accounting.model_copy(update={"sentence": _sentence(accounting)})
+
+
+def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
+    """Returns costs whose seconds are those for which workers were occupied."""
+    return [
+        replace(cost, seconds=max(cost.seconds, cost.occupied_seconds), run_seconds=cost.occupied_run_seconds) for cost in costs
+    ]
 
 
 def _saved(outcome: Outcome) -> str:
@@ -191,7 +210,8 @@ def _sentence(accounting: Accounting) -> str:
     if accounting.share_without_simulation is None:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
     share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"
-    balance = f"that saved {accounting.saved_seconds:,.1f} s of CPU time"
+    clock = "CPU time" if accounting.clock == "cpu" else "the workers' time"
+    balance = f"that saved {accounting.saved_seconds:,.1f} s of {clock}"
     runs = f" ({accounting.sensitivity.simulated:,} runs)"
     costs = [
         f"{DEDUCTIONS.get(name, name)} {seconds:,.1f} s{runs * (name == 'sensitivity')}"
@@ -201,4 +221,7 @@ def _sentence(accounting: Accounting) -> str:
     if costs:
         verb = "net saving" if accounting.net_seconds >= 0 else "net loss"
         balance = f"{balance}, less {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
+    if accounting.clock == "wall":
+        cpu, wall = f"{accounting.cpu_seconds:,.1f} s of CPU time", f"{accounting.wall_seconds:,.1f} s"
+        balance += f" (wall-clock time, as the simulator mostly waits: {cpu} in {wall})"
     return f"{share}; {balance}."

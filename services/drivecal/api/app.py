@@ -65,6 +65,8 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         description="Calibrates the parameters of automated driving functions; errors are problem+json (RFC 9457).",
         lifespan=lifespan,
         redirect_slashes=False,
+        docs_url=None,  # FastAPI's own pages load scripts of other hosts; see routes.page
+        redoc_url=None,
         responses=problems.RESPONSES,
     )
     app.add_middleware(Concurrency)

@@ -4,7 +4,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.api.submission import digest_of, named_map
+from drivecal.api.submission import digests_of, named_map
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
@@ -26,7 +26,7 @@ def submit(database: Database, limits: Limits, specification: ComparisonSpecific
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
-        return queue(connection, problem, _map(connection, problem), key, digest_of("comparisons", specification))
+        return queue(connection, problem, _map(connection, problem), key, digests_of("comparisons", specification))
 
 
 def expected(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:

@@ -1,6 +1,6 @@
 """Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -11,16 +11,20 @@ from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
+from drivecal.campaigns.resolve.resolved_spec import stored_document
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
     HIGHWAY,
     CampaignSpecification,
     EvaluationSpecification,
     MapReference,
+    ReductionSpecification,
     RerunSpecification,
+    SensitivitySpecification,
 )
 from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
@@ -37,7 +41,7 @@ def submit(database: Database, limits: Limits, specification: CampaignSpecificat
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digest_of("campaigns", specification))
+        return _queue(connection, limits, problem, key, digests_of("campaigns", specification))
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
@@ -91,7 +95,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digest_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+        return _queue(connection, limits, problem, key, digests_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
@@ -105,7 +109,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
             idempotency_key=key,
-            body_digest=digest_of("evaluations", specification),
+            body_digests=digests_of("evaluations", specification),
         )
         return _pinned(connection, stored, problem)
 
@@ -115,7 +119,7 @@ def _queue(
     limits: Limits,
     problem: CalibrationProblem,
     key: str | None,
-    body: str,
+    body_digests: Sequence[str],
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
@@ -129,7 +133,7 @@ def _queue(
         influence_map_id=named_map(connection, problem),
         rerun_of=rerun_of,
         idempotency_key=key,
-        body_digest=body,
+        body_digests=body_digests,
         priority=specification.priority,
     )
     return _pinned(connection, stored, problem)
@@ -162,7 +166,7 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
 
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
     """Returns the first campaign's specification with the changes and the influence map that it `used`."""
-    document = dict(first.spec)
+    document = stored_document(first.spec)
     document["weights"] = dict(changes.weights)
     document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
     for section in ("optimizer", "reduction"):
@@ -184,6 +188,24 @@ def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dic
     return {**before, **changes}
 
 
-def digest_of(path: str, body: BaseModel) -> str:
-    """Returns the identity of a request: its path and body."""
-    return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())
+def digests_of(path: str, body: BaseModel) -> list[str]:
+    """Returns the identities of a request, its path and body: today's, and the one that the same body had before predictions were the
+    default, so that a request that is sent again after an upgrade makes no second campaign."""
+    documents = [each.model_dump(mode="json") for each in (body, _before_predictions(body))]
+    return list(dict.fromkeys(digest(canonical_json({"path": path, "body": each}).encode()) for each in documents))
+
+
+def _before_predictions(body: BaseModel) -> BaseModel:
+    """Returns the body with the earlier defaults in the place of what it does not give."""
+    changes: dict[str, Any] = {}
+    if isinstance(body, CampaignSpecification) and "sensitivity" not in body.model_fields_set:
+        changes["sensitivity"] = SensitivitySpecification()
+    if isinstance(body, CampaignSpecification | RerunSpecification) and body.reduction is not None:
+        changes["reduction"] = _by_influence(body.reduction)
+    if isinstance(body, ComparisonSpecification):
+        changes["reductions"] = [each if isinstance(each, str) else _by_influence(each) for each in body.reductions]
+    return body.model_copy(update=changes)
+
+
+def _by_influence(reduction: ReductionSpecification) -> ReductionSpecification:
+    return reduction if "mode" in reduction.model_fields_set else reduction.model_copy(update={"mode": "influence"})

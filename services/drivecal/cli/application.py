@@ -42,6 +42,15 @@ ORDER = (
 """Order of the commands in the help."""
 
 
+EXTRAS = {
+    **dict.fromkeys(
+        ("alembic", "fastapi", "libsumo", "matplotlib", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"
+    ),
+    **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn", "websockets"), "local"),
+    "ray": "cluster",
+}
+"""Extra of drivecal that installs a package, by the package's module."""
+
 _COMMANDS = (
     (r"\bGET /api/v1/influence-maps\b(?!/)", "`drivecal influence-maps list`"),
     (r"\bGET /api/v1/campaigns\b(?!/)", "`drivecal list`"),
@@ -66,6 +75,12 @@ class Commands(TyperGroup):
         except DrivecalError as error:
             complain(error)
             raise typer.Exit(exit_code(error)) from error
+        except ModuleNotFoundError as error:
+            missing = (error.name or "").partition(".")[0]
+            if missing not in EXTRAS:
+                raise
+            tell(f"this needs {missing}, which is not installed; type: pip install 'drivecal[{EXTRAS[missing]}]'")
+            raise typer.Exit(ExitCode.USAGE) from error
         except KeyboardInterrupt as error:
             tell("interrupted")
             raise typer.Exit(ExitCode.INTERRUPTED) from error

@@ -7,6 +7,7 @@ import typer
 
 from drivecal.cli.application import app
 from drivecal.cli.commands import (  # noqa: F401  # importing a module registers its commands
+    calibration_data,
     campaigns,
     compare_optimizers,
     db,

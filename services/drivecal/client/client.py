@@ -9,7 +9,7 @@ from typing import Any, Literal, Self, TypeVar
 from urllib.parse import quote
 
 import httpx
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, RootModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
 from drivecal.client.documents import Document, plain
@@ -21,7 +21,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
-from drivecal.contracts.evaluation import Evaluation, TraceAnswer
+from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
@@ -178,7 +178,7 @@ class Client:
         return self.frame(identifier, "evaluations", **query)
 
     def frame(self, identifier: str, table: TableName, **query: Any) -> DownloadedTable:
-        """Returns a whole table of a campaign, for pandas, polars or Arrow."""
+        """Returns a whole table of a campaign, for pandas, polars or Arrow; with `where`, a list of conditions, only some rows."""
         return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
 
     def table(self, identifier: str, table: TableName, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
@@ -193,12 +193,12 @@ class Client:
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error
 
-    def rows(self, identifier: str, table: TableName) -> Iterator[dict[str, Any]]:
+    def rows(self, identifier: str, table: TableName, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
         cursor: str | None = None
         while True:
             place = ("campaigns", identifier, table)
-            response = self._request("GET", place, query={"limit": 1000, "cursor": cursor})
+            response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
             raise_for(response, *_named(place))
             page = response.json()
             yield from page["items"]
@@ -217,6 +217,10 @@ class Client:
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(CampaignSetup, "campaigns", identifier, "setup")
+
+    def failures(self, identifier: str) -> FailurePage:
+        """Returns the causes of a campaign's failed cells, frequent ones first."""
+        return self._get(FailurePage, "campaigns", identifier, "failures")
 
     def studies(self, identifier: str) -> StudyPage:
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
@@ -268,14 +272,17 @@ class Client:
         """Returns a single evaluation by the id that `evaluate` returned."""
         return self._get(Evaluation, "evaluations", identifier)
 
-    def trace(self, evaluation: str) -> TraceAnswer | None:
-        """Returns the time series of an evaluation, None while they are being made.
+    def trace(self, evaluation: str) -> TraceAnswer | SeriesAnswer | None:
+        """Returns the time series of an evaluation, None while they are being made; of a bundle's, those of its simulator.
 
         `evaluation`: its number, or the id of a single evaluation in one scenario.
         """
         place = ("evaluations", evaluation, "trace")
         response = self._request("GET", place)
-        return None if response.status_code == HTTPStatus.ACCEPTED else self._answer(response, TraceAnswer, place)
+        if response.status_code == HTTPStatus.ACCEPTED:
+            return None
+        either: RootModel[TraceAnswer | SeriesAnswer] = self._answer(response, RootModel[TraceAnswer | SeriesAnswer], place)
+        return either.root
 
     def post_influence_map(self, specification: Document) -> InfluenceMapAnswer:
         """Stores an influence map."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
-from pydantic import Field, StringConstraints, ValidationError, field_validator, model_validator
+from pydantic import Field, StringConstraints, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -57,6 +57,8 @@ class Settings(BaseSettings):
     """Whether problems, which carry code, may be pushed; none: on loopback addresses only."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
     """Largest number of open event streams; further ones are refused (429)."""
+    backend: Literal["ray", "processes"] | None = None
+    """What workers run on: Ray, or plain processes of this machine; none: Ray if it is installed."""
     ray_address: Line | None = None
     """Address of a Ray cluster; without it the dispatcher starts a local Ray."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
@@ -87,6 +89,13 @@ class Settings(BaseSettings):
             return {**values, "database_url": _with_password(url, Path(str(file)))}
         home = Path(str(values.get("home") or cls.model_fields["home"].default))
         return {**values, "database_url": f"sqlite:///{home.expanduser().absolute() / 'drivecal.db'}"}
+
+    @field_validator("ray_address")
+    @classmethod
+    def _of_ray(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if value is not None and info.data.get("backend") == "processes":
+            raise ValueError("processes run on this machine only; leave the address out, or the backend")
+        return value
 
     @field_validator("url")
     @classmethod

@@ -6,8 +6,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
-from typing import TypeVar
+from importlib.util import find_spec
+from typing import Any, TypeVar
 
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.configuration import logs
@@ -16,10 +18,10 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
-from drivecal.execution.backend import BackendLostError
+from drivecal.execution.backend import Backend, BackendLostError
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.ray.backend import RayBackend, RayOptions
+from drivecal.execution.supervised import WorkerLimits
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.problems import bundles
@@ -49,10 +51,10 @@ def main() -> int:
 
 
 def serve(settings: Settings, stop: threading.Event) -> None:
-    """Runs as the database's dispatcher until `stop` is set; waits for the database and Ray.
+    """Runs as the database's dispatcher until `stop` is set; waits for the database and the workers.
 
-    Raises DatabaseError if the database cannot be used, SupersededError if another dispatcher was elected, and BackendLostError if Ray is
-    gone: a new process can recover.
+    Raises DatabaseError if the database cannot be used, SupersededError if another dispatcher was elected, and BackendLostError if all
+    workers are gone for good: a new process can recover.
     """
     database = Database.open(settings.database_url)
     lock = _awaited("the database", lambda: _take_lock(database, settings), stop)
@@ -70,11 +72,8 @@ def serve(settings: Settings, stop: threading.Event) -> None:
 
 def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop: threading.Event) -> None:
     address = settings.ray_address
-    heartbeat.tell((), "Ray is being started" if address is None else f"waiting for the Ray cluster at {address}")
-    options = RayOptions(
-        address, settings.workers, certificates_mb=settings.certificates_mb, archive=lambda digest: _archive(database, digest)
-    )
-    backend = _awaited("Ray", lambda: RayBackend(options, trial()), stop, lambda words: heartbeat.tell((), words))
+    heartbeat.tell((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
+    backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.tell((), words))
     if backend is None:
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
@@ -91,13 +90,32 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
         )
         dispatcher.run(stop)
     except BackendLostError as error:
-        heartbeat.tell((), f"{error}; Ray is started or joined anew")
+        heartbeat.tell((), f"{error}; the workers are started or joined anew")
         heartbeat.wait_until_told()
         raise  # what is gone cannot be closed
     except BaseException:
         backend.close()
         raise
     backend.close()
+
+
+def _backend(settings: Settings, database: Database) -> Backend:
+    """Starts the workers that the settings name: on Ray if it is installed, else as processes. Raises UnavailableError."""
+    limits: dict[str, Any] = {
+        "workers": settings.workers,
+        "certificates_mb": settings.certificates_mb,
+        "archive": partial(_archive, database),
+    }
+    with_ray = find_spec("ray") is not None
+    if settings.backend == "processes" or (settings.backend is None and not with_ray and settings.ray_address is None):
+        from drivecal.execution.processes.backend import ProcessBackend
+
+        return ProcessBackend(WorkerLimits(**limits), trial())
+    if not with_ray:
+        raise UnavailableError("Ray is not installed; type pip install 'drivecal[cluster]', or serve with --backend processes")
+    from drivecal.execution.ray.backend import RayBackend, RayOptions
+
+    return RayBackend(RayOptions(address=settings.ray_address, **limits), trial())
 
 
 def _archive(database: Database, digest: str) -> bytes:

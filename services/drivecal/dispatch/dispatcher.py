@@ -14,7 +14,7 @@ from datetime import timedelta
 from drivecal.configuration import logs
 from drivecal.dispatch.jobs import Active, take_up
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import DrivecalError, SupersededError, UnavailableError
+from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
@@ -210,6 +210,8 @@ class Dispatcher:
             elif not work and not job.goes_on:
                 log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
+        elif (reason := self._pool.hopeless(active.tag)) is not None:
+            raise ConflictError(reason)
 
     def _takes_up(self, active: Active) -> bool:
         """Resumes a campaign from its rows; False if it must wait first, or has nothing left to do."""
@@ -220,7 +222,10 @@ class Dispatcher:
             active.unwritten.clear()
             self._finish_stopping(active)
             return False
-        active.job = take_up(self._database, active.campaign.sequence)
+        active.job = take_up(self._database, active.campaign.sequence, lambda request: self._pool.probe(request, active.tag))
+        if active.job is None:  # a worker is asked for the versions of its tools
+            active.not_before = self._clock() + LOOK_SECONDS
+            return False
         self._submit(active, _without(active.job.work(), {completion.result.id for completion in active.unwritten}))
         return True
 

@@ -1,20 +1,23 @@
 """Starts and resumes campaigns from their rows."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.comparisons.resolve import ComparisonProblem, resolve_comparison
 from drivecal.campaigns.comparisons.runs import ComparisonJob
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
-from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
+from drivecal.campaigns.resolve.bundle_source import stored_bundles, with_tools
+from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of, stored_scale
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.evaluation import SingleEvaluation
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
+from drivecal.contracts.work import BundleRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.execution.scheduling.scheduler import Completed
@@ -54,18 +57,31 @@ class Active:
         return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
 
 
-def take_up(database: Database, sequence: int) -> Job:
-    """Returns a job that continues from the campaign's rows. Raises ConflictError if any version differs from its start."""
+Prober = Callable[[BundleRequest], str | None]
+"""Returns what the `probe` of a bundle answers on a worker; None until one has answered."""
+
+
+def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
+    """Returns a job that continues from the campaign's rows; None while `probe` has no answer for the campaign's bundle.
+
+    Raises ConflictError if any version differs from its start.
+    """
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
-    if campaign.kind == "comparison":
-        resolved = resolve_comparison(validated(ComparisonSpecification, campaign.spec), stored_bundles(database))
-        if campaign.resolution is None:  # its runs pin the rest
-            with database.transaction() as connection:
-                campaigns.set_resolution(connection, sequence, {"scale": resolved.problems[0].bench.scale.to_json()})
-        return ComparisonJob(database, campaign, resolved, lambda number: take_up(database, number))
-    problem = problem_of(campaign, stored_bundles(database))
-    _pin(database, campaign, problem.resolution())
+    tools: str | None = (campaign.resolution or {}).get("tools")
+    find = _compared if campaign.kind == "comparison" else problem_of
+    problem = find(campaign, with_tools(stored_bundles(database), tools))
+    request = _bench(problem).to_probe
+    if isinstance(request, BundleRequest):
+        tools = probe(request)
+        if tools is None:
+            return None
+        problem = find(campaign, with_tools(stored_bundles(database), tools))
+    known = {} if tools is None else {"tools": tools}
+    if isinstance(problem, ComparisonProblem):
+        _pin(database, campaign, {"scale": problem.problems[0].bench.scale.to_json()} | known)  # its runs pin the rest
+        return ComparisonJob(database, campaign, problem, lambda number: _run_of(database, number, tools))
+    _pin(database, campaign, problem.resolution() | known)
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(database, campaign, problem)
     with database.read() as connection:
@@ -74,13 +90,30 @@ def take_up(database: Database, sequence: int) -> Job:
     return SingleEvaluation(database, campaign, problem, view)
 
 
+def _compared(campaign: StoredCampaign, bundles: BundleSource) -> ComparisonProblem:
+    return resolve_comparison(validated(ComparisonSpecification, campaign.spec), bundles)
+
+
+def _bench(problem: CalibrationProblem | EvaluationProblem | ComparisonProblem) -> Bench:
+    return problem.problems[0].bench if isinstance(problem, ComparisonProblem) else problem.bench
+
+
+def _run_of(database: Database, number: int, tools: str | None) -> Job:
+    """Returns the job of a comparison's run, which has the tools of the comparison."""
+    job = take_up(database, number, lambda _: tools)
+    if job is None:
+        raise ConflictError("the run has a probe and the comparison has none; submit it again")
+    return job
+
+
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:
     """Stores the versions that a campaign starts with, or checks that they are unchanged."""
-    if campaign.resolution is None:
+    begun = campaign.resolution
+    if begun is None or ("tools" in resolution and "tools" not in begun):  # a bundle's resolution was stored without
         with database.transaction() as connection:
             campaigns.set_resolution(connection, campaign.sequence, resolution)
         return
-    begun_with = {**campaign.resolution, "scale": stored_scale(campaign.resolution).to_json()}  # earlier releases stored none
+    begun_with = {**begun, "scale": stored_scale(begun).to_json()}  # earlier releases stored none
     changed = [part for part in resolution if resolution[part] != begun_with.get(part)]
     if changed:
         raise ConflictError(

@@ -5,11 +5,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from drivecal.contracts.work import BatchResult
+from drivecal.contracts.work import BatchResult, BundleRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.leasing import Leases
 from drivecal.execution.observing import Observer, breakdowns
+from drivecal.execution.probing import Disputes, Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
@@ -42,6 +43,7 @@ class WorkPool:
         """Breakdowns of cells whose leases the next exchange gives back."""
         self._completed: list[Completed] = []
         self._refusing_since: dict[str, float] = {}
+        self._questions, self._disputes = Questions(clock), Disputes(clock)
         self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
@@ -50,7 +52,17 @@ class WorkPool:
 
     def trouble(self) -> str | None:
         """Returns the reason for missing or refusing workers, or None."""
-        return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble()))) or None
+        return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble(), self._questions.trouble()))) or None
+
+    def probe(self, request: BundleRequest, tag: str) -> str | None:
+        """Returns what the `probe` of a bundle answers on a worker; None until one has answered, so call it again."""
+        return self._questions.ask(request, tag)
+
+    def hopeless(self, tag: str) -> str | None:
+        """Returns the reason if all workers have other tools than the campaign `tag` began with, else None."""
+        if not self._disputes.are_open:
+            return None
+        return self._disputes.hopeless(self._scheduler.setups(tag), self._ready())
 
     def submit(self, *work: Work, tag: str, priority: int = 0) -> None:
         """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`.
@@ -83,6 +95,9 @@ class WorkPool:
     def withdraw(self, tag: str) -> int:
         """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
         tag is free when `held(tag)` is 0."""
+        self._questions.forget(tag)
+        if self._disputes.are_open:
+            self._disputes.forget(self._scheduler.setups(tag))
         return self._scheduler.withdraw(tag)
 
     def held(self, tag: str) -> int:
@@ -100,8 +115,11 @@ class WorkPool:
         self._backend.close()
 
     def _take_in(self, event: Finished | Lost) -> list[Completed]:
+        if event.batch_id < 0:
+            self._take_answer(event)
+            return []
         if isinstance(event, Finished):
-            self._note_refusal(event.result)
+            self._note_refusal(event)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
@@ -124,7 +142,16 @@ class WorkPool:
                 self._returned[cell] = count + (cell in broken)
         self._returned |= self._scheduler.take_breakdowns()
 
-    def _note_refusal(self, result: BatchResult) -> None:
+    def _take_answer(self, event: Finished | Lost) -> None:
+        if isinstance(event, Finished):
+            self._questions.answered(event.batch_id, event.result)
+        else:
+            self._questions.lost(event.batch_id, event.worker, event.detail)
+
+    def _note_refusal(self, event: Finished) -> None:
+        result: BatchResult = event.result
+        if event.batch_id in self._sent:
+            self._disputes.note(self._sent[event.batch_id].batch.setup.key, result)
         if result.refusal is not None and result.worker not in self._refusing_since:
             log.warning("%s refuses: %s", result.worker, result.refusal)
             self._refusing_since[result.worker] = self._clock()
@@ -135,6 +162,10 @@ class WorkPool:
         ready = list(nodes)
         self._scheduler.meet(ready, nodes)
         self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
+        for slot in self._backend.slots():
+            question = self._questions.batch_for(slot.worker, ready)
+            if question is not None:
+                self._backend.submit(slot.worker, *question, None, alone=False)
         while True:
             wanted = [self._scheduler.next_batch(slot.worker, idle=slot.idle) for slot in self._backend.slots()]
             dispatches = [cell for cell in wanted if cell is not None]
@@ -148,6 +179,9 @@ class WorkPool:
                 break
         for worker in {slot.worker for slot in self._backend.slots() if slot.idle}:
             self._replace_if_needed(worker)
+
+    def _ready(self) -> list[str]:
+        return [worker.id for worker in self._backend.workers() if worker.state != "starting"]
 
     def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
         """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""

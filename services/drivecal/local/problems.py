@@ -2,14 +2,16 @@
 
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from drivecal.adapters.kinds import simulator
+from drivecal.adapters.probe import run_probe
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
-from drivecal.bundles.expressions import Constraint, Formula
+from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
 from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
@@ -22,7 +24,8 @@ class CheckedScenario:
     """Result of a scenario's two runs.
 
     `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
-    has the worth of a failed run. `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready.
+    has the worth of a failed run. `values`: what the formulas give, before anything is cut off. `seconds`: of each run, wall-clock;
+    `start_seconds`: until the simulator was ready.
     """
 
     scenario: str
@@ -30,6 +33,7 @@ class CheckedScenario:
     failure: str | None = None
     scores: Mapping[str, float] = field(default_factory=dict)
     undefined: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
     repeats: bool | None = None
     start_seconds: float = 0.0
     seconds: tuple[float, ...] = ()
@@ -50,12 +54,26 @@ def trial_set(manifest: Manifest) -> dict[str, Setting]:
 
 def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting]) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
+    with _unpacked(archive) as folder:
+        for scenario in manifest.scenarios:
+            yield _checked(manifest, scenario, folder, parameters)
+
+
+def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
+    """Returns what the problem's `probe` answers here, None without a probe. Raises UnavailableError if it gives no answer."""
+    if manifest.simulator.probe is None:
+        return None
+    with _unpacked(archive) as folder:
+        return run_probe(manifest.simulator.model_dump(mode="json"), folder)
+
+
+@contextmanager
+def _unpacked(archive: bytes) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="drivecal-") as made:
         folder = Path(made) / "bundle"
         unpack(archive, folder)
         try:
-            for scenario in manifest.scenarios:
-                yield _checked(manifest, scenario, folder, parameters)
+            yield folder
         finally:
             remove(folder)
 
@@ -83,6 +101,7 @@ def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mappin
         failure=first.failure,
         scores=scores,
         undefined=undefined,
+        values=_values(manifest, first),
         repeats=_bits(first) == _bits(second),
         start_seconds=started,
         seconds=(first_seconds, second_seconds),
@@ -107,6 +126,46 @@ def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], d
         {name: scored.value for name, scored in known.items()},
         {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
     )
+
+
+def _values(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
+    """Returns the values of the formulas, of those that have one."""
+    values = {}
+    for name, entry in manifest.scores.items():
+        formula = Formula(entry.formula, manifest.measures)
+        if outcome.failure is None and formula.names <= outcome.measures.keys():
+            with suppress(UndefinedError):
+                values[name] = formula(outcome.measures)
+    return values
+
+
+FAR = 0.5
+"""Distance of a score from its range, in widths of the range, from which on the range is doubtful."""
+NARROW = 1e-3
+"""Share of a range that the scores of all scenarios take together, below which the range is doubtful."""
+
+
+def doubtful_ranges(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
+    """Returns a warning for each score whose range is far from what was measured, with the values."""
+    warnings = []
+    for name, entry in manifest.scores.items():
+        values = [result.values[name] for result in checked if name in result.values]
+        if not values:
+            continue
+        (lower, upper), least, most = entry.range, min(values), max(values)
+        width = upper - lower
+        measured = f"{least:g}" if least == most else f"{least:g} to {most:g}"
+        if most < lower - FAR * width or least > upper + FAR * width:
+            warnings.append(
+                f"scores.{name}.range is [{lower:g}, {upper:g}], and the measured scores are {measured}: thresholds and tolerances are"
+                " shares of the range, and scores beyond `failed` count as failed runs"
+            )
+        elif 0 < most - least < NARROW * width:
+            share = f"{(most - least) / width:.2g} of it ({measured})"
+            warnings.append(
+                f"scores.{name}.range is [{lower:g}, {upper:g}], and the measured scores take {share}: a narrower range tells them apart"
+            )
+    return warnings
 
 
 def _bits(outcome: RunOutcome) -> tuple[object, ...]:

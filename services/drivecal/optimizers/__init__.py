@@ -10,26 +10,22 @@
 ...     optimizer.tell(objectives, tie_breakers=objectives)
 >>> bool(objectives.max() > -50)
 True
+
+`drivecal.optimizers.cma_es` and `.optuna_samplers` need the extras of their libraries.
 """
 
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings, SwarmSettings
-from drivecal.optimizers.cma_es import CMA_ES, CmaSettings
 from drivecal.optimizers.genetic import GeneticAlgorithm
-from drivecal.optimizers.optuna_samplers import OPTUNA, OptunaSettings
 from drivecal.optimizers.random_search import RandomSearch
 from drivecal.optimizers.start import start_population
 from drivecal.optimizers.swarm import ParticleSwarm
 
 __all__ = [
-    "CMA_ES",
     "GENETIC",
-    "OPTUNA",
     "RANDOM",
     "SWARM",
-    "CmaSettings",
     "GeneticAlgorithm",
     "GeneticSettings",
-    "OptunaSettings",
     "ParticleSwarm",
     "RandomSearch",
     "RandomSettings",

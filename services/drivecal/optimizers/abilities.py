@@ -9,10 +9,14 @@ from drivecal.domain.parameters import Indices, Kind
 from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin, Optimizer, OptimizerPlugin
 
 
+def supported(plugin: OptimizerPlugin) -> frozenset[Ability]:
+    """Returns the abilities of a plug-in; one that declares none has `UNDECLARED`."""
+    return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
+
+
 def lacking(plugin: OptimizerPlugin, wanted: Collection[Ability]) -> list[Ability]:
-    """Returns the wanted abilities that a plug-in does not have; a plug-in that declares none has `UNDECLARED`."""
-    supported = plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
-    return sorted(set(wanted) - supported)
+    """Returns the wanted abilities that a plug-in does not have."""
+    return sorted(set(wanted) - supported(plugin))
 
 
 def create(

@@ -8,6 +8,7 @@ from typing import Any, Generic, TypeVar
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.studies import Study, StudyName
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
@@ -48,6 +49,8 @@ class ReportData:
     robustness: Sequence[Studied[RobustnessRow]] = ()
     validation: Sequence[Studied[ValidationRow]] = ()
     """Validations of the influence map."""
+    failures: Sequence[FailureCause] = ()
+    """Causes of failed cells."""
     predictions: Sequence[Studied[ValidationRow]] = ()
     """Validations of released predictions."""
 
@@ -74,6 +77,7 @@ def collect(client: Client, identifier: str) -> ReportData:
         basis=None if used is None else used.basis,
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
+        failures=client.failures(identifier).items if answered else (),
         robustness=_studied(studies, "robustness", client.robustness),
         validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),
         predictions=_studied([study for study in studies if study.settings.get("of")], "validation", client.validation),

@@ -97,7 +97,7 @@ def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
             *content,
             *reuse.self_check(campaign, findings.accounting),
         ]
-    return content
+    return [*content, *reuse.failures(findings.failures)]
 
 
 def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:

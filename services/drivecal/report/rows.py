@@ -6,6 +6,7 @@ from typing import Literal
 
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale
 
@@ -118,6 +119,38 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
         for name, rate in rates.items()
         if rate.audited or rate.stopped or rate.contradictions
     ]
+
+
+FAILURES = ("cells", "what", "cause", "last message", "scenarios", "example")
+_WHAT = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
+
+
+def failure_causes(causes: Sequence[FailureCause]) -> list[list[object]]:
+    """Returns a row per cause of failed cells, as `FAILURES` names the columns."""
+    return [
+        [
+            *(cause.cells, _WHAT[cause.kind], cause.cause, shortened(cause.detail), " ".join(cause.scenarios[:5])),
+            str(cause.example),
+        ]
+        for cause in causes
+    ]
+
+
+def shortened(words: str | None, most: int = 160) -> str | None:
+    """Returns the end of a message, where simulators say what is wrong."""
+    return words if words is None or len(words) <= most else f"...{words[3 - most :]}"
+
+
+LOTS_NOTE = (
+    "limit holds for the expected number of errors over all lots together; the 95 % bound is what the samples of this campaign alone "
+    "prove, which is little if few were drawn: it may be far above the limit"
+)
+"""Explains a bound beside a smaller limit."""
+
+
+def exceeds_limit(released: Mapping[str, Released]) -> bool:
+    """Returns whether a bound is above its limit, which needs `LOTS_NOTE`."""
+    return any(lots.upper_95 is not None and lots.upper_95 > lots.limit for lots in released.values())
 
 
 def released_lots(released: Mapping[str, Released]) -> list[list[object]]:

@@ -1,7 +1,7 @@
 """Campaigns: submitted by the API, carried out by the dispatcher."""
 
 import uuid
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
@@ -120,12 +120,13 @@ def insert(
     rerun_of: str | None = None,
     parent_sequence: int | None = None,
     idempotency_key: str | None = None,
-    body_digest: str | None = None,
+    body_digests: Sequence[str] = (),
     priority: int = 0,
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
-    Raises ConflictError if that request's `body_digest` (of all that tells requests apart, the path included) was another one.
+    `body_digests` identify the request by all that tells requests apart, the path included: the first is stored, any identifies a retry.
+    Raises ConflictError if the earlier request was another one.
     """
     row: dict[str, Any] = {
         "id": uuid.uuid4().hex,
@@ -138,7 +139,7 @@ def insert(
         "parent_sequence": parent_sequence,
         "influence_map_id": influence_map_id,
         "idempotency_key": idempotency_key,
-        "body_digest": body_digest,
+        "body_digest": next(iter(body_digests), None),
         "notes": [],
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
@@ -152,7 +153,7 @@ def insert(
         _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
         return queued
     earlier = connection.execute(_SELECT.where(campaigns.c.idempotency_key == idempotency_key)).one()
-    if earlier.body_digest != body_digest:
+    if earlier.body_digest not in (body_digests or (None,)):
         raise ConflictError(
             f"the Idempotency-Key was used for another request, which made campaign {earlier.id}; use a new key for a new request"
         )

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, case, func, select
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, runs, setups
+from drivecal.storage.references.runs import occupying
 
 RECENT_RUNS = 1_000
 """Runs of a setup that predict the cost of the next."""
@@ -33,6 +34,8 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCo
             func.count(case((is_simulated, 1))),
             func.coalesce(func.sum(case((is_simulated, runs.c.milliseconds))), 0.0),
             func.coalesce(func.sum(certifying), 0.0),
+            func.coalesce(func.sum(case((runs.c.evaluation_id == evaluations.c.id, occupying()))), 0.0),
+            func.coalesce(func.sum(case((is_simulated, occupying()))), 0.0),
         )
         .select_from(
             evaluations.outerjoin(runs, runs.c.id == evaluations.c.run_id).outerjoin(maker, maker.c.id == runs.c.evaluation_id)
@@ -43,18 +46,21 @@ def by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCo
     )
     return [
         OutcomeCosts(
-            stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000, certified / 1000
+            *(stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000, certified / 1000),
+            *(occupied / 1000, occupying_runs / 1000),
         )
-        for stage, scenario, outcome, audited, cells, own, simulated, answered, certified in connection.execute(query)
+        for stage, scenario, outcome, audited, cells, own, simulated, answered, certified, occupied, occupying_runs in connection.execute(
+            query
+        )
     ]
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
-    """CPU time of one simulation without certificates, over the newest ones in each of these setups, which count alike; None if there is
-    none in one. Runs that were proved are not among them: they took next to nothing."""
+    """Time for which one simulation without certificates occupies a worker, over the newest ones in each of these setups, which count
+    alike; None if there is none in one. Runs that were proved are not among them: they took next to nothing."""
     means = []
     for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
-        newest = select(runs.c.milliseconds, runs.c.evaluation_id).where(runs.c.setup_id == setup)
+        newest = select(occupying().label("milliseconds"), runs.c.evaluation_id).where(runs.c.setup_id == setup)
         recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
         simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
         times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()

@@ -12,6 +12,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
+from drivecal.storage.references.runs import occupying
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -146,9 +147,9 @@ def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
 
 
 def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
-    """Returns the mean CPU time of the runs that answered a campaign's cells, by scenario."""
+    """Returns the mean time for which the runs that answered a campaign's cells occupied their workers, by scenario."""
     query = (
-        select(evaluations.c.scenario, func.avg(runs.c.milliseconds) / 1000.0)
+        select(evaluations.c.scenario, func.avg(occupying()) / 1000.0)
         .join(runs, runs.c.id == evaluations.c.run_id)
         .where(evaluations.c.campaign_sequence == campaign_sequence, runs.c.milliseconds.is_not(None))
     )
@@ -214,3 +215,51 @@ def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
         "reference": None if cell.donor is None else cell.donor.evaluation,
         "attempts": 0,
     }
+
+
+@dataclass(frozen=True, slots=True)
+class FailedCells:
+    """Cells of a campaign that failed with the same words, in one scenario. `example`: the first one's id."""
+
+    outcome: Outcome
+    failure: str
+    detail: str | None
+    scenario: str
+    cells: int
+    example: int
+
+
+def failed_cells(connection: Connection, campaign_sequence: int, most: int) -> list[FailedCells]:
+    """Returns at most `most` groups of failed cells, large ones first: without a result, or with a failure of the system under test."""
+    cell, count = evaluations.c, func.count()
+    group = (cell.outcome, cell.failure, cell.detail, cell.scenario)
+    query = (
+        select(*group, count, func.min(cell.id))
+        .where(cell.campaign_sequence == campaign_sequence, cell.outcome.is_not(None), cell.failure.is_not(None))
+        .group_by(*group)
+        .order_by(count.desc(), func.min(cell.id))
+    )
+    return [FailedCells(Outcome(row[0]), *row[1:]) for row in connection.execute(query.limit(most))]
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredRun:
+    """A run that answered `cells` of a campaign with a given score. `example`: the first one's id."""
+
+    scenario: str
+    metrics: Mapping[str, float | None]
+    cells: int
+    example: int
+
+
+def scored(connection: Connection, campaign_sequence: int, score: float, most: int) -> list[ScoredRun]:
+    """Returns at most `most` runs without a failure that answered cells with this score, in the order of the cells."""
+    cell = evaluations.c
+    query = (
+        select(cell.scenario, runs.c.metrics, func.count(), func.min(cell.id))
+        .join(runs, runs.c.id == cell.run_id)
+        .where(cell.campaign_sequence == campaign_sequence, cell.score == score, cell.failure.is_(None))
+        .group_by(cell.scenario, runs.c.id)
+        .order_by(func.min(cell.id))
+    )
+    return [ScoredRun(*row) for row in connection.execute(query.limit(most))]

@@ -57,6 +57,10 @@ def pack(folder: Path, largest: int = LARGEST, most_files: int = MOST_FILES) -> 
 
     Raises InvalidInputError for links, devices, unusable names, unreadable files, and folders that are too large.
     """
+    return _written(_read(folder, largest, most_files))
+
+
+def _read(folder: Path, largest: int, most_files: int) -> dict[str, BundleFile]:
     files: dict[str, BundleFile] = {}
     problems: list[Problem] = []
     size = 0
@@ -77,7 +81,7 @@ def pack(folder: Path, largest: int = LARGEST, most_files: int = MOST_FILES) -> 
             raise _too_large(str(folder), largest, most_files)
     if problems:
         raise InvalidInputError(*problems[:100])
-    return _written(files)
+    return files
 
 
 def with_files(archive: bytes, additions: Mapping[str, bytes], largest: int = LARGEST, most_files: int = MOST_FILES) -> bytes:
@@ -145,6 +149,11 @@ def files_of(archive: bytes, largest: int = LARGEST, most_files: int = MOST_FILE
 def content_digest(archive: bytes) -> str:
     """Returns the digest of an archive's content: names, executable bits and bytes of all files. Raises InvalidInputError."""
     return _digest(files_of(archive))
+
+
+def folder_digest(folder: Path, largest: int = LARGEST, most_files: int = MOST_FILES) -> str:
+    """Returns the digest of a folder's content. Raises InvalidInputError as `pack` does."""
+    return _digest(_read(folder, largest, most_files))
 
 
 def files_digest(archive: bytes) -> str:

@@ -24,9 +24,10 @@ from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.parameters import Parameter, decimal
+from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
 
 SMALLEST_SPAN = 1e-3
 """Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
@@ -85,6 +86,7 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"parameters", "constraints"}, _constraints(manifest)),
         ({"parameters", "baseline"}, _baseline(manifest)),
         ({"parameters", "baseline", "constraints"}, _feasibility(manifest)),
+        ({"parameters", "baseline", "constraints"}, _remainder(manifest)),
         ({"simulator"}, _simulator(manifest.simulator, files)),
         ({"simulator", "measures"}, _fmu_measures(manifest)),
         ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
@@ -174,6 +176,24 @@ def _feasibility(manifest: Manifest) -> Iterator[Problem]:
     for _, constraint in _parsed_constraints(manifest):
         if isinstance(constraint, Constraint) and not constraint.holds(manifest.baseline):
             yield Problem("baseline", f"it breaks the constraint {shown(constraint.text)}", "change it, or the constraint")
+
+
+def _remainder(manifest: Manifest) -> Iterator[Problem]:
+    """Yields the constraints that leave nothing. A baseline that keeps them proves that something is left; without one, sets are tried."""
+    parsed = [constraint for _, constraint in _parsed_constraints(manifest)]
+    parameters = [_declared(name, entry) for name, entry in manifest.parameters.items()]
+    known = tuple(parameter for parameter in parameters if isinstance(parameter, Parameter))
+    constraints = [constraint for constraint in parsed if isinstance(constraint, Constraint)]
+    if manifest.baseline is not None or not parsed or len(known) < len(parameters) or len(constraints) < len(parsed):
+        return
+    space = ParameterSpace(known)
+    try:
+        Constraints(space, {constraint.text: constraint.holds_in for constraint in constraints}).anchors(
+            0 * space.n_values, space.n_values - 1
+        )
+    except InvalidInputError as error:
+        for problem in error.problems:
+            yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: trying is no proof")
 
 
 def _failures(names: tuple[str, ...]) -> Iterator[Problem]:

@@ -11,11 +11,14 @@ _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 
-def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str | None = None) -> dict[str, Any]:
-    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed.
+def setup_document(
+    manifest: Manifest, scenario: str, files: str, adapter: str | None = None, tools: str | None = None
+) -> dict[str, Any]:
+    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed;
+    `tools`: what the probe answers on the workers.
 
-    The probe stays: results of unknown tools are not those of tools with a known version. So do the names of variables, whose
-    values on workers are not known here.
+    The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do the names of
+    variables, whose values on workers are not known here.
     """
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
     return {
@@ -24,14 +27,17 @@ def setup_document(manifest: Manifest, scenario: str, files: str, adapter: str |
         "scenario": scenario,
         "data": manifest.scenarios[scenario],
         "files": files,
-    } | _said(manifest)
+    } | _said(manifest, tools)
 
 
-def _said(manifest: Manifest) -> dict[str, Any]:
-    """Returns what else a simulator is told: which values are whole numbers, and the problem's name in the greeting of a process."""
+def _said(manifest: Manifest, tools: str | None) -> dict[str, Any]:
+    """Returns what else decides a run: the versions of other tools, which values are sent as whole numbers, and the problem's name in the
+    greeting of a process."""
     said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
     if manifest.simulator.kind == "process":
         said["problem"] = manifest.problem
+    if tools is not None:
+        said["tools"] = tools
     return said
 
 

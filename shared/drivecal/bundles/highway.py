@@ -88,14 +88,14 @@ def _form(value: object) -> str:
 
 
 class HighwaySimulator(SimulatorEntry):
-    """A controlled vehicle among SUMO's vehicles. `step`: of the traffic (s), a multiple of 0.01."""
+    """A controlled vehicle among SUMO's vehicles. `step`: of the traffic (s), a multiple of 0.01; longer ones would miss collisions."""
 
     kind: Literal["highway"]
     controller: AnyController
     vehicle: Annotated[
         Annotated[Literal["single_track"], Tag("name")] | Annotated[VehicleEntry, Tag("values")], Discriminator(_form)
     ] = "single_track"
-    step: Annotated[float, Field(ge=0.01, le=1)] = 0.1
+    step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
 
 
 class Placed(Model):

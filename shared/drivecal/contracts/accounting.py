@@ -1,7 +1,7 @@
 """Answers about the savings and costs of reuse."""
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -92,10 +92,16 @@ class Accounting(Answer):
     `deductions`: an estimate of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone -
     cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
     requested; `share_reused`: reused / requested; null before the first.
+
+    `clock`: `cpu`, or `wall` if the simulator mostly waits: then all seconds of simulations are wall-clock time of the workers, because
+    CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered cells took by either.
     """
 
     campaign: str
     state: str
+    clock: Literal["cpu", "wall"] = "cpu"
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
     sensitivity: SensitivityCost
     map: MapCost | None
     scenarios: list[ScenarioAccount]

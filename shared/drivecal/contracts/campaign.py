@@ -55,6 +55,8 @@ class CellCounts(Answer):
     """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
+    unscored: int = 0
+    """Simulations for whose measures the score's formula has no value, which are worth a failed run; among `simulated`."""
 
 
 class StageCellCounts(Answer):
@@ -69,6 +71,7 @@ class StageCellCounts(Answer):
     pending: int = 0
     checked: int = 0
     unrepeatable: int = 0
+    unscored: int = 0
 
 
 EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}
@@ -139,13 +142,13 @@ class Released(Answer):
     Of the `sampled` predictions so many were `different`, i.e. off by more than the tolerance. The expected number of errors released is
     at most `limit` (AOQL) times the `inspected` predictions: all in lots, with samples and rejected lots. `upper_95`: a time-uniform
     upper limit of the share of errors among released answers; null before the first.
-    `asked`: of all `batches`, those in which the predictor was asked; in the others too little was known, or asking would have cost more
-    than it saves. `seconds`: CPU time of the predictor.
+    `asked`: of all `batches`, those in which the predictor was asked. In the `early` ones before, too little was known; in the others
+    afterwards, asking would have cost more than it saves. `seconds`: CPU time of the predictor.
     """
 
     batches: int = 0
     asked: int = 0
-
+    early: int = 0
     lots: int = 0
     inspected: int = 0
     rejected: int = 0

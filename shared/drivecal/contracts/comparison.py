@@ -6,14 +6,13 @@ under each seed with each reduction, and every such run is an ordinary campaign 
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
     Identifier,
-    MaybeSensitivity,
     Name,
     ProblemSpecification,
     ReductionMode,
@@ -44,8 +43,6 @@ class ComparisonSpecification(ProblemSpecification):
 
     kind: Literal["comparison"] = "comparison"
     name: Name = "comparison"
-    sensitivity: MaybeSensitivity = None
-    """Used by reductions with an influence map alone."""
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
     populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
     seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
@@ -53,9 +50,16 @@ class ComparisonSpecification(ProblemSpecification):
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     start: Literal["lhs", "halton"] = "halton"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)
-    """By mode alone, or with settings. The others are compared with the first, run by run with the same seed."""
+    """By mode alone, or with settings; only modes that use a map get it. The others are compared with the first, seed by seed."""
     at_a_time: Annotated[int, Field(ge=1, le=64)] = 4
     """Runs that go on side by side, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
+
+    @field_validator("reductions")
+    @classmethod
+    def _use_the_map(cls, value: list[AnyReduction], info: ValidationInfo) -> list[AnyReduction]:
+        """Settles settings without a mode as a campaign does."""
+        sensitivity = info.data.get("sensitivity")
+        return [each.beside(sensitivity) if isinstance(each, ReductionSpecification) else each for each in value]
 
 
 class ExpectedComparison(Answer):

@@ -1,8 +1,12 @@
 """Answers about single evaluations: a parameter set in a scenario, or in all scenarios of a catalogue."""
 
+from typing import Literal
+
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, Score
+from drivecal.contracts.campaign import Answer, Page, Score
+from drivecal.contracts.tables import EvaluationRow
+from drivecal.domain.scales import Scale
 
 
 class EvaluatedCell(Answer):
@@ -21,6 +25,27 @@ class EvaluatedCell(Answer):
     """Why there is no result, in words, where all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null is one that this run does not define."""
+
+
+class CampaignOfEvaluation(Answer):
+    """What an evaluation's numbers mean: `problem` is highway or the digest of a bundle, `scale` that of its score."""
+
+    id: str
+    problem: str
+    scale: Scale
+
+
+class EvaluationDetail(EvaluationRow):
+    """A row of a campaign's evaluations with all that is known of it.
+
+    `detail`: why there is no result, in words. `metrics`: the measures of its run, null without one. `parameters`: the values of its
+    parameters, which are fields of the row as well.
+    """
+
+    detail: str | None
+    metrics: dict[str, float | None] | None
+    parameters: dict[str, float | str]
+    campaign: CampaignOfEvaluation
 
 
 class PendingTrace(Answer):
@@ -51,6 +76,14 @@ class TraceAnswer(Answer):
     plans: list[dict[str, float | list[float]]]
 
 
+class SeriesAnswer(Answer):
+    """A run of a problem bundle with the time series that its simulator reported; the manifest has their units."""
+
+    measures: dict[str, float | None]
+    failure: str | None
+    series: dict[str, list[float]]
+
+
 class Evaluation(Answer):
     """A single evaluation. Asked for in one scenario, that scenario's answer is at the top level as well."""
 
@@ -69,3 +102,23 @@ class Evaluation(Answer):
     metrics: dict[str, float | None] | None = None
     error: str | None = None
     links: dict[str, str] = Field(default_factory=dict)
+
+
+class FailureCause(Answer):
+    """Cells of a campaign that failed alike.
+
+    `kind`: `no_result` (cause: crash, hang, memory or error; `detail`: what was reported last), `failed` (the failure that the simulation
+    reports of the system under test) or `unscored` (the formula has no value for the measures; cause: why). `example`: the number of the
+    first of these `cells`; details that differ in numbers and temporary paths only are one cause, with the example's detail.
+    """
+
+    kind: Literal["no_result", "failed", "unscored"]
+    cause: str
+    detail: str | None = None
+    scenarios: list[str]
+    cells: int
+    example: int
+
+
+class FailurePage(Page[FailureCause]):
+    """The causes of a campaign, frequent ones first: at most 100."""

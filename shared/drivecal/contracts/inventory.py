@@ -92,22 +92,35 @@ class ScenarioPage(Page[ScenarioAnswer]):
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 
+class ProblemScenario(Answer):
+    """A scenario of a pushed problem. `data` is given to its simulator as it is."""
+
+    id: str
+    problem: str
+    data: dict[str, Any]
+
+
+class ProblemScenarioPage(Page[ProblemScenario]):
+    """All scenarios of a pushed problem."""
+
+
 class ParameterAnswer(Answer):
-    """A parameter with `n_values` equally spaced values; bounds of a choice are positions in `choices`."""
+    """A parameter with `n_values` equally spaced values; bounds of a choice are positions in `choices`. A continuous one has any value from
+    `lower` to `upper`: `step` and `n_values` are null."""
 
     name: str
     unit: str
     lower: float
     upper: float
-    step: float
-    n_values: int
+    step: float | None
+    n_values: int | None
     description: str
     kind: str = "grid"
     choices: list[str] = Field(default_factory=list)
 
 
 class ParameterSpaceAnswer(Answer):
-    """A parameter space that a campaign can name in `parameters`."""
+    """A parameter space that a campaign can name in `parameters`. `driving_function`: the plug-in or the problem to which it belongs."""
 
     driving_function: str
     name: str
@@ -116,6 +129,21 @@ class ParameterSpaceAnswer(Answer):
 
 class ParameterSpacePage(Page[ParameterSpaceAnswer]):
     """All parameter spaces. `broken`: the driving functions that cannot be used."""
+
+    broken: list[BrokenPluginAnswer] = Field(default_factory=list)
+
+
+class OptimizerAnswer(Answer):
+    """An installed optimizer. `supports`: the kinds of parameters that it searches, and `constraints`; `settings`: the JSON schema of the
+    section `optimizer` for it."""
+
+    name: str
+    supports: list[str]
+    settings: dict[str, Any]
+
+
+class OptimizerPage(Page[OptimizerAnswer]):
+    """All optimizers. `broken`: those that cannot be used."""
 
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 

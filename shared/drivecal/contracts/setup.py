@@ -19,6 +19,8 @@ class SearchedParameter(Answer):
     fixed: float | str | None
     kind: str = "grid"
     choices: list[str] = Field(default_factory=list)
+    description: str = ""
+    """Its meaning, empty if the problem has none."""
 
 
 class ScenarioSetup(Answer):
@@ -37,6 +39,7 @@ class ScenarioSetup(Answer):
     """Digest of a bundle's files except `problem.yaml`."""
     step_seconds: float | None = None
     seed: int | None = None
+    title: str = ""
 
 
 class CampaignSetup(Answer):

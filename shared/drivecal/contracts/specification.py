@@ -4,9 +4,9 @@ These models check each field by itself. What needs the installed plug-ins (does
 checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, field_validator
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, ValidationInfo, field_validator
 
 from drivecal.domain.scales import Scale
 
@@ -101,20 +101,22 @@ class ReductionSpecification(Model):
     """Cells that may be answered without a simulation.
 
     `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6;
-    `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`. `tolerance`: the largest error of a
-    prediction that counts as none, in units of the score (null: 0, or the score's own tolerance if it has no steps); `limit`: expected
-    released errors at most for each prediction in a lot (AOQL), by scenario. `narrow`: search only the smallest common area, where some
-    scenario is influenced (Section III). `confirm`: at most so many sets are simulated after the search, one after the other, until the
-    best of the ranking has no score of a reference.
+    `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an analysis or a map.
+    `tolerance`: the largest error of a prediction that counts as none, in units of the score (null: 0, or the score's own
+    tolerance if it has no steps); `limit`: expected released errors at most for each prediction in a lot (AOQL), by scenario. `narrow`:
+    search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are simulated
+    after the search, one after the other, until the best of the ranking has no score of a reference and no set is believed to be better.
     """
 
-    mode: ReductionMode = "influence"
+    mode: ReductionMode = "predicted"
     tolerance: Annotated[float, Field(ge=0)] | None = None
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     narrow: bool = False
     certified: bool = True
+    """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
+    confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
 
     def tolerance_on(self, scale: Scale) -> float:
         """Returns the largest error of a prediction that counts as none."""
@@ -127,8 +129,18 @@ class ReductionSpecification(Model):
         """Whether references may answer cells by an influence map."""
         return self.mode in {"influence", "both"}
 
-    """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
-    confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
+    @property
+    def predicts(self) -> bool:
+        """Whether predictions may answer cells."""
+        return self.mode in {"predicted", "both"}
+
+    def beside(self, sensitivity: object) -> Self:
+        """Returns the settings of a document with this `sensitivity` section: who asks for a map and names no mode uses the map, too."""
+        if sensitivity is None or "mode" in self.model_fields_set:
+            return self
+        settled = self.model_copy(update={"mode": "both"})
+        settled.__pydantic_fields_set__.discard("mode")  # still a default: nobody gave it
+        return settled
 
 
 class RobustnessSpecification(Model):
@@ -202,7 +214,8 @@ class ProblemSpecification(Model):
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
-    sensitivity: MaybeSensitivity = SensitivitySpecification()
+    sensitivity: MaybeSensitivity = None
+    """A new analysis, a stored map, or neither."""
 
     @field_validator("catalogue")
     @classmethod
@@ -213,13 +226,18 @@ class ProblemSpecification(Model):
 
 
 class CampaignSpecification(ProblemSpecification):
-    """A whole campaign. Everything has a default, so that `{}` is the paper's problem."""
+    """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions and certificates, without an analysis."""
 
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
     """Null where only other stages are wanted."""
-    reduction: ReductionSpecification = ReductionSpecification()
+    reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     robustness: RobustnessSpecification | None = None
     validation: ValidationSpecification | None = None
+
+    @field_validator("reduction")
+    @classmethod
+    def _use_the_map(cls, value: ReductionSpecification, info: ValidationInfo) -> ReductionSpecification:
+        return value.beside(info.data.get("sensitivity"))
 
 
 class RerunSpecification(Model):

@@ -72,6 +72,9 @@ class BundleRequest:
     """Declared names."""
     run_fingerprint: str
     document: Mapping[str, object] = field(default_factory=dict)
+    tools: str | None = None
+    """Answer of the manifest's `probe` to which the results belong: a worker with another one refuses. None without a probe, and in a
+    batch without cells, which asks for it."""
 
     @property
     def key(self) -> SetupKey:
@@ -137,7 +140,7 @@ class RecordedRun:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Cells of one setup, sized so that they take 50 to 500 ms."""
+    """Cells of one setup, sized so that they take 50 to 500 ms. Without cells, a worker only runs the `probe` of the setup's bundle."""
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
@@ -177,6 +180,9 @@ class CellResult:
     """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of a bundle's
     second run."""
 
+    wall_milliseconds: float | None = None
+    """Wall-clock time of the run, without a second one; None for simulations that never wait."""
+
     @property
     def run_milliseconds(self) -> float:
         """CPU time that the cell would have taken without certificates; next to nothing if it was certified."""
@@ -205,3 +211,5 @@ class BatchResult:
     remembered: CertificateMemory | None = None
     learned: tuple[RecordedRun, ...] = ()
     """Recorded runs, if the batch says `share`."""
+    tools: str | None = None
+    """What the `probe` answers on this worker, if the batch has no cells, or if it is refused because of that answer."""

@@ -83,7 +83,13 @@ class Constraints:
         together = "no set keeps" if never or len(self.listed) == 1 else "no set keeps all of"
         named = ", ".join(never or self.listed)
         remedy = "widen the bounds, or change the constraints"
-        return InvalidInputError(Problem("constraints", f"{together} {named}, among {DRAWN:,} drawn within the bounds", remedy))
+        return InvalidInputError(
+            Problem(
+                "constraints",
+                f"{together} {named}: tried were the middle, two corners and {DRAWN:,} sets drawn within the bounds",
+                remedy,
+            )
+        )
 
     def _columns(self, population: Indices) -> dict[str, npt.NDArray[Any]]:
         columns: dict[str, npt.NDArray[Any]] = {}

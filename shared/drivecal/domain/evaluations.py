@@ -46,11 +46,13 @@ class Breakdown(StrEnum):
 class Rating:
     """A run in units of the campaign's scale: `score` is what counts, `rating` a finer number that orders equal scores.
 
-    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same.
+    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same. `undefined`: why the formula of the score
+    has no value, so that the run has the worth of a failed one.
     """
 
     rating: float
     score: float
+    undefined: str | None = None
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)
@@ -118,7 +120,8 @@ class OutcomeCosts:
     """Answered cells of one stage and scenario that have outcome and `audited` in common.
 
     `seconds`: CPU time that the campaign's own attempts took, of which certificates took `certifying_seconds`. `run_seconds`: CPU time of
-    the `runs` simulated runs that answered the cells, without certificates.
+    the `runs` simulated runs that answered the cells, without certificates. `occupied_seconds`, `occupied_run_seconds`: the same of own
+    runs and of those runs by the time for which they occupied their workers, which is wall-clock time if simulators wait.
     """
 
     stage: StageName
@@ -130,3 +133,5 @@ class OutcomeCosts:
     runs: int
     run_seconds: float
     certifying_seconds: float = 0.0
+    occupied_seconds: float = 0.0
+    occupied_run_seconds: float = 0.0

@@ -1,7 +1,7 @@
 """Discovery of plug-ins by Python entry points, for built-in plug-ins and other installed packages alike.
 
-A plug-in that cannot be used (its import fails, two packages claim its name) is reported by `broken`, refused where somebody names it, and
-missing from the lists; nothing else fails with it.
+A plug-in that cannot be used (its import fails, two packages claim its name) is reported by `broken`, refused when it is named, and missing
+from the lists; nothing else fails with it.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -153,6 +153,11 @@ def evaluator(name: str, field: str = "evaluator") -> Evaluator:
 def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
     """Returns an optimizer by name. Raises InvalidInputError listing the installed names."""
     return cast("OptimizerPlugin", _find(OPTIMIZERS, name, field))
+
+
+def optimizers() -> list[OptimizerPlugin]:
+    """Returns all installed optimizers that can be used."""
+    return _usable(OPTIMIZERS)
 
 
 def catalogue(name: str, field: str = "catalogue") -> Catalogue:

@@ -18,9 +18,9 @@ PLENTY = 10.0
 """Expected seconds that give a first batch, which compiles, a generous deadline."""
 
 
-@pytest.fixture(params=["fake", "ray"])
+@pytest.fixture(params=["fake", "processes", "ray"])
 def backend(request: pytest.FixtureRequest) -> Iterator[Backend]:
-    chosen: Backend = FakeBackend(2) if request.param == "fake" else request.getfixturevalue("ray_backend")
+    chosen: Backend = FakeBackend(2) if request.param == "fake" else request.getfixturevalue(f"{request.param}_backend")
     wait_for_idle(chosen)
     yield chosen
     wait_for_idle(chosen)

@@ -145,7 +145,7 @@ def test_expiry_counts_from_the_moment_of_leasing(database: Database) -> None:
 
 
 def test_leases_are_found_by_their_keys_among_very_many(database: Database, subtests: pytest.Subtests) -> None:
-    ids = pending(database, 20_000)
+    ids = pending(database, 5_000)
     take(database, ids)
     gather_statistics(database)
     some = ids[:30]

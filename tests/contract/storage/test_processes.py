@@ -79,7 +79,7 @@ def test_a_lock_lost_with_its_connection_is_taken_again_unless_another_server_ha
     with pytest.raises(DatabaseError):
         locks.hold(empty_url)
     _end_servers(empty_url)
-    with locks.hold(empty_url), pytest.raises(DatabaseError, match="another drivecal server"):
+    with locks.hold(empty_url), pytest.raises(DatabaseError):
         first.renew()
     first.renew()
     first.release()
@@ -96,5 +96,5 @@ def _end_servers(url: str) -> None:
 
 
 def test_a_lock_on_an_unreachable_postgresql_is_unavailable() -> None:
-    with pytest.raises(UnavailableError, match="does not answer"):
+    with pytest.raises(UnavailableError):
         locks.hold("postgresql://someone:s3cret@127.0.0.1:1/drivecal")

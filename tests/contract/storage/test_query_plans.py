@@ -9,12 +9,17 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
+import psycopg
 import pytest
-from sqlalchemy import Connection, event, text
+from psycopg import sql
+from sqlalchemy import Connection, event, make_url, text
+from tests.support.server import new_database
 from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id
 
 from drivecal.domain.campaigns import StageName
@@ -36,9 +41,43 @@ SMALL = {"reference_indexes", "leases", "processes"}
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
+@pytest.fixture(scope="module")
+def template(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """Gives the URL of a backend's filled database, which is filled once."""
+    made: dict[str, str] = {}
+
+    def of(backend: str) -> str:
+        if backend not in made:
+            made[backend] = new_database(request, backend, tmp_path_factory.mktemp("filled"))
+            database = Database.open(made[backend])
+            database.upgrade()
+            fill(database)
+            database.dispose()
+        return made[backend]
+
+    return of
+
+
 @pytest.fixture
-def filled(database: Database) -> Database:
+def filled(backend: str, template: Callable[[str], str], request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Database]:
     """Tables that are large enough for a planner to prefer an index, and statistics about them."""
+    original = make_url(template(backend)).database
+    assert original is not None
+    if backend == "sqlite":
+        url = f"sqlite:///{shutil.copy(original, tmp_path / 'filled.db')}"
+    else:
+        server = make_url(request.getfixturevalue("postgres_server"))
+        url = server.set(database=f"{original}_{tmp_path.name}").render_as_string(hide_password=False)
+        with psycopg.connect(request.getfixturevalue("postgres_server"), autocommit=True) as connection:
+            names = map(sql.Identifier, (f"{original}_{tmp_path.name}", original))
+            connection.execute(sql.SQL("CREATE DATABASE {} TEMPLATE {}").format(*names))
+    database = Database.open(url)
+    yield database
+    database.dispose()
+
+
+def fill(database: Database) -> None:
+    """Two campaigns with answered cells, their runs and reference keys."""
     with database.transaction() as connection:
         sequence, other, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, ROWS)
@@ -57,7 +96,6 @@ def filled(database: Database) -> Database:
             )
     reference_keys.sync(database, 1, setup, EVALUATOR, 10**9, key_of)
     gather_statistics(database)
-    return database
 
 
 def key_of(_: tuple[str, ...], values: Integers) -> list[bytes]:

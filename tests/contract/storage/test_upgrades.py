@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
@@ -10,9 +9,11 @@ from typing import Any
 
 import pytest
 from sqlalchemy import Connection, Engine, event, inspect, text
+from tests.support import effort
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
+from tests.support.storage import PROCESSES
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
@@ -24,7 +25,7 @@ from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import reference_keys, runs, setups
 
-REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009")
+REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009", "0010")
 RELEASED = ("0001", "0003", "0005")
 
 
@@ -41,10 +42,16 @@ def make(database: Database, revision: str) -> None:
             connection.execute(text(f"INSERT INTO events {row}"), {"id": running})
 
 
-@pytest.fixture(params=REVISIONS)
-def revision(request: pytest.FixtureRequest) -> str:
-    """The revision that the database has."""
-    return str(request.param)
+every = pytest.mark.parametrize(
+    ("backend", "revision"),
+    [
+        (backend, revision)
+        for backend in ("sqlite", "postgresql")
+        for revision in (REVISIONS if effort.LONG or backend == "sqlite" else (*RELEASED, REVISIONS[-1]))
+    ],
+    indirect=["backend"],
+)
+"""All revisions on SQLite; in the everyday suite those of releases and the last one on PostgreSQL."""
 
 
 @pytest.fixture
@@ -79,6 +86,7 @@ def test_every_revision_is_tried() -> None:
     assert tuple(sorted(schema.known_revisions())) == REVISIONS, "make the rows of a release with support/revisions/make.py"
 
 
+@every
 def test_everything_that_was_there_is_there_and_the_whole_is_sound(old: Database) -> None:
     with old.read() as connection:
         columns = columns_of(connection)
@@ -100,6 +108,7 @@ def test_everything_that_was_there_is_there_and_the_whole_is_sound(old: Database
     assert [verdict for verdict in verify(old, full=True) if verdict.problems] == []
 
 
+@every
 def test_an_upgraded_database_has_the_tables_of_a_new_one(old: Database, migrated: Database) -> None:
     old.upgrade()
     shapes = []
@@ -131,6 +140,7 @@ def migrated(request: pytest.FixtureRequest, backend: str) -> Iterator[Database]
     opened.dispose()
 
 
+@every
 def test_old_references_answer_in_the_upgraded_database(old: Database) -> None:
     old.upgrade()
     with old.read() as connection:
@@ -151,6 +161,7 @@ def test_old_references_answer_in_the_upgraded_database(old: Database) -> None:
     assert len(asked) > 250
 
 
+@every
 def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     old.upgrade()
     install_versions_of(old, monkeypatch)
@@ -209,7 +220,7 @@ def test_a_killed_upgrade_leaves_the_old_revision_or_the_new_one(empty_url: str,
         columns = columns_of(connection)
         before = stored(connection, columns)
     database.dispose()
-    process = multiprocessing.get_context("spawn").Process(target=_upgrade_and_die, args=(empty_url, statement))
+    process = PROCESSES.Process(target=_upgrade_and_die, args=(empty_url, statement))
     process.start()
     process.join()
     assert process.exitcode == -signal.SIGKILL
@@ -244,7 +255,7 @@ def _upgrade_and_die(url: str, at: int | None) -> None:
 def test_two_processes_may_upgrade_an_old_database_at_once(empty_url: str) -> None:
     database = Database.open(empty_url)
     load.create(database, "0001")
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with PROCESSES.Pool(2) as pool:
         pool.map(_upgrade, [empty_url] * 2)
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
     database.dispose()

@@ -27,7 +27,7 @@ REUSING: dict[str, Any] = {
     "parameters": COARSE,
     "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
     "optimizer": {"kind": "genetic", "population": 50, "iterations": 6, "seed": 3, "mutation": 1},
-    "reduction": {"audit": 0.2, "max_error": 1, "certified": False},
+    "reduction": {"mode": "influence", "audit": 0.2, "max_error": 1, "certified": False},
 }
 ANALYSING: dict[str, Any] = {
     "name": "analysing",
@@ -37,7 +37,7 @@ ANALYSING: dict[str, Any] = {
     "vehicle": {"parameters": {"mass": 1600}},
     "sensitivity": {"intervals": 3, "samples": 3, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 20, "iterations": 3, "seed": 2},
-    "reduction": {"audit": 0.1},
+    "reduction": {"mode": "influence", "audit": 0.1},
     "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},
     "validation": {"samples": 10, "references": 2, "largest": 20},
 }

@@ -75,7 +75,7 @@ def fill(database: Database) -> None:
     working = dispatcher(database, ComputedBackend(3))
     while not get(database, running).cells.simulated or not get(database, running).cells.pending:
         working.step()
-    insert(database, "queued", {"parameters": EXPERT_SPACE}, idempotency_key="key", body_digest="digest")
+    insert(database, "queued", {"parameters": EXPERT_SPACE}, idempotency_key="key", body_digests=["digest"])
 
 
 def insert(database: Database, name: str, document: dict[str, Any], **more: Any) -> StoredCampaign:

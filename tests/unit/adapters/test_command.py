@@ -129,6 +129,8 @@ def test_a_command_that_does_not_exist_cannot_be_opened(tmp_path: Path) -> None:
 
 def test_kinds_have_versions_and_unknown_ones_are_named() -> None:
     assert {kind: simulator(kind).version for kind in VERSIONS} == VERSIONS
-    with pytest.raises(NotFoundError, match="process, command, python, fmu"):
+    with pytest.raises(NotFoundError) as missing:
         simulator("matlab")
+    assert missing.value.identifier == "matlab"
+    assert all(kind in missing.value.hint for kind in VERSIONS)
     assert longest_seconds(600.0) > 600.0

@@ -137,7 +137,7 @@ def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section:
 
 def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:
     with (
-        pytest.raises(UnavailableError, match="no variable gap, a name in the scenario's data"),
+        pytest.raises(UnavailableError, match=r"\bgap\b"),
         run(folder, "trial2.fmu", data={"gap": 1}),
     ):
         pass

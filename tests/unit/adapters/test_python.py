@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_imported_cannot_be_opened(tmp_path: Path, head: s
 
 def test_a_missing_function_or_file_cannot_be_opened(tmp_path: Path) -> None:
     write(tmp_path, "return {}")
-    with pytest.raises(UnavailableError, match="no function run"), opened("python", tmp_path, file="model.py", function="run"):
+    with pytest.raises(UnavailableError, match=r"\brun\b"), opened("python", tmp_path, file="model.py", function="run"):
         pass
     with pytest.raises(UnavailableError, match=r"other\.py"), opened("python", tmp_path, file="other.py"):
         pass

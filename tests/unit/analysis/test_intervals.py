@@ -7,12 +7,13 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples, tries
 
 from drivecal.analysis.intervals import mean_interval
 from drivecal.reduction.audit import clopper_pearson
 
 VARIANTS = 30
-REPLAYS = 300
+REPLAYS = tries(150, 300)
 
 
 def drawn(rate: float, alike: float, bases: int, seed: int) -> npt.NDArray[np.float64]:
@@ -62,7 +63,7 @@ def test_without_an_error_the_upper_limit_follows_from_the_number_of_bases(bases
     assert mean_interval(np.ones(bases)) == pytest.approx((1 - upper, 1.0))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=60))
 def test_the_interval_holds_the_mean_whatever_the_order_and_mirrors_with_its_shares(shares: list[float]) -> None:
     lower, upper = mean_interval(np.array(shares))

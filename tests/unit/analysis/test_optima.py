@@ -7,12 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import cdist
+from tests.support.effort import examples
 
 from drivecal.analysis.optima import distances, one_per_region_first, optima, regions
 
 
 @given(seed=st.integers(0, 500), n=st.integers(2, 25))
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_regions_are_those_of_single_linkage(seed: int, n: int) -> None:
     points = np.random.default_rng(seed).random((n, 4)) ** 2
     ours = regions(points, 0.2)

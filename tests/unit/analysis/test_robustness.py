@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.analysis.robustness import (
     RobustnessSettings,
@@ -31,7 +32,7 @@ EDGE = NOMINAL | {"mass": 1200.0}
 
 
 @given(radius=st.floats(0.001, 0.5), seed=st.integers(0, 1000), box=st.integers(1, 20), at_edge=st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_every_vehicle_lies_in_the_box_and_within_the_bounds(radius: float, seed: int, box: int, at_edge: bool) -> None:
     nominal = EDGE if at_edge else NOMINAL
     for vehicle in vehicles(TABLE_8, nominal, radius, directions(3, 30, seed, box)):
@@ -126,7 +127,7 @@ def test_past_ten_on_request() -> None:
 
 
 @given(st.lists(st.floats(0.0005, 0.2), min_size=1, max_size=5), st.integers(1, 8))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_bisection_closes_in_on_the_widest_box(limits: list[float], refinements: int) -> None:
     chosen = RobustnessSettings(samples=2, refinements=refinements)
     for limit, found in zip(limits, run(limits, chosen)[0].result(), strict=True):

@@ -183,3 +183,37 @@ def test_from_the_break_even_on_the_map_has_paid_and_not_before(cost: float, sav
     rate = saved / requested
     assert found.requested_cells * rate >= cost * (1 - 1e-6)
     assert (found.requested_cells - 1) * rate < cost * (1 + 1e-6)
+
+
+def _waiting(stage: StageName, outcome: Outcome, cells: int, each: float) -> OutcomeCosts:
+    """Cells of a simulator that sleeps: 10 ms of CPU time in `each` seconds."""
+    own, cpu = cells if outcome is Outcome.SIMULATED else 0, 0.01
+    return OutcomeCosts(stage, "S1", outcome, False, cells, own * cpu, cells, cells * cpu, 0.0, own * each, cells * each)
+
+
+def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:
+    analysis = [_waiting(StageName.SENSITIVITY, Outcome.SIMULATED, 2, 90.0)]
+    costs = [
+        *analysis,
+        _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, 90.0),
+        _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, 90.0),
+    ]
+    found = account("c", "succeeded", ["S1"], costs, MapOrigin("m", "other", analysis))
+    assert found.clock == "wall"
+    assert found.scenarios[0].mean_seconds == pytest.approx(90.0)
+    assert (found.simulated_seconds, found.repeated_saved_seconds) == pytest.approx((360.0, 540.0))
+    assert found.deductions["sensitivity"] == pytest.approx(180.0)
+    assert found.map is not None
+    assert found.map.seconds == pytest.approx(180.0)
+    assert found.net_seconds == pytest.approx(360.0)
+    assert (found.cpu_seconds, found.wall_seconds) == pytest.approx((0.12, 1080.0))
+
+
+def test_a_simulator_that_computes_is_accounted_by_cpu_time() -> None:
+    costs = [
+        _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, 0.015),
+        _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, 0.015),
+    ]
+    found = account("c", "succeeded", ["S1"], costs, None)
+    assert found.clock == "cpu"
+    assert found.scenarios[0].mean_seconds == pytest.approx(0.01)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.classified import classified
+from tests.support.effort import examples
 
 from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
@@ -36,7 +37,7 @@ def test_coverage_counts_what_enumeration_counts(masks: npt.NDArray[np.bool_]) -
 
 
 @given(seed=st.integers(0, 50))
-@settings(max_examples=10)
+@settings(max_examples=examples(10))
 def test_beyond_sixteen_parameters_effects_of_up_to_three_are_counted(seed: int) -> None:
     masks = np.random.default_rng(seed).random((6, MOST_EXACT + 2)) < 0.4
     found = coverage(masks)
@@ -52,7 +53,7 @@ def test_where_nothing_can_be_reduced_there_is_nothing_to_validate() -> None:
 
 
 @given(seed=st.integers(0, 1000), references=st.integers(1, 6))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_variants_differ_inside_their_regions_only(seed: int, references: int) -> None:
     classes = [EVERY, LOW, BOTH, FREE]
     found = design(classified(classes), 16, references, seed, 4096)
@@ -86,7 +87,7 @@ def test_a_large_hypercube_is_kept_as_far_as_it_is_needed() -> None:
     assert coverage(space.variable(found.bases)[:, space.reducible]) == found.coverage
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(1, 6).flatmap(lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=40)))
 def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
     masks = np.array([row for row in rows if any(row)] or [[True] * len(rows[0])])

@@ -269,3 +269,40 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
             stack.enter_context(limits.archives.take())
         assert [client.get(f"{PROBLEMS}/acc/archive").status_code, push(client).status_code] == [429, 429]
     assert [client.get(f"{PROBLEMS}/acc/archive").status_code for _ in range(OPEN_ARCHIVES + 1)] == [200] * (OPEN_ARCHIVES + 1)
+
+
+def test_constraints_that_leave_nothing_are_refused_at_their_field(serve: Serve) -> None:
+    client = serve(tokens=True)
+    manifest = MANIFEST.format(name="acc").replace("simulator:", 'constraints: ["x >= 2"]\nsimulator:')
+    answer = client.post(
+        PROBLEMS, content=packed(**{"problem.yaml": manifest}), headers=ZIP | {"Authorization": f"Bearer {TOKENS['author']}"}
+    )
+    assert answer.status_code == 422
+    [error] = answer.json()["errors"]
+    assert error["field"].endswith("constraints")
+    assert error["remedy"]
+
+
+def test_parameters_and_scenarios_of_a_problem_are_listed(serve: Serve) -> None:
+    client = serve(tokens=True)
+    author = {"Authorization": f"Bearer {TOKENS['author']}"}
+    manifest = MANIFEST.format(name="acc").replace(
+        "  mode:", "  T: {{lower: 0.8, upper: 2.5, unit: s}}\n  mode:".replace("{{", "{").replace("}}", "}")
+    )
+    digest = client.post(PROBLEMS, content=packed(**{"problem.yaml": manifest}), headers=ZIP | author).json()["digest"]
+    for name in ("acc", digest):
+        [space] = client.get("/api/v1/parameters", params={"problem": name}, headers=author).json()["items"]
+        assert (space["driving_function"], space["name"]) == ("acc", "acc")
+        grid, continuous, choice = space["parameters"]
+        assert (grid["kind"], grid["step"], grid["n_values"]) == ("grid", 0.1, 11)
+        assert (continuous["kind"], continuous["lower"], continuous["upper"]) == ("continuous", 0.8, 2.5)
+        assert (continuous["step"], continuous["n_values"]) == (None, None)
+        assert (choice["choices"], choice["n_values"]) == (["eco", "sport"], 2)
+        scenarios = client.get("/api/v1/scenarios", params={"problem": name}, headers=author).json()["items"]
+        assert scenarios == [{"id": "city", "problem": "acc", "data": {"gap": 30}}]
+    for path in ("parameters", "scenarios"):
+        assert client.get(f"/api/v1/{path}", params={"problem": "none"}, headers=author).status_code == 404
+        assert (
+            client.get(f"/api/v1/{path}", params={"problem": "highway"}, headers=author).json()
+            == client.get(f"/api/v1/{path}", headers=author).json()
+        )

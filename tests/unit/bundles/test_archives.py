@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.bundles.archives import (
     BundleFile,
@@ -69,7 +70,7 @@ def typed(name: str, mode: int) -> zipfile.ZipInfo:
     return info
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(tree=trees)
 def test_what_is_packed_is_unpacked(tree: Tree) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -84,7 +85,7 @@ def test_what_is_packed_is_unpacked(tree: Tree) -> None:
         assert not (Path(folder) / "target").exists()
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=examples(100))
 @given(tree=trees, other=trees)
 def test_equal_content_and_no_other_has_the_same_digest(tree: Tree, other: Tree) -> None:
     def archive(content: Tree, compression: int, names: list[str]) -> bytes:
@@ -251,7 +252,7 @@ def test_a_megabyte_of_zeros_is_no_bomb() -> None:
     assert files_of(zipped(("a", bytes(1 << 20))))["a"].content == bytes(1 << 20)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 @given(position=st.integers(0, 10_000), value=st.integers(0, 255), cut=st.integers(0, 200))
 def test_a_damaged_archive_is_refused_or_read(position: int, value: int, cut: int) -> None:
     damaged = bytearray(zipped(("problem.yaml", b"a: 1"), ("sub/b", b"x" * 100)))

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
@@ -237,7 +238,7 @@ def paths(inner: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(deeper for key, child in children for deeper in paths(child, (*path, key)))]
 
 
-@settings(deadline=None, max_examples=400)
+@settings(deadline=None, max_examples=examples(400))
 @given(path=st.sampled_from(paths(VALID)[1:]), value=values)
 def test_whatever_stands_at_a_place_is_taken_or_refused(path: tuple[Any, ...], value: Any) -> None:
     given = document()
@@ -307,3 +308,49 @@ def test_names_of_variables_are_part_of_a_setup_if_there_are_any() -> None:
     assert "environment" not in setup_document(checked(VALID), "city", "f")["simulator"]
     named = checked(changed("simulator/environment", ["MATLAB_HOME"]))
     assert setup_document(named, "city", "f")["simulator"]["environment"] == ["MATLAB_HOME"]
+
+
+@pytest.mark.parametrize(
+    ("constraints", "left"),
+    [
+        (["x + y >= 1"], True),
+        (["x >= 2"], False),
+        (["x >= 0.6", "x + y <= 0.5"], False),
+        (["mode == 'eco'", "mode == 'sport'"], False),
+        (["x*x + y*y <= 0.0004"], True),  # a corner
+    ],
+)
+def test_constraints_that_leave_nothing_are_refused_with_what_was_tried(constraints: list[str], *, left: bool) -> None:
+    document = {
+        "problem": "p",
+        "parameters": {"x": {"lower": 0, "upper": 1}, "y": {"lower": 0, "upper": 1}, "mode": {"choices": ["eco", "sport"]}},
+        "constraints": constraints,
+        "simulator": {"kind": "python", "file": "model.py"},
+        "scenarios": {"s": {}},
+        "measures": {"m": "1"},
+        "scores": {"cost": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
+    }
+    if left:
+        assert checked(document).constraints == tuple(constraints)
+        return
+    with pytest.raises(InvalidInputError) as caught:
+        checked(document)
+    [problem] = caught.value.problems
+    assert problem.field == "constraints"
+    assert "65,536" in problem.message
+    assert "baseline" in problem.remedy
+
+
+def test_a_baseline_proves_that_constraints_leave_something() -> None:
+    narrow = ["x == 0.123456789", "y == 0.5"]
+    document = {
+        "problem": "p",
+        "parameters": {"x": {"lower": 0, "upper": 1}, "y": {"lower": 0, "upper": 1}},
+        "constraints": narrow,
+        "baseline": {"x": 0.123456789, "y": 0.5},
+        "simulator": {"kind": "python", "file": "model.py"},
+        "scenarios": {"s": {}},
+        "measures": {"m": "1"},
+        "scores": {"cost": {"formula": "m", "direction": "minimise", "range": [0, 1]}},
+    }
+    assert checked(document).baseline == {"x": 0.123456789, "y": 0.5}

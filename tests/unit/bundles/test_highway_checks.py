@@ -110,6 +110,7 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("simulator/controller", FMU | {"signals": {"gap": "u1"}}, "simulator.controller.signals"),
         ("simulator/controller", FMU | {"signals": {"gapp": "u1", "acceleration": "y"}}, "simulator.controller.signals.gapp"),
         ("simulator/step", 0.035, "simulator.step"),
+        ("simulator/step", 0.6, "simulator.step"),
         ("simulator/vehicle", "tank", "simulator.vehicle"),
         ("simulator/vehicle", {"model": "tank"}, "simulator.vehicle.model"),
         ("simulator/vehicle", {"mass": -1}, "simulator.vehicle.mass"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from drivecal.bundles.checks import checked
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.work import BundleRequest
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
 
@@ -45,6 +47,28 @@ def fields(**settings: Any) -> set[str]:
 def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
     rating = BundleBench(bundle(), ("wet",), score).rate("wet", measures, failure)
     return None if rating is None else rating.rating
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "reduction", "noted"),
+    [
+        (0.0, {}, True),
+        (0.0, {"tolerance": 0.5}, False),
+        (0.0, {"mode": "exact"}, False),
+        (0.0, {"mode": "both"}, True),
+        (2.0, {}, False),
+        (2.0, {"tolerance": 0.0}, True),
+    ],
+)
+def test_a_score_that_tolerates_no_difference_is_noted_where_it_is_predicted(
+    tolerance: float, reduction: dict[str, Any], noted: bool
+) -> None:
+    scores = yaml.safe_load(EXAMPLE.read_text())["scores"]
+    changed = bundle(scores={name: {**score, "tolerance": tolerance} for name, score in scores.items()})
+    notes = resolved(changed, reduction=reduction).notes
+    assert any("tolerance" in note for note in notes) == noted
+    alone = {"optimizer": None, "sensitivity": {"samples": 2, "intervals": 2}}
+    assert not any("tolerance" in note for note in resolved(changed, reduction=reduction, **alone).notes)
 
 
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:
@@ -135,10 +159,16 @@ def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:
     assert resolved(bundle(simulator=simulator)).bench.repeated_share == pytest.approx(0.02)
 
 
-def test_a_probe_that_is_not_run_is_noted() -> None:
+def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:
     simulator = {**yaml.safe_load(EXAMPLE.read_text())["simulator"], "probe": ["python3", "--version"]}
-    assert any("probe" in note for note in resolved(bundle(simulator=simulator)).notes)
-    assert not any("probe" in note for note in resolved().notes)
+    unknown = resolved(bundle(simulator=simulator))
+    old, new = (resolved(replace(bundle(simulator=simulator), tools=version)) for version in ("3.11", "3.12"))
+    assert unknown.bench.to_probe is not None
+    assert (old.bench.to_probe, resolved().bench.to_probe) == (None, None)
+    assert len({problem.bench.setups["wet"].fingerprint for problem in (unknown, old, new, resolved())}) == 4
+    requests = [problem.bench.requests["wet"] for problem in (old, new)]
+    assert [request.tools for request in requests if isinstance(request, BundleRequest)] == ["3.11", "3.12"]
+    assert any("3.11" in note for note in old.notes)
 
 
 def test_a_single_evaluation_names_its_problem() -> None:

@@ -101,14 +101,18 @@ def test_the_first_slice_does_not_wait_for_scikit_learn() -> None:
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     stored = [lot(116), lot(216, errors=3), lot(316, errors=None), lot(0, 0, errors=None)]
-    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=4)
+    by_scenario = released_by_scenario(stored, ["S1", "S2"], 0.05, batches=6, number=lambda _: 1)
     released = by_scenario["S1"]
-    assert [(each.asked, each.batches) for each in by_scenario.values()] == [(4, 4), (0, 4)]
+    assert [(each.asked, each.batches) for each in by_scenario.values()] == [(4, 6), (0, 6)]
+    assert [each.early for each in by_scenario.values()] == [1, 6]
     text = skipped_text(by_scenario)
     assert text is not None
-    assert "S2 (4 of 4)" in text
-    assert "S1" not in text
-    assert skipped_text({"S1": released}) is None
+    early, late = text.split(";")
+    assert "S1 (1 of 6)" in early
+    assert "S2 (6 of 6)" in early
+    assert "S1 (1 of 6)" in late
+    assert "S2" not in late
+    assert skipped_text({"S1": released.model_copy(update={"asked": 6, "early": 0})}) is None
     assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
     assert released.seconds == 4.0
     assert released.upper_95 is not None

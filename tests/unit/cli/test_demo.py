@@ -42,7 +42,7 @@ def test_each_demo_begins_with_an_empty_folder(tmp_path: Path) -> None:
 def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
     with fresh_folder(tmp_path / "demo"):
         (tmp_path / "demo" / "summary.json").touch()
-        with pytest.raises(ConflictError, match="another demo is running"), fresh_folder(tmp_path / "demo"):
+        with pytest.raises(ConflictError), fresh_folder(tmp_path / "demo"):
             pass
         assert (tmp_path / "demo" / "summary.json").exists()
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import CommandSimulator, FmuSimulator, Manifest, ProcessSimulator
@@ -180,7 +181,7 @@ def test_a_file_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
             read_fmu(file)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(position=st.integers(0, len(FMI2) - 1), text=st.text(max_size=5))
 def test_a_damaged_description_is_refused_or_read(position: int, text: str) -> None:
     damaged = (FMI2[:position] + text + FMI2[position + 1 :]).encode("utf-8", errors="surrogatepass")
@@ -214,7 +215,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
         write_problem("python", "a", tmp_path / "other", fmu(tmp_path, FMI2))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 @given(text=st.text(max_size=40))
 def test_what_an_fmu_says_in_words_cannot_break_the_manifest(text: str) -> None:
     variables = [

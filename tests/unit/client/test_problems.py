@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.client.problems import manifest_of, read_bundle, read_manifest
@@ -98,7 +99,7 @@ def test_a_very_large_manifest_is_refused() -> None:
         read_manifest(VALID.encode() + b"#" * 2**20)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=examples(200))
 @given(position=st.integers(0, len(VALID) - 1), text=st.text(max_size=5))
 def test_a_damaged_manifest_is_refused_with_its_place_or_read(position: int, text: str) -> None:
     damaged = (VALID[:position] + text + VALID[position + 1 :]).encode("utf-8", errors="surrogatepass")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.comfort import learned, regression_arrays
 from drivecal.comfort.channels import LENGTH, MIRROR, channels_of
@@ -72,7 +73,7 @@ def test_a_drive_straight_on_is_comfortable_and_a_violent_one_is_not(manoeuvre: 
 
 
 @every_class
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(
     seconds=st.floats(10.0, 30.0),
     lateral=st.floats(-50.0, 50.0),

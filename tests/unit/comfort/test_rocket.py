@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.comfort import rocket
 from drivecal.comfort.channels import LENGTH
@@ -58,7 +59,7 @@ def naive(regression: Regression, series: rocket.Integers) -> Floats:
 
 
 @pytest.mark.parametrize("manoeuvre", list(Manoeuvre))
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=examples(5), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_features_are_those_of_the_definition(manoeuvre: Manoeuvre, seed: int) -> None:
     series = some_series(seed)

@@ -91,9 +91,9 @@ def test_what_is_no_readable_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="Is a directory"):
         TokenFile(tmp_path)
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(InvalidInputError, match="it is no file"):
+    with pytest.raises(InvalidInputError, match="pipe"):
         TokenFile(tmp_path / "pipe")
-    with pytest.raises(InvalidInputError, match="larger than"):
+    with pytest.raises(InvalidInputError, match="tokens"):
         TokenFile(file(tmp_path, b"#" * (LARGEST_FILE + 1)))
 
 

@@ -10,12 +10,14 @@ import pytest
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
     InfluenceMapSpecification,
     RerunSpecification,
 )
+from drivecal.domain.scales import COMFORT
 
 EXAMPLE = """
 name: highway comfort
@@ -73,7 +75,37 @@ def test_an_empty_file_is_the_papers_problem() -> None:
     assert found.catalogue == found.parameters == "highway"
     assert found.optimizer is not None
     assert (found.optimizer.kind, found.optimizer.population, found.optimizer.iterations) == ("genetic", 1000, 20)
-    assert (found.reduction.mode, found.reduction.audit, found.reduction.max_error) == ("influence", 0.02, 0.02)
+    assert found.sensitivity is None
+    assert (found.reduction.mode, found.reduction.tolerance_on(COMFORT), found.reduction.limit) == ("predicted", 0, 0.05)
+    assert (found.reduction.certified, found.reduction.confirm) == (True, 20)
+    assert (found.reduction.audit, found.reduction.max_error) == (0.02, 0.02)
+
+
+@pytest.mark.parametrize("reduction", [{}, {"reduction": {}}, {"reduction": {"audit": 0.1}}])
+@pytest.mark.parametrize(("sensitivity", "mode"), [(None, "predicted"), ({"map": "0f3b"}, "both"), ({"samples": 4}, "both")])
+def test_a_map_is_used_by_default_if_the_file_asks_for_one(
+    sensitivity: dict[str, Any] | None, mode: str, reduction: dict[str, Any]
+) -> None:
+    settled = CampaignSpecification.model_validate({"sensitivity": sensitivity} | reduction)
+    assert settled.reduction.mode == mode
+    stored = settled.model_dump(mode="json")
+    assert stored["reduction"]["mode"] == mode
+    assert CampaignSpecification.model_validate(stored) == settled
+    given = CampaignSpecification.model_validate({"sensitivity": sensitivity, "reduction": {"mode": "exact"}})
+    assert given.reduction.mode == "exact"
+
+
+def test_a_comparison_settles_reductions_without_a_mode_as_a_campaign_does() -> None:
+    document = {
+        "optimizers": [{"kind": "random"}],
+        "populations": [10],
+        "seeds": [1, 2, 3],
+        "reductions": ["exact", {"limit": 0.1}],
+    }
+    for sensitivity, mode in ((None, "predicted"), ({"map": "0f3b"}, "both")):
+        settled = ComparisonSpecification.model_validate(document | {"sensitivity": sensitivity})
+        assert settled.model_dump()["reductions"][1]["mode"] == mode
+    assert ComparisonSpecification.model_validate({**document, "reductions": ["exact"]}).sensitivity is None
 
 
 def test_a_specification_survives_json() -> None:

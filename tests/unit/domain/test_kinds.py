@@ -95,6 +95,13 @@ def test_a_choice_is_its_text_and_nothing_else() -> None:
         assert "eco, sport" in problem.remedy
 
 
+@pytest.mark.parametrize("number", ["1", "-0", "2.220446049250313E-16", "1E+400", "NaN"])
+def test_a_number_is_no_choice(number: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        MODES.index(Decimal(number), "baseline.mode")
+    assert [problem.field for problem in refused.value.problems] == ["baseline.mode"]
+
+
 def test_a_number_is_no_text() -> None:
     with pytest.raises(InvalidInputError) as refused:
         Parameter.from_step("P", Decimal(0), Decimal(1), None).index("0.5")

@@ -80,5 +80,5 @@ def test_canonical_json_does_not_depend_on_the_order_of_keys(document: dict[str,
 
 
 def test_nan_has_no_canonical_form() -> None:
-    with pytest.raises(ValueError, match="not JSON compliant"):
+    with pytest.raises(ValueError, match="JSON"):
         canonical_json({"m": float("nan")})

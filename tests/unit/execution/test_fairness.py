@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
 
 from drivecal.domain.evaluations import Breakdown
@@ -197,7 +198,7 @@ def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kin
 _costs = st.fixed_dictionaries({scenario: st.floats(0.0005, 0.6) for scenario in ("S1", "S2", "S3")})
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @example(3, {"S1": 0.5, "S2": 0.5, "S3": 0.001}, ["S1", "S3", "S3"], 2)
 @given(st.integers(1, 6), _costs, st.lists(st.sampled_from(["S1", "S2", "S3"]), min_size=2, max_size=4), st.integers(2, 4))
 def test_two_campaigns_that_always_wait_differ_by_one_batch_at_most(

@@ -77,10 +77,10 @@ def test_the_most_significant_bit_comes_first() -> None:
 
 
 def test_a_space_without_searched_parameters_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match="every parameter is fixed"):
+    with pytest.raises(InvalidInputError):
         BitEncoding(np.array([], dtype=np.int64))
 
 
 def test_a_parameter_with_a_single_value_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match="fewer than two values; name it in `fixed`"):
+    with pytest.raises(InvalidInputError, match="`fixed`"):
         BitEncoding(np.array([5, 1]))

@@ -156,5 +156,5 @@ def test_expert_sets_are_in_the_start_population(design: Design) -> None:
 
 
 def test_more_expert_sets_than_individuals_are_refused() -> None:
-    with pytest.raises(ValueError, match="3 given sets do not fit into a population of 2"):
+    with pytest.raises(ValueError, match=r"\b3\b.*\b2\b"):
         start_population("lhs", 2, np.array([9, 9]), np.random.default_rng(1), np.zeros((3, 2), dtype=np.int64))

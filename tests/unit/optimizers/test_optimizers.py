@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 from scipy import stats
+from tests.support.effort import examples
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
@@ -68,7 +69,7 @@ def test_the_same_seed_gives_the_same_populations_and_another_seed_others(plugin
 
 @every
 @given(seed=st.integers(0, 2**63 - 1), stop=st.integers(0, 6), asked=st.booleans(), population=st.integers(2, 30))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_a_resumed_run_equals_an_uninterrupted_one(
     plugin: OptimizerPlugin, seed: int, stop: int, asked: bool, population: int
 ) -> None:
@@ -130,7 +131,7 @@ def test_what_a_caller_does_to_a_proposal_does_not_reach_the_optimizer(plugin: O
 
 @replacing
 @given(seed=st.integers(0, 1000), population=st.integers(2, 50))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_all_but_the_least_fit_stay_exactly_as_they_were(plugin: OptimizerPlugin, seed: int, population: int) -> None:
     optimizer = plugin.create(chosen(plugin, population=population, seed=seed), SMALL)
     before = optimizer.ask()
@@ -147,7 +148,7 @@ def test_all_but_the_least_fit_stay_exactly_as_they_were(plugin: OptimizerPlugin
 
 @replacing
 @given(seed=st.integers(0, 1000), population=st.integers(2, 50))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_the_best_objective_never_falls(plugin: OptimizerPlugin, seed: int, population: int) -> None:
     told = drive(plugin.create(chosen(plugin, population=population, seed=seed), HIGHWAY), 12)
     best = [coarse(population)[0].max() for population, _ in told]
@@ -189,7 +190,7 @@ def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
     optimizer = plugin.create(chosen(plugin, population=4), SMALL)
     answers = coarse(optimizer.ask().population)
     optimizer.tell(*answers)
-    with pytest.raises(RuntimeError, match="ask for the next one"):
+    with pytest.raises(RuntimeError):
         optimizer.tell(*answers)
 
 
@@ -200,23 +201,23 @@ def test_telling_twice_is_refused(plugin: OptimizerPlugin) -> None:
 def test_answers_that_do_not_fit_are_refused(plugin: OptimizerPlugin, wrong: Floats) -> None:
     optimizer = plugin.create(chosen(plugin, population=4), SMALL)
     optimizer.ask()
-    with pytest.raises(ValueError, match="objectives must be 4 numbers"):
+    with pytest.raises(ValueError, match=r"^objectives"):
         optimizer.tell(wrong, np.zeros(4))
-    with pytest.raises(ValueError, match="tie_breakers must be 4 numbers"):
+    with pytest.raises(ValueError, match=r"^tie_breakers"):
         optimizer.tell(np.zeros(4), wrong)
 
 
 @every
 def test_a_state_of_another_population_is_refused(plugin: OptimizerPlugin) -> None:
     state = plugin.create(chosen(plugin, population=4), SMALL).state()
-    with pytest.raises(InvalidInputError, match=r"the saved population is \(4, 4\), not \(5, 4\)"):
+    with pytest.raises(InvalidInputError, match=r"\(4, 4\).*\(5, 4\)"):
         plugin.restore(chosen(plugin, population=5), SMALL, state)
 
 
 def test_settings_of_another_optimizer_are_refused() -> None:
-    with pytest.raises(TypeError, match="must be GeneticSettings, not RandomSettings"):
+    with pytest.raises(TypeError, match=r"GeneticSettings.*RandomSettings"):
         GENETIC.create(RandomSettings(), SMALL)
-    with pytest.raises(TypeError, match="must be RandomSettings, not GeneticSettings"):
+    with pytest.raises(TypeError, match=r"RandomSettings.*GeneticSettings"):
         RANDOM.restore(GeneticSettings(), SMALL, {})
 
 
@@ -285,7 +286,7 @@ def is_child(child: npt.NDArray[np.bool_], one: npt.NDArray[np.bool_], other: np
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_apart_from_one_flip_every_bit_of_a_child_is_one_of_its_parents(seed: int) -> None:
     encoding = BitEncoding(HIGHWAY)
     optimizer = GENETIC.create(chosen(GENETIC, population=14, mutation=1.0, seed=seed), HIGHWAY)

@@ -14,6 +14,7 @@ from pymoo.operators.mutation.bitflip import BitflipMutation
 from pymoo.operators.sampling.rnd import BinaryRandomSampling
 from pymoo.optimize import minimize
 from scipy import stats
+from tests.support.effort import tries
 
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM
@@ -21,6 +22,7 @@ from drivecal.optimizers.encoding import BitEncoding
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 SEEDS = range(30)
+RUNS = tries(15, 30)
 TARGET = np.array([3, 9, 14, 0, 7, 11])
 PEAKS = np.array([40, 33, 180, 1500, 20, 90, 111, 700, 5, 60, 160])
 
@@ -95,7 +97,7 @@ def test_it_finds_the_optimum_about_as_often_as_pymoos_genetic_algorithm(
 ) -> None:
     """Same population, children per generation and bits; pymoo adds a tournament and forbids duplicates. Seen: 21 and 25 of 30 (ours),
     24 and 22 of 30 (pymoo). The test fails where one is better than chance explains."""
-    ours = sum(best_of(GENETIC, objective, n_values, 40, seed) == optimum for seed in SEEDS)
-    theirs = sum(best_of_pymoo(objective, n_values, 40, seed) == optimum for seed in SEEDS)
-    assert ours >= 15
-    assert stats.fisher_exact(np.array([[ours, 30 - ours], [theirs, 30 - theirs]])).pvalue > 0.01
+    ours = sum(best_of(GENETIC, objective, n_values, 40, seed) == optimum for seed in range(RUNS))
+    theirs = sum(best_of_pymoo(objective, n_values, 40, seed) == optimum for seed in range(RUNS))
+    assert ours >= RUNS / 2
+    assert stats.fisher_exact(np.array([[ours, RUNS - ours], [theirs, RUNS - theirs]])).pvalue > 0.01

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from tests.support.effort import tries
 
 from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
@@ -155,7 +156,7 @@ def test_a_damaged_start_population_is_refused() -> None:
 
 def test_a_state_of_another_population_is_refused() -> None:
     state = create(CMA_ES, {}).state()
-    with pytest.raises(InvalidInputError, match=r"the saved population is \(12, 4\), not \(5, 4\)"):
+    with pytest.raises(InvalidInputError, match=r"\(12, 4\).*\(5, 4\)"):
         CMA_ES.restore(CMA_ES.settings(population=5), GRID, state)
 
 
@@ -163,7 +164,7 @@ def test_telling_twice_is_refused() -> None:
     optimizer = create(CMA_ES, {})
     answers = bowl(optimizer.ask().population)
     optimizer.tell(*answers)
-    with pytest.raises(RuntimeError, match="ask for the next one"):
+    with pytest.raises(RuntimeError):
         optimizer.tell(*answers)
 
 
@@ -182,8 +183,8 @@ def test_they_beat_random_search(plugin: OptimizerPlugin, chosen: dict[str, Any]
             found = max(found, float(ratings.max()))
         return found
 
-    theirs = [best(plugin, chosen, seed) for seed in range(10)]
-    floor = [best(RANDOM, {"renewal": 1.0}, seed) for seed in range(10)]
+    theirs = [best(plugin, chosen, seed) for seed in range(tries(6, 10))]
+    floor = [best(RANDOM, {"renewal": 1.0}, seed) for seed in range(tries(6, 10))]
     assert stats.mannwhitneyu(theirs, floor, alternative="greater").pvalue < 0.01
 
 
@@ -197,7 +198,7 @@ def test_one_whose_library_is_missing_says_which_extra_brings_it(
     registry._load.cache_clear()
     monkeypatch.delitem(sys.modules, module)
     monkeypatch.setattr("drivecal.optimizers.replayed.find_spec", lambda wanted: None if wanted == package else object())
-    with pytest.raises(InvalidInputError, match=rf"needs the package {package}; install drivecal with the extra \[{package}\]"):
+    with pytest.raises(InvalidInputError, match=rf"\[{package}\]"):
         registry.optimizer(name)
     monkeypatch.undo()
     importlib.import_module(module)

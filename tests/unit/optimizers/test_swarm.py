@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy import stats
+from tests.support.effort import examples
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
@@ -68,7 +69,7 @@ def test_without_pull_and_with_all_of_its_velocity_a_particle_goes_straight_on()
 
 
 @given(seed=st.integers(0, 10_000), inertia=st.floats(0, 1), c=st.floats(0, 1))
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_particles_stay_in_the_space_and_stop_at_its_edge(seed: int, inertia: float, c: float) -> None:
     optimizer = SWARM.create(SwarmSettings(population=8, c1=c, c2=c, inertia=inertia, seed=seed), GRID)
     for _ in range(12):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.effort import tries
 from tests.unit.planner.reference import ReferencePlanner
 from tests.unit.planner.situations import (
     BENDING,
@@ -64,7 +65,7 @@ def costs_of(planner: FrenetPlanner) -> Floats:
     return costs.ravel()
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(tries(8, 16)))
 def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
     random = np.random.default_rng(seed)
     scenario = random_scenario(random)

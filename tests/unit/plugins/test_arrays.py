@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.plugins.arrays import Array, DamagedArraysError, Expected, read_arrays, write_arrays
 
@@ -120,7 +121,7 @@ def test_a_huge_file_is_refused_without_being_read(file: Path) -> None:
     assert "bytes" in refused(file)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(200), deadline=None)
 @given(place=st.floats(0.0, 1.0, exclude_max=True), mask=st.integers(1, 255), cut=st.booleans())
 def test_damage_is_refused_or_did_not_touch_the_arrays(file: Path, place: float, mask: int, cut: bool) -> None:
     content = file.read_bytes()

@@ -3,19 +3,19 @@ predictor costs is its fits and its samples."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.support.effort import tries
 from tests.support.inspected import Tally, inspect
 from tests.support.scales import COST
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
 from drivecal.reduction.regression_forest import predictor_on
 
-REPLAYS = 1000 if os.environ.get("DRIVECAL_LONG") else 300
-"""Replays of each sabotage; `make test-faults` makes a thousand."""
+REPLAYS = tries(100, 1000)
+"""Replays of each sabotage."""
 BATCHES, CELLS = 4, 60
 
 Simulator = Callable[[Floats, int], Floats]

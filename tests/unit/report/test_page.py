@@ -280,6 +280,6 @@ def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(InvalidInputError, match="it cannot be written") as refused:
+    with pytest.raises(InvalidInputError) as refused:
         write_report(findings(), {}, tmp_path / "file" / "report")
     assert str(tmp_path / "file") in str(refused.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,10 +14,11 @@ import pytest
 
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
-from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
-from drivecal.runtime.bundles import MOST_SESSIONS, BundleCache, BundleSessions
+from drivecal.runtime.bundles import MOST_SESSIONS, BundleSessions
+from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
 SECONDS = 0.25
@@ -190,16 +192,18 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
     assert simulator.closed == scenarios[:1]
 
 
-def test_a_bundle_is_unpacked_whole_and_once(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
-    cache = BundleCache(tmp_path / "cache")
-    cache.store(request_.bundle, archive)
-    cache.store(request_.bundle, b"not even looked at")
-    assert cache.has(request_.bundle)
-    assert [entry.name for entry in (tmp_path / "cache").iterdir()] == [request_.bundle]
+def test_a_run_that_waits_reports_its_wall_clock_time(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    class Sleeping(ScriptedSession):
+        def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
+            time.sleep(0.05)
+            return RunOutcome({"a": 1.0})
 
+    class SleepingSimulator(ScriptedSimulator):
+        def open(self, *_: Any) -> SimulatorSession:
+            return Sleeping(self, "city")
 
-def test_an_archive_with_another_digest_is_not_unpacked(tmp_path: Path, archive: bytes) -> None:
-    cache = BundleCache(tmp_path / "cache")
-    with pytest.raises(InvalidInputError):
-        cache.store("0" * 32, archive)
-    assert list((tmp_path / "cache").iterdir()) == []
+    works = worker(tmp_path, SleepingSimulator())
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+    assert result.wall_milliseconds is not None
+    assert result.wall_milliseconds >= 50 > result.milliseconds

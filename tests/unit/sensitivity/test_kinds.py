@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 from tests.unit.sensitivity.synthetic import drive
 
 from drivecal.domain.influence import Influence
@@ -75,7 +76,7 @@ def test_announced_runs_count_each_parameters_own_intervals(design: Literal["lin
 
 
 @given(st.integers(0, 1000))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_every_change_of_a_choice_is_a_step_of_the_whole_range(seed: int) -> None:
     unordered = np.array([False, False, True, True])
     rows = SobolRows(COLUMNS * 4, seed)

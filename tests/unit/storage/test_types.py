@@ -56,5 +56,5 @@ def test_moments_are_stored_in_utc_whatever_zone_they_come_in() -> None:
     assert stored == datetime(2026, 5, 1, 10, tzinfo=UTC)
     assert kind.process_result_value(datetime(2026, 5, 1, 10), DIALECT) == noon  # noqa: DTZ001  # as SQLite gives it back
     assert kind.process_result_value(noon, DIALECT) == noon
-    with pytest.raises(ValueError, match="names no time zone"):
+    with pytest.raises(ValueError, match="time zone"):
         kind.process_bind_param(datetime(2026, 5, 1), DIALECT)  # noqa: DTZ001  # that is what is refused

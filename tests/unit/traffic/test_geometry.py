@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
 from drivecal.scenarios.highway import HIGHWAY
@@ -70,7 +71,7 @@ def overlap_by_sampling(one: tuple[float, ...], other: tuple[float, ...]) -> boo
     return bool(((abs(along) <= half_length) & (abs(across) <= half_width)).any())
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.floats(-8, 8), st.floats(-5, 5), st.floats(-pi, pi), st.floats(1.5, 6.0), st.floats(0.7, 1.3), st.floats(-pi, pi))
 def test_rectangles_hit_where_points_of_one_lie_in_the_other(
     x: float, y: float, heading: float, half_length: float, half_width: float, ego_heading: float

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 from tests.unit.vehicle.stability import critical_speed
 
 from drivecal.plugins.ports import Floats
@@ -51,7 +52,7 @@ def test_constant_acceleration_gives_the_schoolbook_distance() -> None:
     assert end[1] == 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(boxes, st.floats(8.0, 40.0))
 def test_steady_cornering_has_the_yaw_rate_gain_of_the_understeer_gradient(p: SingleTrackParameters, v: float) -> None:
     critical = critical_speed(p)

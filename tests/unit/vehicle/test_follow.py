@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.effort import examples
 
 from drivecal.plugins.ports import Floats
 from drivecal.vehicle import kernels
@@ -116,7 +117,7 @@ def mirrored(rows: Floats, *columns: int) -> Floats:
     return rows
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 @given(boxes, st.floats(8.0, 40.0), st.floats(-1.0, 1.0), st.floats(-0.02, 0.02))
 def test_the_kernel_agrees_with_the_naive_implementation(
     lane_change: Callable[..., Floats], vehicle: SingleTrackParameters, speed: float, offset: float, turned: float
@@ -142,7 +143,7 @@ def test_the_kernel_agrees_with_the_naive_implementation_to_the_last_digits(lane
     assert np.abs(dynamics - naive.follow(trajectory, 0.0, 400)).max() < 1e-12
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(boxes, st.floats(2.0, 40.0), st.floats(-1.0, 1.0))
 def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(
     lane_change: Callable[..., Floats], vehicle: SingleTrackParameters, speed: float, offset: float
@@ -161,7 +162,7 @@ def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(
     assert np.array_equal(pose, other * [1, -1, -1, 1, -1, -1, 1, -1])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(st.floats(-3.1, 3.1), st.floats(-5000.0, 5000.0), st.floats(-5000.0, 5000.0))
 def test_where_the_road_lies_and_points_does_not_matter(
     lane_change: Callable[..., Floats], angle: float, east: float, north: float

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.neural_network import MLPRegressor
+from tests.support.effort import examples
 
 from drivecal.plugins import registry
 from drivecal.plugins.arrays import DamagedArraysError, write_arrays
@@ -134,7 +135,7 @@ def test_outside_the_range_it_is_the_plain_vehicle_and_counts_the_time(lane_chan
     assert outside(model) == 0.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(parameters=boxes, speed=st.floats(16.0, 38.0), takes=st.floats(4.0, 8.0))
 def test_whatever_the_vehicle_of_table_8_a_lane_change_goes_well(
     lane_change: Callable[..., Floats], parameters: SingleTrackParameters, speed: float, takes: float

@@ -48,7 +48,7 @@ def test_an_old_node_is_not_tried(hook: ModuleType, tmp_path: Path, monkeypatch:
         (tmp_path / name).chmod(0o755)
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin:/usr/bin")
-    with pytest.raises(hook.PageError, match=r"node is v18\.4\.0, and at least 20\.19 is needed"):
+    with pytest.raises(hook.PageError, match=r"v18\.4\.0.*20\.19"):
         hook._node()
 
 
@@ -56,7 +56,7 @@ def test_libraries_that_cannot_be_fetched_are_the_reason(
     hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stand_in(hook, monkeypatch, tmp_path, "echo 'npm error network no such host' >&2; exit 1")
-    assert hook.build() == "the libraries that it is made of could not be fetched: npm error network no such host"
+    assert "no such host" in hook.build()
 
 
 def test_a_build_that_hangs_is_given_up(hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

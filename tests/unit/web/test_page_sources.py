@@ -5,15 +5,12 @@ from __future__ import annotations
 import subprocess
 
 import pytest
-from tests.support.tree import PROJECT
-from tests.support.web import hook
-
-WEB = PROJECT / "services" / "web"
+from tests.support.web import WEB, hook
 
 
 def test_the_pure_parts_of_the_page_do_what_their_tests_say() -> None:
     if not (WEB / "node_modules" / "vitest").is_dir():
-        pytest.skip("vitest is not there: make check fetches it")
+        pytest.skip("vitest is not there: `make test` could not fetch it")
     module = hook()
     node, npm = module._node()
     command = [*npm, "run", "--silent", "test"]

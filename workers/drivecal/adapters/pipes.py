@@ -98,6 +98,18 @@ class Pipes:
         if self._ended.status != 0:
             raise self._failure(self._ended)
 
+    def collect(self, seconds: float, most: int) -> bytes:
+        """Waits for the child's end and returns its standard output of at most `most` bytes. After an error, `stop` must follow."""
+        self._close_input()
+        deadline = time.monotonic() + seconds
+        while self._ended is None and len(self._received) <= most:
+            self._step(deadline, seconds, answers=False)
+        if len(self._received) > most:
+            raise NoMeasuresError(Breakdown.ERROR, f"it prints more than {most:,} characters")
+        if self._ended is not None and self._ended.status != 0:
+            raise self._failure(self._ended)
+        return bytes(self._received)
+
     def tail(self) -> str:
         """Returns the last lines of standard error, for an error message."""
         lines = [line.strip() for line in self._tail.decode(errors="replace").splitlines() if line.strip()]
@@ -118,9 +130,9 @@ class Pipes:
             self._ended = self._children.end()
         self._close_pipes()
 
-    def _step(self, deadline: float, seconds: float) -> None:
+    def _step(self, deadline: float, seconds: float, *, answers: bool = True) -> None:
         """Waits until something happens, and handles it. After the deadline only an answer that is there already counts: this process
-        may have been stopped itself."""
+        may have been stopped itself. `answers`: lines are answers."""
         left = deadline - time.monotonic()
         events = self._poll.poll(1 + 1000 * min(left, TICK_SECONDS) if left > 0 else 0)
         self._children.scan()
@@ -138,7 +150,7 @@ class Pipes:
             self._poll.unregister(self._children.control)
             self._ended = self._children.ended()
             self._drain()
-        elif left <= 0 and b"\n" not in self._received:
+        elif left <= 0 and not (answers and b"\n" in self._received):
             if seconds < 0:
                 raise NoMeasuresError(Breakdown.ERROR, self._with_tail("it closed its standard output without an answer"))
             raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s (timeout)"))

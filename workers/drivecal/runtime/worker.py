@@ -14,14 +14,26 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.certification.memory import Memory
-from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
+from drivecal.contracts.work import (
+    Batch,
+    BatchResult,
+    BundleRequest,
+    Cell,
+    CellResult,
+    CertificateMemory,
+    DriveRequest,
+    Probe,
+    RecordedRun,
+)
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
-from drivecal.runtime.bundles import BundleCache, BundleSessions, cache_folder
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.runners import RefusedError, Runner, make_runner
+from drivecal.runtime.tools import OtherToolsError
 
 log = logging.getLogger(__name__)
 
@@ -88,16 +100,20 @@ class Worker:
         """
         start = time.perf_counter()
         results: tuple[CellResult, ...] = ()
-        refusal = None
+        refusal = tools = None
         try:
+            if isinstance(batch.setup, BundleRequest) and not batch.cells:
+                tools = self._bundles.probe(batch.setup)
             results = self._run_all(batch)
-        except RefusedError as error:
+        except OtherToolsError as error:
+            refusal, tools = describe(error), error.answer
+        except (RefusedError, UnavailableError) as error:
             refusal = describe(error)
         runner = self._runners.get(batch.setup.key) if batch.share else None
         learned = () if runner is None else runner.recorded(batch.share)
         seconds, memory = time.perf_counter() - start, self._memory
         remembered = CertificateMemory(memory.states, memory.bytes, memory.limit)
-        return BatchResult(self._name, results, seconds, refusal, remembered, learned)
+        return BatchResult(self._name, results, seconds, refusal, remembered, learned, tools)
 
     def _run_all(self, batch: Batch) -> tuple[CellResult, ...]:
         setup = batch.setup
@@ -105,10 +121,7 @@ class Worker:
             if batch.share:
                 self._learn(setup, batch.known)
             return tuple(self._run_cell(setup, cell) for cell in batch.cells)
-        try:
-            return tuple(self._bundles.run(setup, cell) for cell in batch.cells)
-        except UnavailableError as error:
-            raise RefusedError(str(error)) from error
+        return tuple(self._bundles.run(setup, cell) for cell in batch.cells)
 
     def _learn(self, setup: DriveRequest, known: Sequence[RecordedRun]) -> None:
         """Records the runs of other workers. An exception does not propagate: the cells report it if it concerns them."""

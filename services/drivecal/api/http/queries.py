@@ -53,7 +53,13 @@ class FormOf(Parameters):
 
 
 class TableOf(PageOf, FormOf):
-    """A page of a table; `format` csv or parquet, or such an `Accept` header, returns the whole table."""
+    """A page of a table; `format` csv or parquet, or such an `Accept` header, returns the whole table.
+
+    With `where` only some rows: `outcome=reused`, `P1>=0.5`. A page may hold fewer then, and the next one goes on.
+    """
+
+    where: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000)] = []
+    """Conditions on columns of the file, COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; several values of a column are alternatives."""
 
 
 class SolutionsOf(TableOf):

@@ -8,9 +8,12 @@ from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import calibration
+from drivecal.api.responses import calibration, refuse_comparison
 from drivecal.campaigns.resolve.maps import measure
+from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
+from drivecal.campaigns.results.failures import causes_of
+from drivecal.contracts.evaluation import FailurePage
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.studies import Study, StudyPage
 from drivecal.domain.parameters import Parameter, Value
@@ -33,10 +36,11 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
         campaign = calibration(campaigns.get(connection, campaign_id))
         begun_with = resolved_spec(campaign)
         documents = setups.documents(connection, list(begun_with.setups.values()))
+        words = meanings(connection, campaign.spec)
     return CampaignSetup(
         evaluator=begun_with.evaluator,
-        parameters=[_searched(parameter, begun_with.space.fixed) for parameter in begun_with.space.parameters],
-        scenarios=[_scenario(name, begun_with, documents) for name in begun_with.weights],
+        parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
+        scenarios=[_scenario(name, begun_with, documents, words) for name in begun_with.weights],
         server=version("drivecal"),
     )
 
@@ -50,22 +54,34 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
 
 
-def _searched(parameter: Parameter, fixed: Mapping[str, Value]) -> SearchedParameter:
+@router.get("/failures")
+def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
+    """The causes of its failed cells with their counts: no result, failures of the system under test, scores without a value."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, campaign_id)
+        refuse_comparison(campaign)
+        return FailurePage(items=causes_of(connection, campaign))
+
+
+def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:
     as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
     held = fixed.get(parameter.name)
     value = held if held is None or isinstance(held, str) else float(held)
-    return SearchedParameter.model_validate(as_it_is | {"fixed": value})
+    description = words.parameters.get(parameter.name, "")
+    return SearchedParameter.model_validate(as_it_is | {"fixed": value, "description": description})
 
 
-def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
+def _scenario(
+    name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]], words: Meanings
+) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
-    known: dict[str, Any] = {}
+    known: dict[str, Any] = {"title": words.scenarios.get(name, "")}
     document = documents.get(fingerprint, {})
     if "files" in document:
-        known = {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
+        known |= {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
     elif document:
         made_of = DrivenSetup.from_document(document)
-        known = {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
+        known |= {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
         known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
         known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"
         known["vehicle_parameters"] = dict(made_of.vehicle_parameters)

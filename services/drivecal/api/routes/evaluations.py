@@ -9,10 +9,11 @@ from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluated_cell, evaluation_answer, evaluation_row
+from drivecal.campaigns.resolve.resolved_spec import stored_scale
 from drivecal.campaigns.results.explanation import explain
-from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.evaluation import CampaignOfEvaluation, Evaluation, EvaluationDetail
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -39,16 +40,13 @@ def evaluate(
     return answer
 
 
-@router.get("/{evaluation_id}", response_model=None, responses={200: {"model": Evaluation}})
+@router.get("/{evaluation_id}", response_model=None, responses={200: {"model": Evaluation | EvaluationDetail}})
 def read(evaluation_id: str, response: Response, database: DatabaseDependency) -> Evaluation | dict[str, Any]:
     """A single evaluation by the id that posting it gave; or, by the number in the first column of a campaign's table, that row with
-    its metrics and, where it failed, the cause."""
+    its measures, its campaign and, where it failed, the cause."""
     with database.read() as connection:
         if _is_number(evaluation_id):
-            row = results.by_id(connection, int(evaluation_id))
-            measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
-            metrics = None if row.run_id is None else measured[row.run_id]
-            return evaluation_row(row) | {"detail": row.detail, "metrics": metrics}
+            return _detail(connection, int(evaluation_id))
         stored = _single(connection, evaluation_id)
         if not stored.state.ended:
             response.headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
@@ -75,6 +73,21 @@ def number_of(connection: Connection, evaluation_id: str) -> int:
 
 
 _NOT_YET = "nothing of it has been asked for yet; try again when it has started"
+
+
+def _detail(connection: Connection, number: int) -> dict[str, Any]:
+    row = results.by_id(connection, number)
+    measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
+    made_by = campaigns.by_sequence(connection, row.campaign_sequence)
+    campaign = CampaignOfEvaluation(
+        id=made_by.id, problem=made_by.spec.get("problem", HIGHWAY), scale=stored_scale(made_by.resolution)
+    )
+    return evaluation_row(row) | {
+        "detail": row.detail,
+        "metrics": None if row.run_id is None else measured[row.run_id],
+        "parameters": row.parameters.floats,
+        "campaign": campaign.model_dump(mode="json"),
+    }
 
 
 def _is_number(evaluation_id: str) -> bool:

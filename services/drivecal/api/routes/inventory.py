@@ -8,11 +8,17 @@ from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.live.dispatcher_health import judge
+from drivecal.campaigns.resolve.bundle_bench import Bundle, parameters_of
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.inventory import (
     BrokenPluginAnswer,
+    OptimizerAnswer,
+    OptimizerPage,
     ParameterAnswer,
     ParameterSpaceAnswer,
     ParameterSpacePage,
+    ProblemScenario,
+    ProblemScenarioPage,
     ReferenceAnswer,
     ReferencePage,
     RoadAnswer,
@@ -23,13 +29,16 @@ from drivecal.contracts.inventory import (
     WorkerAnswer,
     WorkerPage,
 )
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.optimizers.abilities import supported
 from drivecal.plugins import registry
 from drivecal.storage import processes
+from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
 from drivecal.storage.references.setups import SetupCount
@@ -42,8 +51,14 @@ DIGITS = 6
 
 
 @router.get("/scenarios")
-def scenarios() -> ScenarioPage:
-    """The scenarios of all installed catalogues, and the catalogues that cannot be used."""
+def scenarios(database: DatabaseDependency, problem: str | None = None) -> ScenarioPage | ProblemScenarioPage:
+    """The scenarios of all installed catalogues, and the catalogues that cannot be used; with `problem` those of a pushed problem, by its
+    name or digest."""
+    if problem not in {None, HIGHWAY}:
+        found = _bundle(database, problem or "").manifest
+        return ProblemScenarioPage(
+            items=[ProblemScenario(id=name, problem=found.problem, data=data) for name, data in found.scenarios.items()]
+        )
     headings = [
         _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
     ]
@@ -61,14 +76,31 @@ def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
 
 
 @router.get("/parameters")
-def parameters() -> ParameterSpacePage:
-    """The parameter spaces of all installed driving functions, and the functions that cannot be used."""
+def parameters(database: DatabaseDependency, problem: str | None = None) -> ParameterSpacePage:
+    """The parameter spaces of all installed driving functions, and the functions that cannot be used; with `problem` that of a pushed
+    problem, by its name or digest."""
+    if problem not in {None, HIGHWAY}:
+        found = _bundle(database, problem or "").manifest
+        listed = list(map(_parameter, parameters_of(found)))
+        return ParameterSpacePage(
+            items=[ParameterSpaceAnswer(driving_function=found.problem, name=found.problem, parameters=listed)]
+        )
     spaces = [
         ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=list(map(_parameter, space)))
         for function in registry.driving_functions()
         for name, space in function.spaces.items()
     ]
     return ParameterSpacePage(items=spaces, broken=_broken(registry.DRIVING_FUNCTIONS))
+
+
+@router.get("/optimizers")
+def optimizers() -> OptimizerPage:
+    """The installed optimizers with their settings, and those that cannot be used."""
+    items = [
+        OptimizerAnswer(name=plugin.name, supports=sorted(supported(plugin)), settings=plugin.settings.model_json_schema())
+        for plugin in registry.optimizers()
+    ]
+    return OptimizerPage(items=items, broken=_broken(registry.OPTIMIZERS))
 
 
 @router.get("/references")
@@ -92,6 +124,11 @@ def workers(database: DatabaseDependency) -> WorkerPage:
         fresh=not judgement.silent,
         degraded="; ".join(judgement.problems) or None,
     )
+
+
+def _bundle(database: Database, problem: str) -> Bundle:
+    """Returns a stored problem. Raises NotFoundError."""
+    return stored_bundles(database)(problem)
 
 
 def _broken(group: str) -> list[BrokenPluginAnswer]:
@@ -132,7 +169,8 @@ def _vehicle(identifier: str | None, d: float, start: EgoStart | TrafficVehicle)
 
 def _parameter(parameter: Parameter) -> ParameterAnswer:
     step = (parameter.upper - parameter.lower) / (parameter.n_values - 1)
-    return ParameterAnswer.model_validate(asdict(parameter) | {"step": step})
+    grid = {"step": None, "n_values": None} if parameter.kind == "continuous" else {"step": step}
+    return ParameterAnswer.model_validate(asdict(parameter) | grid)
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:

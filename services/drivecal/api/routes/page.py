@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Response
+from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 
 from drivecal.api.http.auth import PAGE
@@ -18,6 +19,7 @@ router = APIRouter(include_in_schema=False)
 FILES = Path(__file__).parent.parent / "static"
 """Folder of the built page (services/web/build_hook.py)."""
 START = "index.html"
+DOCS = "docs.html"
 REASON = "missing.txt"
 """File with the reason for a missing page."""
 TYPES = {
@@ -58,6 +60,20 @@ def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "")
     if not (FILES / START).is_file():
         return Response(_instead(), 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")
     return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)
+
+
+@router.get("/docs")
+def docs(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+    """The documentation of the API, which asks no other host."""
+    if not (FILES / DOCS).is_file():
+        return Response(_instead(), 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")
+    return _answer(FILES / DOCS, "no-cache", accept_encoding, if_none_match)
+
+
+@router.get("/redoc")
+def redoc() -> Response:
+    """The address of another view of the same in earlier releases."""
+    return RedirectResponse("/docs", 308)
 
 
 @router.get(PAGE + "{name:path}")

@@ -12,14 +12,14 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS
 from drivecal.api.routes.evaluations import number_of
 from drivecal.campaigns.cells.tracing import is_to_be_made, no_trace, request_trace
-from drivecal.contracts.evaluation import PendingTrace, TraceAnswer
+from drivecal.contracts.evaluation import PendingTrace, SeriesAnswer, TraceAnswer
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import admission, results, traces
 
 router = APIRouter(prefix="/evaluations", tags=["evaluations"], route_class=StrictRoute)
 
 ANSWERS: dict[int | str, dict[str, object]] = {
-    200: {"model": TraceAnswer},
+    200: {"model": TraceAnswer | SeriesAnswer, "description": "Of a problem bundle, the series that its simulator reported"},
     202: {"model": PendingTrace, "description": "it is being made; ask again after `Retry-After` seconds"},
     304: {"description": "it is what `If-None-Match` names"},
 }

@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableOf, form_of
 from drivecal.api.tables.files import Row, download
+from drivecal.api.tables.selection import Keeps, selection
 from drivecal.contracts.campaign import Page
 from drivecal.contracts.tables import Column, columns_of, file_row
 from drivecal.storage.engine import cursors
@@ -45,11 +46,13 @@ def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
 def table_answer(name: str, query: TableOf, accept: str, columns: Columns, pages: Pages) -> Response:
     """Returns a page as JSON, or the whole table as a file called `name`, as the query or the `Accept` header asks."""
     form = form_of(query, accept)
+    keeps = selection(query.where, columns()) if query.where else None
     if form == "json":
         rows, following = pages(query.limit, query.cursor)
-        items = [row.model_dump(mode="json") if isinstance(row, BaseModel) else row for row in rows]
+        wanted = [row for row in rows if keeps is None or keeps(_flat(row))]
+        items = [row.model_dump(mode="json") if isinstance(row, BaseModel) else row for row in wanted]
         return JSONResponse({"items": items, "next_cursor": following}, headers={"Vary": "Accept"})
-    return download(name, form, columns(), _all(pages))
+    return download(name, form, columns(), _all(pages, keeps))
 
 
 def listed(name: str, query: TableOf, accept: str, model: type[BaseModel], rows: Sequence[BaseModel]) -> Response:
@@ -58,11 +61,16 @@ def listed(name: str, query: TableOf, accept: str, model: type[BaseModel], rows:
     return table_answer(name, query, accept, lambda: columns_of(model), pages)
 
 
-def _all(pages: Pages) -> Iterator[Sequence[Row]]:
+def _flat(row: BaseModel | Row) -> Row:
+    return file_row(row) if isinstance(row, BaseModel) else row
+
+
+def _all(pages: Pages, keeps: Keeps | None) -> Iterator[Sequence[Row]]:
     """Yields every page, each read in its own transaction, so that a slow reader holds no connection."""
     cursor: str | None = None
     while True:
         rows, cursor = pages(ROWS_AT_A_TIME, cursor)
-        yield [file_row(row) if isinstance(row, BaseModel) else row for row in rows]
+        flat = [_flat(row) for row in rows]
+        yield flat if keeps is None else [row for row in flat if keeps(row)]
         if cursor is None:
             return

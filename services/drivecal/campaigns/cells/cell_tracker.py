@@ -56,6 +56,8 @@ class CellTracker:
         self._evaluator_id = view.bench.evaluator_id
         self._from_series = view.bench.needs_series
         self.simulating_seconds = simulating_seconds
+        self.undefined: str | None = None
+        """Why a score has no value, of the first such result; None before."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -252,6 +254,9 @@ class CellTracker:
         rating = self._view.bench.rate(cell.scenario, result.metrics, result.failure)
         if rating is None:
             raise ValueError(f"evaluation {cell.id} lacks a measure that its score needs")
+        if rating.undefined is not None:
+            self._counts["unscored"] += 1
+            self.undefined = self.undefined or rating.undefined
         return replace(completion, result=replace(result, score=rating.score, rating=rating.rating))
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
@@ -346,6 +351,7 @@ class CellTracker:
             metrics=completion.result.metrics,
             failure=completion.result.failure,
             milliseconds=completion.result.run_milliseconds,
+            wall_milliseconds=completion.result.wall_milliseconds,
             worker=completion.worker,
             evaluator=self._evaluator_id,
             score=completion.result.score,

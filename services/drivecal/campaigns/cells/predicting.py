@@ -8,7 +8,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -183,7 +183,12 @@ class LotPlanner:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
         batches = -(-self._population // self._slice) + iteration
         stored = lots.of_campaign(connection, self._view.campaign)
-        return released_by_scenario(stored, self._learners, self._reduction.limit, batches)
+        return released_by_scenario(stored, self._learners, self._reduction.limit, batches, self._number)
+
+    def _number(self, lot: StoredLot) -> int:
+        """Returns the number of a lot's batch, from 0."""
+        slices = -(-self._population // self._slice)
+        return lot.individual // self._slice if lot.iteration == 0 else slices + lot.iteration - 1
 
     def plan(
         self, connection: Connection, cells: Sequence[NewEvaluation], best: float | None, whole: Collection[int]
@@ -301,19 +306,21 @@ def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
 
 
 def released_by_scenario(
-    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int
+    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int, number: Callable[[StoredLot], int]
 ) -> dict[str, Released]:
-    """Sums up lots with a verdict, after so many batches."""
-    return {name: _released([lot for lot in stored if lot.scenario == name], limit, batches) for name in scenarios}
+    """Sums up lots with a verdict, after so many batches. `number`: of a lot's batch, from 0."""
+    of = {name: [lot for lot in stored if lot.scenario == name] for name in scenarios}
+    return {name: _released(lots, limit, batches, number(lots[0]) if lots else batches) for name, lots in of.items()}
 
 
-def _released(stored: Sequence[StoredLot], limit: float, batches: int) -> Released:
+def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: int) -> Released:
     inspected = [lot for lot in stored if lot.verdict is not None]
     released = sum(lot.released for lot in inspected)
     plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
     return Released(
         batches=batches,
         asked=len(stored),
+        early=early,
         inspected=sum(lot.size for lot in inspected),
         lots=len(inspected),
         rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
@@ -328,12 +335,14 @@ def _released(stored: Sequence[StoredLot], limit: float, batches: int) -> Releas
 
 def skipped_text(released: Mapping[str, Released]) -> str | None:
     """Returns a note on scenarios whose predictor was asked in fewer than all batches; None if there is none."""
-    skipped = [
-        f"{name} ({each.batches - each.asked} of {each.batches})"
-        for name, each in released.items()
-        if each.asked < each.batches
+    early = {name: each.early for name, each in released.items()}
+    late = {name: each.batches - each.asked - each.early for name, each in released.items()}
+    parts = [
+        f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
+        for reason, counts in (
+            ("because too little was known yet", early),
+            ("because predicting would have cost more than it saves", late),
+        )
+        if any(counts.values())
     ]
-    if not skipped:
-        return None
-    reason = "because too little was known or predicting would have cost more than it saves"
-    return f"batches without predictions, {reason}: {', '.join(skipped)}"
+    return f"batches without predictions, {'; '.join(parts)}" if parts else None

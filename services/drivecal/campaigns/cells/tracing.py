@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.bundle_source import bundles_of
+from drivecal.campaigns.resolve.bundle_source import bundles_of, with_tools
 from drivecal.campaigns.resolve.problem import catalogue_scenarios, resolve_evaluation
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification
@@ -49,15 +49,18 @@ def request_trace(connection: Connection, number: int) -> StoredCampaign:
         if not is_to_be_made(connection, trace):
             return campaigns.by_sequence(connection, trace.campaign_sequence)
         traces.forget(connection, number)
-    specification = _specification(connection, number)
+    specification, resolution = _specification(connection, number)
     made = campaigns.insert(
         connection, name=f"trace of evaluation {number}", spec=specification.model_dump(mode="json"), kind="evaluation"
     )
+    if "tools" in resolution:  # workers with other tools would give another time series
+        campaigns.set_resolution(connection, made.sequence, resolution)
     traces.ask(connection, number, made.sequence)
     return made
 
 
-def _specification(connection: Connection, number: int) -> EvaluationSpecification:
+def _specification(connection: Connection, number: int) -> tuple[EvaluationSpecification, dict[str, Any]]:
+    """Returns what repeats an evaluation, and what it resolves to."""
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
@@ -67,14 +70,16 @@ def _specification(connection: Connection, number: int) -> EvaluationSpecificati
     else:
         document["problem"] = spec["problem"]
     specification = validated(EvaluationSpecification, document)
-    today = resolve_evaluation(specification, bundles_of(connection)).bench.setups[row.scenario]
+    tools: Any = stored.document.get("tools")
+    problem = resolve_evaluation(specification, with_tools(bundles_of(connection), tools))
+    today = problem.bench.setups[row.scenario]
     if today.fingerprint != stored.fingerprint:
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(
             f"evaluation {number} was driven with another {', '.join(changed) or 'version'} than is installed now, so its time series"
             " cannot be had again; evaluate its parameters anew"
         )
-    return specification
+    return specification, problem.resolution() | ({} if tools is None else {"tools": tools})
 
 
 def _driven(setup: Mapping[str, Any], catalogue: str | list[str], scenario: str) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def queue(
     problem: ComparisonProblem,
     influence_map_id: str | None = None,
     idempotency_key: str | None = None,
-    body_digest: str | None = None,
+    body_digests: Sequence[str] = (),
 ) -> StoredCampaign:
     """Queues a comparison with its runs; returns the earlier comparison if the request key is known, as `campaigns.insert` does.
 
@@ -115,7 +115,7 @@ def queue(
         spec=specification.model_dump(mode="json"),
         kind="comparison",
         idempotency_key=idempotency_key,
-        body_digest=body_digest,
+        body_digests=body_digests,
         priority=specification.priority,
     )
     if not campaigns.runs_of(connection, stored.sequence):

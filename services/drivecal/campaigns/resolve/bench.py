@@ -41,6 +41,10 @@ class Bench(Protocol):
         """Run requests to workers by scenario."""
 
     @property
+    def to_probe(self) -> SetupRequest | None:
+        """A request by which a worker finds what is missing in the setups: the answer of the problem's `probe`. None if nothing is."""
+
+    @property
     def evaluator_id(self) -> str:
         """Name and version of the score: with the run fingerprint it names a rating."""
 
@@ -123,6 +127,11 @@ class DrivingBench:
             )
             for name, (catalogue, _) in self.catalogued.items()
         }
+
+    @property
+    def to_probe(self) -> None:
+        """Nothing: plug-ins and the simulator have versions."""
+        return
 
     @property
     def evaluator_id(self) -> str:

@@ -22,11 +22,13 @@ REPEATED = 0.02
 
 @dataclass(frozen=True)
 class Bundle:
-    """A stored problem bundle. `files`: digest of every file except `problem.yaml`."""
+    """A stored problem bundle. `files`: digest of every file except `problem.yaml`; `tools`: what its `probe` answers on the workers, None
+    before a worker was asked and without a probe."""
 
     digest: str
     files: str
     manifest: Manifest
+    tools: str | None = None
 
 
 BundleSource = Callable[[str], Bundle]
@@ -66,7 +68,10 @@ class BundleBench:
     def setups(self) -> dict[str, BundleSetup]:
         """Setups by scenario."""
         manifest = self.bundle.manifest
-        return {name: BundleSetup(name, setup_document(manifest, name, self.bundle.files)) for name in self.scenarios}
+        documents = {
+            name: setup_document(manifest, name, self.bundle.files, tools=self.bundle.tools) for name in self.scenarios
+        }
+        return {name: BundleSetup(name, document) for name, document in documents.items()}
 
     @cached_property
     def requests(self) -> dict[str, BundleRequest]:
@@ -86,9 +91,17 @@ class BundleBench:
                 series=tuple(manifest.series),
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
+                tools=self.bundle.tools,
             )
             for name in self.scenarios
         }
+
+    @property
+    def to_probe(self) -> BundleRequest | None:
+        """The first scenario's request if a worker has to run the bundle's `probe` first: its answer is part of every setup."""
+        if self.bundle.manifest.simulator.probe is None or self.bundle.tools is not None:
+            return None
+        return next(iter(self.requests.values()))
 
     @property
     def evaluator_id(self) -> str:
@@ -125,7 +138,7 @@ class BundleBench:
         del scenario
         known = {name: value for name, value in metrics.items() if value is not None}
         scored = rate(self._formula, self.scale, known, failure)
-        return None if scored is None else Rating(scored.value, scored.value)
+        return None if scored is None else Rating(scored.value, scored.value, scored.undefined)
 
     @property
     def _entry(self) -> ScoreEntry:

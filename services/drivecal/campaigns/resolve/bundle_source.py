@@ -1,5 +1,7 @@
 """Stored bundles as specifications name them."""
 
+from dataclasses import replace
+
 from sqlalchemy import Connection
 
 from drivecal.bundles.archives import files_digest
@@ -21,6 +23,11 @@ def stored_bundles(database: Database) -> BundleSource:
             return bundles_of(connection)(name)
 
     return find
+
+
+def with_tools(source: BundleSource, tools: str | None) -> BundleSource:
+    """Returns a source whose bundles know what their `probe` answers."""
+    return source if tools is None else lambda name: replace(source(name), tools=tools)
 
 
 def bundles_of(connection: Connection) -> BundleSource:

@@ -133,7 +133,7 @@ def _differences(basis: Mapping[str, Any], bench: Bench) -> list[str]:
     other = [
         scenario for scenario, fingerprint in fingerprints.items() if basis["setups"].get(scenario, fingerprint) != fingerprint
     ]
-    if other:
+    if other and bench.to_probe is None:  # else it is known only when the campaign starts
         reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
     if basis["evaluator"] != bench.evaluator_id:
         reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {bench.evaluator_id}")

@@ -188,6 +188,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     bench = found.make(weights)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
+    notes += resolvers.note_predictions(specification, bench.scale)
     return CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
     )

@@ -32,16 +32,24 @@ def problem_of(campaign: StoredCampaign, bundles: BundleSource = no_bundles) -> 
     """Resolves a campaign against today's plug-ins and the stored bundles. Raises InvalidInputError if that fails."""
     if campaign.kind == "evaluation":
         return resolve_evaluation(validated(EvaluationSpecification, campaign.spec), bundles)
-    return resolve(validated(CampaignSpecification, stored_document(campaign.spec)), bundles)
+    return resolve(specification_of(campaign), bundles)
 
 
 def stored_document(spec: Mapping[str, Any]) -> dict[str, Any]:
     """A stored specification in today's words. Specifications are stored with all settings, so a missing one did not exist: an analysis
-    that began without `sequential` makes all its runs, and continues with the phases that it began with."""
-    document, sensitivity = dict(spec), spec.get("sensitivity")
+    that began without `sequential` makes all its runs, and continues with the phases that it began with; a search without `confirm`
+    ends with its last population. Today's defaults mean nothing to it."""
+    document, sensitivity, reduction = dict(spec), spec.get("sensitivity"), spec.get("reduction")
     if isinstance(sensitivity, dict) and "map" not in sensitivity:
         document["sensitivity"] = {"sequential": False} | sensitivity
+    if isinstance(reduction, dict):
+        document["reduction"] = {"confirm": 0} | reduction
     return document
+
+
+def specification_of(campaign: StoredCampaign) -> CampaignSpecification:
+    """Returns the specification of a stored campaign that is neither an evaluation nor a comparison."""
+    return validated(CampaignSpecification, stored_document(campaign.spec))
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:

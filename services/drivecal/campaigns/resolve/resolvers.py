@@ -219,6 +219,15 @@ def check_units(specification: CampaignSpecification, scale: Scale, diagnostics:
             diagnostics.add(field, message, f"give at most {scale.amount(scale.span)}")
 
 
+def note_predictions(specification: CampaignSpecification, scale: Scale) -> tuple[str, ...]:
+    """Notes that scores without steps are hardly predicted if no difference is tolerated."""
+    reduction = specification.reduction
+    if specification.optimizer is None or not reduction.predicts or scale.step is not None or reduction.tolerance_on(scale) > 0:
+        return ()
+    remedy = "a `tolerance` of the score in problem.yaml, or `reduction.tolerance`, lets predictions answer cells"
+    return (f"the score {scale.name} has neither steps nor a tolerance, so hardly any prediction is right: {remedy}",)
+
+
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
     """Adds a problem if there is no map to validate, or if the numbers do not fit."""
     wanted = specification.validation

@@ -17,6 +17,9 @@ from drivecal.domain.parameters import Parameter, Setting
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Vehicle
 
+LONGEST_ANSWER = 200
+"""Characters of a probe's answer in a note."""
+
 Wanted = ProblemSpecification | EvaluationSpecification
 """A specification that names a problem."""
 
@@ -104,15 +107,16 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if isinstance(wanted, ProblemSpecification):
         settled["catalogue"] = list(scenarios)
-    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(manifest))
+    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(bundle))
 
 
-def _notes(manifest: Manifest) -> tuple[str, ...]:
-    if manifest.simulator.probe is None:
+def _notes(bundle: Bundle) -> tuple[str, ...]:
+    probe = bundle.manifest.simulator.probe
+    if probe is None or bundle.tools is None:
         return ()
-    return (
-        "the problem's `probe` is not run yet: after a change of tools outside of its files, change a file, or old results are reused",
-    )
+    answer = " ".join(bundle.tools.split())
+    shown = answer if len(answer) <= LONGEST_ANSWER else f"{answer[:LONGEST_ANSWER]}..."
+    return (f"`{' '.join(probe)}` answers {shown!r} on the workers: results under another answer are not reused",)
 
 
 def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.maps import stored_map
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.results.prediction import prediction_of
 from drivecal.contracts.explanation import Audit, Difference, Explanation, Prediction, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
@@ -38,7 +38,7 @@ class _Case:
     @cached_property
     def specification(self) -> CampaignSpecification | None:
         """The campaign's specification; None for a single evaluation."""
-        return None if self.campaign.kind == "evaluation" else CampaignSpecification.model_validate(self.campaign.spec)
+        return None if self.campaign.kind == "evaluation" else specification_of(self.campaign)
 
     @cached_property
     def influence_map(self) -> InfluenceMap | None:

@@ -6,9 +6,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.predicting import batch_of, slice_size
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.contracts.explanation import InspectedLot, Neighbour, Prediction
-from drivecal.contracts.specification import CampaignSpecification
 from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
 from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -59,7 +58,7 @@ def _neighbours(
 ) -> list[Neighbour]:
     from drivecal.reduction.regression_forest import predictor_on  # scikit-learn loads slowly
 
-    specification = CampaignSpecification.model_validate(campaign.spec)
+    specification = specification_of(campaign)
     if specification.optimizer is None:
         return []
     tolerance, width = specification.reduction.tolerance_on(resolved.scale), slice_size(specification.optimizer.population)

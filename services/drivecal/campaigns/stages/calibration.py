@@ -107,9 +107,7 @@ class Calibration(CampaignStage):
     def _refuse_nothing(self) -> None:
         if self._ranking.best() is None:
             failed = CellCounts(**self._tracker.counts).failed
-            raise NoResultError(
-                f"no parameter set has a result in every scenario: {failed} cells failed; the server's log says why"
-            )
+            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
 
     def _resume(self) -> list[Work]:
         """Resumes the last generation, or starts with the first.
@@ -384,6 +382,7 @@ class Calibration(CampaignStage):
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
+        notes += self._undefined_notes()
         if (skipped := skipped_text(self._released)) is not None and self._iteration == self._optimization.iterations - 1:
             notes.append(skipped)
         if self._verdict is not None:

@@ -8,11 +8,10 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec, specification_of
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
 from drivecal.campaigns.stages.validation import compared
-from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
@@ -66,7 +65,7 @@ class PredictionValidation(StudyStage):
             stored = results.released(connection, source.sequence)
             inspected = [lot for lot in lots.of_campaign(connection, source.sequence) if lot.verdict is not None]
         self._inspected = {name: sum(lot.size for lot in inspected if lot.scenario == name) for name in problem.scenarios}
-        self._reduction = ReductionSpecification.model_validate(source.spec["reduction"])
+        self._reduction = specification_of(source).reduction
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
         self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}
         self._differences: Mapping[str, Sequence[float]] | None = None

@@ -153,7 +153,7 @@ class Sensitivity(CampaignStage):
         }
 
     def _snapshot(self, connection: Connection) -> Snapshot:
-        return replace(super()._snapshot(connection), notes=self._problem.notes)
+        return replace(super()._snapshot(connection), notes=[*self._problem.notes, *self._undefined_notes()])
 
 
 def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:

@@ -13,13 +13,16 @@ from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.results.failures import broken_down
 from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import NoResultError
+from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy, RequestedCell
-from drivecal.storage import campaign_stages, campaigns, results
+from drivecal.storage import campaign_stages, campaigns, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -55,6 +58,7 @@ class Stage(Job):
         self._eta = EtaEstimate(clock, counts.requested)
         self._resumed = False
         self._round: Round | None = None
+        self._told_undefined = counts.unscored > 0
         self.finished = False
 
     @abstractmethod
@@ -85,7 +89,7 @@ class Stage(Job):
 
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
-        del connection
+        self._tell_undefined(connection)
         counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
             stage=self.name,
@@ -94,6 +98,22 @@ class Stage(Job):
             progress=self._progress(counts.requested, counts.proposed),
             simulating_seconds=self._tracker.simulating_seconds,
         )
+
+    def _tell_undefined(self, connection: Connection) -> None:
+        """Adds an event for the stage's first score without a value."""
+        if self._tracker.undefined is not None and not self._told_undefined:
+            text = f"a score has no value, so that its run counts as failed: {self._tracker.undefined}"
+            events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
+            self._told_undefined = True
+
+    def _undefined_notes(self) -> list[str]:
+        """Returns a note on scores without a value."""
+        count = self._tracker.counts.get("unscored", 0)
+        if not count:
+            return []
+        return [
+            f"{count:,} simulated scores of the {self.name} have no value and count as failed runs: see the causes of failures"
+        ]
 
     def _progress(self, requested: int, proposed: int) -> Progress:
         return self._eta.progress(requested, max(self._at_most, proposed))
@@ -158,8 +178,12 @@ class Stage(Job):
         campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))
 
 
+ALL_FAILED = 30
+"""Cells without a result after which a stage without any result ends. Where nine of ten cells break down, one stage in 25 would end so."""
+
+
 class CampaignStage(Stage):
-    """A stage that a campaign may want."""
+    """A stage that a campaign may want. It ends early if nothing in it has a result."""
 
     uses_map: ClassVar[bool] = False
     """Whether its view needs the campaign's influence map."""
@@ -174,6 +198,29 @@ class CampaignStage(Stage):
     ) -> None:
         super().__init__(database, campaign, view, clock)
         self._problem = problem
+
+    def work(self) -> list[Work]:
+        """Returns what to simulate next. Raises NoResultError if everything so far has failed, also in an earlier process."""
+        self._refuse_failures()
+        return super().work()
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """Stores results; returns what to simulate in their place. Raises NoResultError if everything so far has failed."""
+        work = super().record(completed)
+        self._refuse_failures()
+        return work
+
+    def _refuse_failures(self) -> None:
+        counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
+        if counts.failed >= ALL_FAILED and counts.failed == counts.requested:
+            raise NoResultError(f"the first {counts.failed:,} cells of the {self.name} gave no result{self._causes()}")
+
+    def _causes(self) -> str:
+        """Returns the most frequent causes of failed cells, for an error message."""
+        with self._database.read() as connection:
+            causes = broken_down(connection, self._campaign.sequence)
+        listed = "; ".join(f"{cause.cells:,} x {cause.cause}: {cause.detail or 'no message'}" for cause in causes[:3])
+        return f": {listed}" if listed else ""
 
     @staticmethod
     @abstractmethod

@@ -18,9 +18,16 @@ from drivecal.cli.application import (
     with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import print_answer, print_campaign, print_json, print_page, saved, when
+from drivecal.cli.views.output import dumped, print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
-from drivecal.cli.views.savings import pays_text, print_accounting, print_error_rates, print_lots, print_narrowed
+from drivecal.cli.views.savings import (
+    pays_text,
+    print_accounting,
+    print_error_rates,
+    print_failures,
+    print_lots,
+    print_narrowed,
+)
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
@@ -169,9 +176,10 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
     compared = answered and campaign.kind == "comparison"
     if as_json:
-        dumped = None if account is None else account.model_dump(mode="json")
+        accounting = None if account is None else account.model_dump(mode="json")
         tables = comparison_document(client, campaign.id) if compared else {}
-        print_json({**campaign.model_dump(mode="json"), "accounting": dumped, **tables})
+        causes = dumped(client.failures(campaign.id).items) if answered and campaign.kind != "comparison" else []
+        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, **tables})
         return
     print_campaign(campaign)
     if compared:
@@ -179,6 +187,8 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     print_narrowed(campaign.narrowed)
     print_error_rates(campaign.error_rate, campaign.scale)
     print_lots(campaign.released)
+    if answered and campaign.kind != "comparison":
+        print_failures(client.failures(campaign.id).items)
     if account is not None:
         print_accounting(account)
 

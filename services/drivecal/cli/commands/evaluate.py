@@ -12,7 +12,7 @@ from drivecal.cli.views import traces
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
-from drivecal.contracts.evaluation import Evaluation, TraceAnswer
+from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
 
@@ -89,7 +89,7 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
     return evaluation
 
 
-def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer:
+def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer | SeriesAnswer:
     """Returns the time series, for which the server simulates the evaluation again."""
     pauses = _pauses(
         timeout, f"the time series of evaluation {evaluation.id} are not there after {timeout or 0:g} s; ask again"

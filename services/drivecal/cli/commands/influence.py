@@ -55,7 +55,9 @@ def influence(
 def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
     """Prints a table per scenario, and the analysis behind the rows."""
     if not rows:
-        typer.echo("there are no rows: no influence map is in use (yet), or it lists nothing")
+        typer.echo(
+            "there are no rows: no influence map is in use (yet), or it lists nothing; `sensitivity: {}` asks for an analysis"
+        )
         return
     measured = any(row.s_rel_intervals is not None for row in rows)
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]

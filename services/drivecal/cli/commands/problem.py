@@ -62,19 +62,28 @@ def check(
         "size": len(archive),
         "files": list(files_of(archive)),
         "deterministic": manifest.simulator.deterministic,
+        "tools": None,
         "notes": list(notes),
         "parameters": None,
         "scenarios": [],
+        "warnings": [],
     }
     checked: list[CheckedScenario] = []
     if not offline:
-        from drivecal.local.problems import run_problem, trial_set  # the workers' code, for this command only
+        from drivecal.local.problems import (
+            ask_probe,
+            doubtful_ranges,
+            run_problem,
+            trial_set,
+        )  # the workers' code, for this command only
 
+        report["tools"] = ask_probe(manifest, archive)
         report["parameters"] = parameters = trial_set(manifest)
         for result in run_problem(manifest, archive, parameters):
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
+        report["warnings"] = doubtful_ranges(manifest, checked)
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
         print_json(report)
@@ -148,6 +157,8 @@ def _values(entry: Mapping[str, Any]) -> str:
 
 def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]) -> None:
     typer.echo(f"{report['name']}  {report['digest']}  ({len(report['files'])} files, {_size(report['size'])})")
+    if report["tools"] is not None:
+        typer.echo(f"probe     {' '.join(report['tools'].split())}")
     if report["parameters"] is not None:
         typer.echo(f"tried at  {_pairs(report['parameters'])}")
     ran = [result for result in checked if result.error is None]
@@ -165,6 +176,8 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
             for result in ran
         ]
         print_columns(["scenario", *scores, *measures, "failure", "same bits", "seconds"], rows)
+    for warning in report["warnings"]:
+        typer.echo(f"warning   {warning}")
 
 
 def _sentence(result: "CheckedScenario") -> str:

@@ -3,21 +3,25 @@
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, BinaryIO, Literal
+from typing import Annotated, Any, BinaryIO, Literal, cast, get_args
 
 import typer
 
+from drivecal.calibration_data.chosen import characteristics_of, quality_of
+from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id, tell
+from drivecal.cli.commands.calibration_data import NamesOption
 from drivecal.cli.views.output import print_json, print_solutions
 from drivecal.client.client import Client
+from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
-Format = Literal["csv", "parquet", "json"]
+Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
 
 
 @app.command()
@@ -50,13 +54,33 @@ def export(
     table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
     form: Annotated[Format, typer.Option("--format", help="In which format.")] = "csv",
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
+    row: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="One set for calibration tools: that of rank N of the solutions.")
+    ] = None,
+    names: NamesOption = None,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONDITION", help="Only such rows: COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER; can be given again."
+        ),
+    ] = None,
+    weights: Annotated[
+        str | None, typer.Option(metavar="S1=2,S2=1", help="Of the table solutions: ranked under these weights.")
+    ] = None,
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
-    """Write a whole table of a campaign to a file."""
+    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row)."""
     form = "json" if as_json else form
+    if weights is not None and table != "solutions":
+        raise typer.BadParameter("--weights needs --table solutions")
+    query = {name: value for name, value in (("where", where), ("weights", weights)) if value}
     with connect(url) as client:
-        pieces = _pieces(client, full_id(client, identifier), table, form)
+        campaign_id = full_id(client, identifier)
+        if form in {"dcm", "cdfx"} or row is not None or names is not None:
+            pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
+        else:
+            pieces = _pieces(client, campaign_id, table, form, query)
         if output == "-":
             if form == "parquet" and sys.stdout.isatty():
                 raise InvalidInputError(Problem("--output", "Parquet is no text for a terminal", "give -o FILE"))
@@ -71,12 +95,36 @@ def export(
     tell(f"{output}: {size:,} bytes")
 
 
-def _pieces(client: Client, identifier: str, table: TableName, form: Format) -> Iterator[bytes]:
-    if form != "json":
-        yield from client.table(identifier, table, form)
+def _calibration_file(
+    client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
+) -> bytes:
+    """Returns the set of a rank as a calibration file."""
+    if table != "solutions":
+        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions"))
+    if form not in get_args(CalibrationFormat):
+        raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
+    if "where" in query:
+        raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
+    setup = client.setup(identifier)
+    labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
+    chosen = next(
+        (item for item in client.solutions(identifier, query.get("weights"), limit=row).items if item.rank == row), None
+    )
+    if chosen is None:
+        raise InvalidInputError(
+            Problem("--row", f"the campaign has no set of rank {row}", "see drivecal solutions for those it has")
+        )
+    quality = quality_of(client.campaign(identifier), setup, chosen, client.robustness(identifier))
+    characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
+    return write(cast("CalibrationFormat", form), characteristics, quality)
+
+
+def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:
+    if form in ("csv", "parquet"):
+        yield from client.table(identifier, table, form, **query)
         return
     separator = "["
-    for row in client.rows(identifier, table):
+    for row in client.rows(identifier, table, **query):
         yield f"{separator}\n{json.dumps(row, ensure_ascii=False)}".encode()
         separator = ","
     yield b"\n]\n" if separator == "," else b"[]\n"

@@ -3,7 +3,7 @@
 import json
 import logging
 import os
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,6 +21,10 @@ def serve(
     host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="The port to listen on; 0 takes any free one.", min=0, max=65535)] = 8000,
     workers: Annotated[int | None, typer.Option(help="Simulations at a time; else DRIVECAL_WORKERS, else one per CPU.")] = None,
+    backend: Annotated[
+        Literal["ray", "processes"] | None,
+        typer.Option(help="What workers run on; else DRIVECAL_BACKEND, else Ray if it is installed."),
+    ] = None,
     ray_address: Annotated[
         str | None, typer.Option(help="A Ray cluster; else DRIVECAL_RAY_ADDRESS, else a local Ray is started.")
     ] = None,
@@ -42,7 +46,7 @@ def serve(
     from drivecal.configuration import logs  # half a second, for this command only
 
     settings = load_settings(
-        workers=workers, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
+        workers=workers, backend=backend, ray_address=ray_address, database_url=database_url, home=home, tokens_file=tokens_file
     )
     logs.configure("server", settings)
     try:

@@ -57,7 +57,7 @@ def validate(
 def _map_of(campaign: Campaign) -> dict[str, str]:
     link = campaign.links.get("influence_map")
     if link is None:
-        raise ConflictError(f"campaign {campaign.id} has no influence map to validate; name one that used a map")
+        raise ConflictError(f"campaign {campaign.id} has no influence map to validate; `--predicted` checks its predictions")
     return {"map": link.rpartition("/")[2]}
 
 

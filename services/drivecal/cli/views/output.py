@@ -86,7 +86,7 @@ def print_campaign(campaign: Campaign) -> None:
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
-        lines.append(("time", f"{duration(seconds.wall)}, of which the workers simulated {duration(seconds.simulating)}"))
+        lines.append(("time", f"{duration(seconds.wall)}; CPU time of the simulations {duration(seconds.simulating)}"))
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")

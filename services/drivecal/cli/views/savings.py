@@ -1,14 +1,15 @@
 """Savings below a campaign in `show` and `watch`: the self-check by scenario, and the balance of reuse."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import typer
 
 from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.report.rows import error_rates, released_lots, totals
+from drivecal.report.rows import FAILURES, LOTS_NOTE, error_rates, exceeds_limit, failure_causes, released_lots, totals
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) -> None:
@@ -31,11 +32,22 @@ def print_lots(released: Mapping[str, Released]) -> None:
     print_columns(
         ["scenario", "asked", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows
     )
+    if exceeds_limit(released):
+        typer.echo(LOTS_NOTE)
+
+
+def print_failures(causes: Sequence[FailureCause]) -> None:
+    """Prints a line per cause of failed cells; nothing without one."""
+    if not causes:
+        return
+    typer.echo("\nfailed cells by cause; `drivecal explain CAMPAIGN EXAMPLE` shows one")
+    print_columns(FAILURES, failure_causes(causes))
 
 
 def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
-    typer.echo("\nwhat was saved, in CPU time of the workers")
+    clock = "CPU time" if accounting.clock == "cpu" else "wall-clock time"
+    typer.echo(f"\nwhat was saved, in {clock} of the workers")
     lines = [
         *((f"{outcome} cells", seconds) for outcome, seconds in accounting.savings.items()),
         *((DEDUCTIONS.get(name, name), -seconds) for name, seconds in accounting.deductions.items()),
@@ -87,7 +99,7 @@ def pays_text(share: float) -> str:
     """Returns the meaning of `ExpectedRuns.break_even_share` for a coming campaign."""
     if share > 1:
         return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
-    return f"the analysis pays within this campaign if {share:.1%} of the requested cells are reused"
+    return f"the analysis pays within this campaign if its map answers {share:.1%} of the requested cells"
 
 
 def print_narrowed(narrowed: list[Narrowed] | None) -> None:

@@ -1,26 +1,27 @@
 """Time series as files."""
 
 import csv
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from drivecal.contracts.evaluation import TraceAnswer
+from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 
 SUFFIXES = (".csv", ".parquet", ".json")
 
 
-def columns_of(trace: TraceAnswer) -> dict[str, list[float]]:
-    """Returns columns with a value per step: time, ego vehicle, and neighbours with their names in front."""
+def columns_of(trace: TraceAnswer | SeriesAnswer) -> dict[str, list[float]]:
+    """Returns columns with a value per step: time, ego vehicle, and neighbours with their names in front; of a bundle all of its series."""
+    if isinstance(trace, SeriesAnswer):
+        return dict(trace.series)
     columns = {"time_s": trace.time_s, **trace.ego}
     for vehicle, series in trace.neighbours.items():
         columns |= {f"{vehicle}_{name}": values for name, values in series.items()}
     return columns
 
 
-def save(trace: TraceAnswer, file: Path) -> None:
+def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
     """Writes a table with a row per step (.csv, .parquet), or everything with plans and metrics (.json).
 
     Raises InvalidInputError if the file cannot be written.
@@ -30,10 +31,19 @@ def save(trace: TraceAnswer, file: Path) -> None:
         if file.suffix == ".json":
             file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
         elif file.suffix == ".parquet":
-            pq.write_table(pa.table(columns), file)
+            import pyarrow as pa  # not installed with the client alone
+            import pyarrow.parquet as pq
+
+            pq.write_table(pa.table(_filled(columns)), file)
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
-                csv.writer(out).writerows([columns, *zip(*columns.values(), strict=True)])
+                csv.writer(out).writerows([columns, *zip_longest(*columns.values())])
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInputError(Problem(str(file), f"it cannot be written: {reason}", "give another file")) from error
+
+
+def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
+    """Returns columns of one length: a simulator's series may have different lengths."""
+    longest = max(map(len, columns.values()), default=0)
+    return {name: [*values, *[None] * (longest - len(values))] for name, values in columns.items()}

@@ -259,6 +259,10 @@ class Scheduler:
         """Cells of `tag` without an answer."""
         return len(self._in_flight.of(tag))
 
+    def setups(self, tag: str) -> set[SetupKey]:
+        """Setups of the cells of `tag` without an answer."""
+        return {claim.simulation.key for claim in self._in_flight.of(tag)}
+
     def _suspects_for(self, worker: str, line: Line) -> ClaimGroup | None:
         return next(
             (group for (setup, avoid), group in line.suspects.items() if self._worker_health.may_try(worker, setup, avoid)),

@@ -36,7 +36,7 @@ def setting(findings: ReportData) -> list[str]:
             "" if parameter.unit == "1" else parameter.unit,
             ", ".join(parameter.choices) or parameter.lower,
             None if parameter.choices else parameter.upper,
-            parameter.n_values,
+            "any" if parameter.kind == "continuous" else parameter.n_values,
             "searched" if parameter.fixed is None else f"held at {value_text(parameter.fixed)}",
         ]
         for parameter in setup.parameters
@@ -46,7 +46,7 @@ def setting(findings: ReportData) -> list[str]:
         table(
             ["scenario", "", "weight", "step, s", "seed"], scenarios, "Scenarios, and their shares of the objective", wrap=True
         ),
-        table(["parameter", "unit", "lower", "upper", "values", ""], parameters, "Parameters on their grids"),
+        table(["parameter", "unit", "lower", "upper", "values", ""], parameters, "Parameters"),
         table(["stage", "settings"], stages, "Settings", wrap=True),
     ]
 

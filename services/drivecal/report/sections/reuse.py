@@ -1,9 +1,23 @@
 """Answers of the cells: outcomes, errors, savings."""
 
+from collections.abc import Sequence
+
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import OUTCOMES, Number, error_rates, percent, released_lots, totals
+from drivecal.report.rows import (
+    FAILURES,
+    LOTS_NOTE,
+    OUTCOMES,
+    Number,
+    error_rates,
+    exceeds_limit,
+    failure_causes,
+    percent,
+    released_lots,
+    totals,
+)
 from drivecal.report.sections.savings import seconds_of
 
 CHECKS = {"audited": "of simulated: audits", "sampled": "samples of predictions", "checked": "checks of certificates"}
@@ -50,7 +64,14 @@ def lots_table(campaign: Campaign) -> list[str]:
         "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
         "tolerance; limit: of the expected errors released, for each prediction in a lot. A set with a predicted score is not ranked"
     )
-    return [table(header, rows, caption)] if rows else []
+    note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []
+    return [table(header, rows, caption), *note] if rows else []
+
+
+def failures(causes: Sequence[FailureCause]) -> list[str]:
+    """Returns the table of causes of failed cells; nothing without one."""
+    caption = "Failed cells by cause. The example is a cell's number: drivecal explain CAMPAIGN EXAMPLE"
+    return [table(list(FAILURES), failure_causes(causes), caption)] if causes else []
 
 
 def proved(account: Accounting | None) -> tuple[int, ...]:
@@ -97,7 +118,9 @@ def accounting(account: Accounting | None) -> list[str]:
     if account is None:
         return []
     rows = [[item, Number(f"{round(seconds, 1) + 0.0:,.1f}")] for item, seconds in seconds_of(account)]
-    parts = [paragraph(account.sentence), table(["", "CPU seconds"], rows, "Cost accounting, in CPU time of the workers")]
+    clock = "CPU" if account.clock == "cpu" else "wall-clock"
+    caption = f"Cost accounting, in {clock} time of the workers"
+    parts = [paragraph(account.sentence), table(["", f"{clock} seconds"], rows, caption)]
     even = account.break_even
     if even is not None and even.requested_cells is None:
         parts.append(paragraph("Reuse saved nothing, so at this rate the influence map never pays."))

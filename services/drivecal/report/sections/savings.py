@@ -17,7 +17,7 @@ def by_scenario(account: Accounting) -> Iterator[Row]:
 
 
 def balance(account: Accounting) -> Iterator[Row]:
-    """Yields a header and a row per item, in CPU seconds of the workers: savings, costs, and the net."""
+    """Yields a header and a row per item, in seconds of the workers (`Accounting.clock`): savings, costs, and the net."""
     yield "item", "value", "unit"
     for item, seconds in seconds_of(account):
         yield item, seconds, "s"

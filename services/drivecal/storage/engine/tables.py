@@ -154,6 +154,7 @@ runs = Table(  # the reference table of the paper: simulated results, each (setu
     Column("iteration", Integer, nullable=False),
     Column("individual", Integer, nullable=False),
     Column("created_at", UtcDateTime, nullable=False),
+    Column("wall_milliseconds", Float),
     UniqueConstraint("setup_id", "parameter_set_id"),
     Index(None, "setup_id", "id"),
     sqlite_autoincrement=True,

@@ -65,7 +65,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
 
 
-_NOT_IN_ROWS = {"unrepeatable"}
+_NOT_IN_ROWS = {"unrepeatable", "unscored"}
 
 
 def check_ended(connection: Connection) -> Iterator[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import repeat
 from typing import Any
 
-from sqlalchemy import Connection, func, select, text
+from sqlalchemy import ColumnElement, Connection, case, func, select, text
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
@@ -20,6 +20,7 @@ class NewRun:
     """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from.
 
     `milliseconds`: CPU time of the run alone, without what certificates took; the evaluation's own `milliseconds` include it.
+    `wall_milliseconds`: wall-clock time on the worker, None for simulations that never wait.
     """
 
     setup_id: int
@@ -38,6 +39,7 @@ class NewRun:
     individual: int
     from_series: bool = False
     """The rating says what the evaluator saw in the time series, and does not follow from the metrics."""
+    wall_milliseconds: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,12 @@ class StoredRun:
     id: int
     evaluation_id: int
     agrees: bool
+
+
+def occupying() -> ColumnElement[float]:
+    """Time (ms) for which a run occupied its worker: CPU time, or wall-clock time if its simulator waited."""
+    wall = func.coalesce(runs.c.wall_milliseconds, runs.c.milliseconds)
+    return case((wall > runs.c.milliseconds, wall), else_=runs.c.milliseconds)
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
@@ -186,6 +194,7 @@ def _row(run: NewRun, created_at: Any) -> dict[str, Any]:
     return {name: getattr(run, name) for name in as_it_is} | {
         "metrics": dict(run.metrics),
         "milliseconds": float(run.milliseconds),
+        "wall_milliseconds": run.wall_milliseconds,
         "iteration": int(run.iteration),
         "individual": int(run.individual),
         "created_at": created_at,

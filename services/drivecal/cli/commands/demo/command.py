@@ -5,7 +5,6 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,9 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, tell
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
-from drivecal.cli.views.output import duration, print_cells, print_json, print_solutions, saved, self_check_text
+from drivecal.cli.views.output import duration, lots_text, print_cells, print_json, print_solutions, saved, self_check_text
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.client.client import Client
-from drivecal.client.documents import read_document
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import DrivecalError
@@ -73,17 +71,13 @@ def demo(as_json: JsonOption = False) -> None:
 
 
 def _first(client: Client, as_json: bool) -> Campaign:
-    with as_file(files("drivecal.cli.commands.demo") / "expert_map.yaml") as file:
-        known = client.post_influence_map(read_document(str(file)))
-    tell(f"told it where parameters cannot matter ({len(known.rows or [])} entries in influence map {known.id[:8]})")
-    specification = {**CAMPAIGN, "sensitivity": {"map": known.id}}
-    expected = client.expected_runs(specification)
+    expected = client.expected_runs(CAMPAIGN)
     optimizer = CAMPAIGN["optimizer"]
     tell(
         f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
         f"{expected.calibration_proposed:,} cells, of which the optimizer changes at most {expected.calibration_at_most:,}"
     )
-    campaign = _carried_out(client, client.submit(specification))
+    campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
         _print_comparison(campaign)
@@ -112,7 +106,8 @@ def _print_best(client: Client, campaign: Campaign, title: str) -> None:
 def _print_answers(checked: Campaign, title: str, **campaigns: Campaign) -> None:
     typer.echo(f"\n{title}:\n")
     print_cells([(name, campaign.cells) for name, campaign in campaigns.items()])
-    typer.echo(f"\nSelf-check: {self_check_text(checked) or 'no cell was audited'}.")
+    checks = [text for text in (self_check_text(checked), lots_text(checked)) if text]
+    typer.echo(f"\nSelf-check: {'; '.join(checks) or 'no reused cell was audited, and no lot of predictions inspected'}.")
 
 
 def _carried_out(client: Client, campaign: Campaign) -> Campaign:

@@ -10,6 +10,8 @@ export interface Axis {
   title: string;
   lower: number;
   upper: number;
+  /** Texts at the places 0, 1, 2 and so on. */
+  choices?: readonly string[];
 }
 
 /** Lines in one frame: adapted to what the browser can paint, so that nothing is ever held up by a hundred thousand of them. */
@@ -30,10 +32,10 @@ export function valueAt(axis: Axis, height: number): number {
   return axis.lower + Math.min(1, Math.max(0, share)) * (axis.upper - axis.lower);
 }
 
-/** A range of an axis with one of its ends moved by so many steps of a twentieth, within the axis. */
+/** A range of an axis with one of its ends moved by so many steps of a twentieth, or of a choice, within the axis. */
 export function moved(axis: Axis, range: readonly [number, number] | undefined, steps: number, end: "lower" | "upper"): [number, number] {
   const [low, high] = range ?? [axis.lower, axis.upper];
-  const by = (steps * (axis.upper - axis.lower)) / 20;
+  const by = axis.choices ? steps : (steps * (axis.upper - axis.lower)) / 20;
   const within = (value: number): number => Math.min(axis.upper, Math.max(axis.lower, value));
   if (end === "lower") return [Math.min(within(Math.max(low, axis.lower) + by), high), high];
   return [low, Math.max(low, within(Math.min(high, axis.upper) + by))];

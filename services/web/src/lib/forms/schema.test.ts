@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { changed, describe, differences, listText, others, written, writtenList, type Definitions } from "./schema";
+import { changed, describe, differences, listText, others, withDefault, written, writtenList, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -24,6 +24,14 @@ test("objects are described behind references and choices, and whether they may 
   const described = describe({ anyOf: [{ oneOf: [{ $ref: "#/components/schemas/Search" }, { $ref: "#/components/schemas/Map" }] }, { type: "null" }], default: { seed: 3 } }, DEFINITIONS);
   expect([described.kind, described.optional, Object.keys(described.schema.properties ?? {}), described.schema.default]).toEqual(["object", true, ["kind", "seed"], { seed: 3 }]);
   expect(describe({ $ref: "#/components/schemas/Search" }, DEFINITIONS).optional).toBe(false);
+});
+
+test("a default may depend on what else is wanted", () => {
+  const other = withDefault(DEFINITIONS, "Search", "kind", "random");
+  expect(describe(other["Search"]?.properties?.["kind"] ?? {}, other).schema.default).toBe("random");
+  expect(other["Search"]?.properties?.["seed"]).toEqual(DEFINITIONS["Search"]?.properties?.["seed"]);
+  expect(DEFINITIONS["Search"]?.properties?.["kind"]?.default).toBeUndefined();
+  expect(withDefault(DEFINITIONS, "Search", "none", 1)).toBe(DEFINITIONS);
 });
 
 test("what is written is JSON where it can be", () => {

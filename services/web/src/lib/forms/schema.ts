@@ -70,6 +70,13 @@ export function describe(given: Schema, definitions: Definitions): Described {
   return make("json", only);
 }
 
+/** The definitions with another default of one property, where it depends on what else is wanted. */
+export function withDefault(definitions: Definitions, model: string, property: string, value: unknown): Definitions {
+  const known = definitions[model];
+  if (!known?.properties?.[property]) return definitions;
+  return { ...definitions, [model]: { ...known, properties: { ...known.properties, [property]: { ...known.properties[property], default: value } } } };
+}
+
 /** Words and numbers as people write them, `100, 200`; JSON where it is any, for lists that hold more than that. */
 export function writtenList(text: string): unknown[] | Broken | undefined {
   if (text.trim() === "") return undefined;

@@ -1,6 +1,7 @@
 /** Answers of the server as views hold them. */
 
 import { messageOf } from "./api";
+import { reach } from "./reach.svelte";
 
 /** The last answer to a question, whether one is awaited, and why it failed. */
 export class Answer<T> {
@@ -24,9 +25,12 @@ export class Answer<T> {
   }
 }
 
-/** An answer that is asked for when a view opens, and again when anything changes that the question reads. */
+/** An answer that is asked for when a view opens, and again when anything changes that the question reads, or the server is back. */
 export function answerTo<T>(question: () => Promise<T> | null): Answer<T> {
   const answer = new Answer<T>();
-  $effect(() => void answer.take(question()));
+  $effect(() => {
+    void reach.returns;
+    void answer.take(question());
+  });
   return answer;
 }

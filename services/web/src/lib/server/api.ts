@@ -27,6 +27,18 @@ export function whenRefused(handler: () => void): void {
   refused = handler;
 }
 
+let heard: (answered: boolean) => void = () => undefined;
+
+/** What to do when the server answers, and when it cannot be reached. */
+export function whenHeard(handler: (answered: boolean) => void): void {
+  heard = handler;
+}
+
+/** Whether a request failed because the server cannot be reached. */
+export function isUnreached(error: unknown): boolean {
+  return error instanceof Refusal && error.status === 0;
+}
+
 /** Asks the server. Throws a Refusal for every error status; 401 asks for a token first. */
 export async function ask(path: string, options: RequestInit = {}, root = ROOT): Promise<Response> {
   let answer: Response;
@@ -34,8 +46,10 @@ export async function ask(path: string, options: RequestInit = {}, root = ROOT):
     answer = await fetch(root + path, { credentials: "same-origin", ...options });
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
+    heard(false);
     throw new Refusal(0, "The server cannot be reached.");
   }
+  heard(true);
   if (answer.ok || answer.status === 304) return answer;
   if (answer.status === 401) refused();
   throw await refusal(answer);

@@ -66,8 +66,14 @@ export function reconnect(): void {
 }
 
 function connect(): void {
-  if (socket !== null || followers.size === 0) return;
+  if (socket !== null) return;
   clearTimeout(timer);
+  if (followers.size === 0) {
+    // Nobody waits for it any more: what was lost is not missed.
+    state = "idle";
+    wasLost = false;
+    return;
+  }
   state = wasLost ? "lost" : "connecting";
   const opened = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${ROOT}/live`);
   socket = opened;

@@ -1,5 +1,7 @@
 /** Which rows of a table are wanted, and in which order. */
 
+import { chosen, positions } from "../charts/axes";
+import type { Axis } from "../charts/polylines";
 import type { Table } from "./columns";
 
 export interface Wanted {
@@ -7,6 +9,8 @@ export interface Wanted {
   words: Readonly<Record<string, readonly string[]>>;
   /** By column, the inclusive range; rows without a number are not in it. */
   ranges: Readonly<Record<string, readonly [number, number]>>;
+  /** Of texts, ranges are places among the choices of their axis. */
+  axes?: readonly Axis[];
 }
 
 export function select(table: Table, wanted: Wanted): Uint32Array {
@@ -20,13 +24,49 @@ export function select(table: Table, wanted: Wanted): Uint32Array {
     });
   }
   for (const [name, [low, high]] of Object.entries(wanted.ranges)) {
-    const column = table.columns[name];
-    if (column?.kind !== "number") continue;
-    column.values.forEach((value, row) => {
+    const axis = wanted.axes?.find((entry) => entry.name === name) ?? { name };
+    positions(table, axis).forEach((value, row) => {
       if (!(value >= low && value <= high)) kept[row] = 0;
     });
   }
   return numbered(table.length).filter((row) => kept[row] === 1);
+}
+
+/** The selection as conditions of the API, for files and commands. */
+export function conditions({ words, ranges, axes = [] }: Wanted): string[] {
+  const alternatives = Object.entries(words).flatMap(([name, values]) => values.map((value) => `${name}=${value}`));
+  const bounds = Object.entries(ranges).flatMap(([name, [low, high]]) => {
+    const axis = axes.find((entry) => entry.name === name && entry.choices);
+    if (axis) return (chosen(axis, [low, high]).length > 0 ? chosen(axis, [low, high]) : [""]).map((word) => `${name}=${word}`);
+    return [...(Number.isFinite(low) ? [`${name}>=${low}`] : []), ...(Number.isFinite(high) ? [`${name}<=${high}`] : [])];
+  });
+  return [...alternatives, ...bounds];
+}
+
+/** Which lines are drawn of many: the best share of the search. */
+export interface Share {
+  by: string;
+  /** 1 where more is better, else -1. */
+  sign: number;
+  share: number;
+  /** So many are drawn in any case. */
+  least: number;
+}
+
+/** The rows that are drawn, in their order: the best share of them by a column, of the search alone where other stages are among them. */
+export function drawn(table: Table, rows: Uint32Array, { by, sign, share, least }: Share): Uint32Array {
+  const column = table.columns[by];
+  if (share >= 1 || rows.length <= least || column?.kind !== "number") return rows;
+  const stages = table.columns["stage"];
+  const search = stages?.kind === "text" ? stages.words.indexOf("calibration") : -1;
+  const searched = search < 0 || stages?.kind !== "text" ? rows : rows.filter((row) => stages.codes[row] === search);
+  const known = (searched.length > 0 ? searched : rows).filter((row) => !Number.isNaN(column.values[row]));
+  const most = Math.max(least, Math.ceil(share * known.length));
+  // Sorting numbers is many times as fast as sorting rows by them: the worst value that is drawn decides.
+  const worth = Float64Array.from(known, (row) => sign * (column.values[row] as number));
+  const last = worth.slice().sort()[worth.length - most] ?? -Infinity;
+  let equals = most - worth.reduce((sum, value) => sum + Number(value > last), 0);
+  return known.filter((_, place) => (worth[place] as number) > last || (worth[place] === last && equals-- > 0));
 }
 
 /** The rows ordered by a column; those without a value come last, equal ones stay in their order. */
@@ -67,7 +107,7 @@ export function numbered(length: number): Uint32Array {
   return new Uint32Array(length).map((_, row) => row);
 }
 
-/** Rows by the size of a value: first those without one, then `count` equal parts from `lower` to `upper`, each in the order of the rows. */
+/** Rows by the size of a value: first those without one, then `count` equal parts from `lower` to `upper`, which may be less, each in the order of the rows. */
 export function binned(rows: Uint32Array, values: Float64Array | null, lower: number, upper: number, count: number): Uint32Array[] {
   const scale = count / (upper - lower || 1);
   const bins = Array.from({ length: count + 1 }, (): number[] => []);

@@ -12,7 +12,14 @@ test("a table can be had in three ways", () => {
   expect(shown.python).toContain('with Client("http://h:1") as client:\n    table = client.frame("0123456789abcdef", "evaluations").to_pandas()');
   const weighted = tableCommands("", "0123456789", "solutions", { weights: "S1=2" });
   expect(weighted.python).toContain('client.frame("0123456789", "solutions", weights="S1=2")');
-  expect(weighted.cli).toContain("--weights S1=2");
+  expect(weighted.cli).toBe("drivecal export 01234567 --table solutions --format csv --weights S1=2 -o solutions.csv");
+});
+
+test("what is selected is selected in every way", () => {
+  const shown = tableCommands("http://h:1", "0123456789abcdef", "evaluations", {}, ["outcome=reused", "P1>=0.5", "mode=it's"]);
+  expect(shown.cli).toContain(`--where outcome=reused --where 'P1>=0.5' --where 'mode=it'\\''s'`);
+  expect(shown.python).toContain('client.frame("0123456789abcdef", "evaluations", where=["outcome=reused", "P1>=0.5", "mode=it\'s"])');
+  expect(shown.curl).toContain("evaluations?where=outcome%3Dreused&where=P1%3E%3D0.5&where=mode%3Dit%27s&format=csv'");
 });
 
 test("a quote in a body does not end the shell's word", () => {

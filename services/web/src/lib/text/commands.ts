@@ -6,20 +6,25 @@ export interface Commands {
   curl: string;
 }
 
-/** A table of a campaign, whole. */
-export function tableCommands(origin: string, id: string, table: string, query: Record<string, string> = {}): Commands {
-  const full = new URLSearchParams({ ...query, format: "csv" }).toString();
-  const url = `${origin}/api/v1/campaigns/${id}/${table}`;
+/** The address of a table as a file; `where`: conditions on its rows. */
+export function tableFile(id: string, table: string, format: string, query: Readonly<Record<string, string>>, where: readonly string[]): string {
+  return `/api/v1/campaigns/${id}/${table}?${new URLSearchParams([...Object.entries(query), ...where.map((condition): [string, string] => ["where", condition]), ["format", format]])}`;
+}
+
+/** A table of a campaign: all rows that keep the conditions. */
+export function tableCommands(origin: string, id: string, table: string, query: Readonly<Record<string, string>> = {}, where: readonly string[] = []): Commands {
+  const arguments_ = [JSON.stringify(id), JSON.stringify(table), ...keywords(query), ...(where.length > 0 ? [`where=${pythonOf(where)}`] : [])];
+  const options = [...Object.entries(query).map(([name, value]) => `--${name} ${quoted(value)}`), ...where.map((condition) => `--where ${quoted(condition)}`)];
   return {
-    cli: cliOf(id, table, query),
-    python: clientPython(origin, `table = client.frame(${[JSON.stringify(id), JSON.stringify(table), ...keywords(query)].join(", ")}).to_pandas()`),
-    curl: `curl -s '${url}?${full}' -o ${table}.csv`,
+    cli: [`drivecal export ${id.slice(0, 8)} --table ${table} --format csv`, ...options, `-o ${table}.csv`].join(" "),
+    python: clientPython(origin, `table = client.frame(${arguments_.join(", ")}).to_pandas()`),
+    curl: `curl -s '${origin}${tableFile(id, table, "csv", query, where).replaceAll("'", "%27")}' -o ${table}.csv`,
   };
 }
 
-function cliOf(id: string, table: string, query: Record<string, string>): string {
-  if (table === "solutions" && query["weights"]) return `drivecal solutions ${id.slice(0, 8)} --weights ${query["weights"]}`;
-  return `drivecal export ${id.slice(0, 8)} --table ${table} --format csv -o ${table}.csv`;
+/** A word of a shell. */
+function quoted(text: string): string {
+  return /^[\w.,:/=-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
 /** A campaign, a rerun or a comparison to submit. */
@@ -37,7 +42,7 @@ export function clientPython(origin: string, call: string): string {
   return `from drivecal.client import Client\n\nwith Client("${origin}") as client:\n    ${call}`;
 }
 
-function keywords(query: Record<string, string>): string[] {
+function keywords(query: Readonly<Record<string, string>>): string[] {
   return Object.entries(query).map(([name, value]) => `${name}=${JSON.stringify(value)}`);
 }
 

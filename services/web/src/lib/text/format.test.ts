@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { ago, duration, number, percent, tolerated } from "./format";
+import { ago, duration, number, percent, scored, tolerated } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0)).toBe("0.0 %");
@@ -12,6 +12,14 @@ test("a part is never rounded to nothing, nor to the whole", () => {
 
 test("numbers have the decimals that they need", () => {
   expect([number(7), number(0.5), number(1 / 3), number(12_345), number(null), number(Number.NaN)]).toEqual(["7", "0.5", "0.333", "12,345", "–", "–"]);
+});
+
+test("small numbers keep their digits, and what rounding leaves is nothing", () => {
+  expect([number(0.000_43), number(-0.000_000_012), number(0.05), number(3e-17), number(0.1 + 0.2)]).toEqual(["0.00043", "-1.2e-8", "0.05", "0", "0.3"]);
+});
+
+test("a score has the unit of its scale, and points need none", () => {
+  expect([scored(2.5, { unit: "EUR" }), scored(5, { unit: "points" }), scored(null, { unit: "EUR" }), scored(1, { unit: "1" })]).toEqual(["2.5 EUR", "5", "–", "1"]);
 });
 
 describe("times", () => {

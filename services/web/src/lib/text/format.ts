@@ -6,12 +6,16 @@ export function count(value: number): string {
   return grouped.format(value);
 }
 
-/** A number with as many decimals as it needs, at most `digits`. */
+/** Smaller numbers than the ninth decimal are what rounding leaves: parameters have no more of them. */
+const NOTHING = 1e-9;
+
+/** A number with as many decimals as it needs, at most `digits`; small ones keep as many digits instead, that none becomes 0. */
 export function number(value: number | string | null | undefined, digits = 3): string {
   if (typeof value === "string") return value;
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (Number.isInteger(value)) return Math.abs(value) >= 10_000 ? grouped.format(value) : String(value);
-  return String(Number(value.toFixed(digits)));
+  const small = Math.abs(value) < 10 ** (1 - digits) && Math.abs(value) >= NOTHING;
+  return String(Number(small ? value.toPrecision(Math.max(1, digits - 1)) : value.toFixed(digits)));
 }
 
 /** A share as a percentage that never rounds something to nothing, or a part to all. */
@@ -44,6 +48,12 @@ export function ago(moment: string | null, now: number): string {
 
 export function clock(moment: string): string {
   return new Date(moment).toLocaleTimeString("en-GB");
+}
+
+/** A score with its unit; of points the unit goes without saying. */
+export function scored(value: number | null | undefined, scale: { unit: string }, digits = 3): string {
+  const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${scale.unit}`;
+  return number(value, digits) + unit;
 }
 
 /** The largest difference of scores that is no error, with its unit. */

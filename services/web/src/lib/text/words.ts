@@ -13,7 +13,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
   predicted: "predicted from simulated answers, and released with its lot after a sample of the lot was simulated; never a reference, never an optimum",
   certified: "answered by a stored run that this one provably repeats, bit for bit",
-  simulated: "driven in the simulation; a collision or a missed task is a result as well, with score 0",
+  simulated: "simulated; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
 
@@ -69,7 +69,7 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   if (campaign.kind === "comparison") return "Searching, several runs side by side.";
   if (stage === "sensitivity") return "Analysing the influence of the parameters.";
   if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
-  if (stage === "robustness") return "Driving the best sets in other vehicles.";
+  if (stage === "robustness") return "Simulating the best sets in other vehicles.";
   if (stage === "validation") return "Checking the influence map by simulation.";
   return "Running.";
 }

@@ -1,4 +1,4 @@
-"""One worker of the Ray backend as the coordinator sees it: what it does, until when, and how often it went wrong. No call of Ray."""
+"""A worker as the coordinator sees it: what it does, until when, and how often it went wrong. Pure but for the clock."""
 
 import time
 from collections import deque
@@ -9,7 +9,7 @@ from drivecal.cluster.members import Node
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import LONGEST_QUEUED, Lost
 
-CALLS_PER_ACTOR = 2
+CALLS_PER_WORKER = 2
 LONGEST_PAUSE = 30.0
 """Between two attempts to start a worker that does not start, s."""
 
@@ -28,14 +28,15 @@ class Call:
 
 
 @dataclass(slots=True)
-class Actor:
+class WorkerProcess:
     """State of one worker: its node, process, calls and record."""
 
     index: int
     home: Node | None = None
-    """Its node; None in a local Ray."""
+    """Its node of a cluster; None on this machine alone."""
     incarnation: int = 0
     handle: Any = None
+    """The backend's own hold on the process; None while there is none."""
     warming: Any = None
     """Reference to the call of `warm`; None once it has answered."""
     calls: deque[Call] = field(default_factory=deque)
@@ -43,7 +44,7 @@ class Actor:
     deadline: float = 0.0
     """Of the first call, or of the start."""
     died_at: float | None = None
-    """When its death was noticed, until it is known whether Ray as a whole has died."""
+    """When its death was noticed, until it is known whether the whole backend has died."""
     start_again_at: float = 0.0
     failed_starts: int = 0
     faults: int = 0
@@ -94,7 +95,7 @@ class Actor:
         if not self.calls:
             return True
         quick = all(call.expected <= LONGEST_QUEUED for call in self.calls)
-        return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_ACTOR
+        return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_WORKER
 
     def take(self, call: Call, *, alone: bool) -> None:
         """A further call."""

@@ -1,0 +1,194 @@
+"""A2L (ASAM MCD-2 MC, ASAP2): names, limits, units and resolutions of a control unit's scalar characteristics. It holds no values."""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from drivecal.calibration_data.characteristics import Characteristic, Content, decoded, refused, unit_of
+from drivecal.contracts.strict_json import shown
+
+_TOKEN = re.compile(
+    r"""\s+ | /\*.*?\*/ | //[^\n]*
+      | (?P<string>"(?:[^"\\]|\\.|"")*")
+      | (?P<word>(?:(?!/\*|//)[^\s"])+)
+      | (?P<other>.)""",
+    re.VERBOSE | re.DOTALL,
+)
+_ESCAPE = re.compile(r'\\(.)|""', re.DOTALL)
+_WHOLE = re.compile(r"U?(?:BYTE|WORD|LONG)|SBYTE|SWORD|SLONG|A_U?INT64")
+_IDENTICAL = "NO_COMPU_METHOD"
+
+
+@dataclass(frozen=True, slots=True)
+class _Token:
+    text: str
+    line: int
+    is_string: bool = False
+
+
+@dataclass(slots=True)
+class _Block:
+    """What stands between `/begin KIND` and `/end KIND`, without the blocks inside."""
+
+    kind: str
+    line: int
+    tokens: list[_Token] = field(default_factory=list)
+
+    def text(self, position: int) -> str:
+        return self.tokens[position].text if position < len(self.tokens) else ""
+
+    def after(self, keyword: str, first: int) -> list[str]:
+        """Returns the texts behind a keyword from position `first` on, empty if it is missing."""
+        for position in range(first, len(self.tokens)):
+            if self.tokens[position].text == keyword and not self.tokens[position].is_string:
+                return [token.text for token in self.tokens[position + 1 : position + 8]]
+        return []
+
+
+@dataclass(slots=True)
+class _Described:
+    """Blocks that describe values, by kind and name."""
+
+    blocks: dict[tuple[str, str], _Block] = field(default_factory=dict)
+
+    def get(self, kind: str, name: str) -> _Block | None:
+        return self.blocks.get((kind, name))
+
+
+def read(content: bytes, file: str) -> Content:
+    """Returns the characteristics of type VALUE. Raises InvalidInputError with the line of the first fault."""
+    described = _Described()
+    wanted: list[_Block] = []
+    result = Content()
+    for block in _blocks(decoded(content, file), file):
+        if block.kind == "CHARACTERISTIC":
+            if block.text(2) == "VALUE":
+                wanted.append(block)
+            else:
+                result.skipped.append(block.text(0))
+        elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "RECORD_LAYOUT"}:
+            described.blocks[block.kind, block.text(0)] = block
+    names: set[str] = set()
+    for block in wanted:
+        characteristic = _characteristic(block, described, file)
+        result.add(file, characteristic, names)
+        names.add(characteristic.name)
+    return result
+
+
+def _tokens(text: str, file: str) -> Iterator[_Token]:
+    line = 1
+    for match in _TOKEN.finditer(text):
+        kind, token = match.lastgroup, match.group()
+        if kind == "word":
+            yield _Token(token, line)
+        elif kind == "string":
+            yield _Token(_ESCAPE.sub(lambda part: part[1] or '"', token[1:-1]), line, is_string=True)
+        elif kind == "other":
+            raise refused(file, line, "a string has no end", "close it by a double quote")
+        line += token.count("\n")
+
+
+def _blocks(text: str, file: str) -> Iterator[_Block]:
+    """Yields all blocks, each when it ends."""
+    is_a2l = False
+    open_blocks: list[_Block] = []
+    tokens = _tokens(text, file)
+    for token in tokens:
+        if token.is_string or token.text not in {"/begin", "/end", "/include"}:
+            if open_blocks:
+                open_blocks[-1].tokens.append(token)
+            continue
+        name = next(tokens, _Token("", token.line))
+        if token.text == "/include":
+            raise refused(file, token.line, f"it includes {shown(name.text)}", "export it as one file")
+        if token.text == "/begin":
+            is_a2l = is_a2l or name.text == "PROJECT"
+            open_blocks.append(_Block(name.text, token.line))
+        elif not open_blocks or open_blocks[-1].kind != name.text:
+            expected = f"of {open_blocks[-1].kind} (line {open_blocks[-1].line})" if open_blocks else "of no block"
+            raise refused(file, token.line, f"/end {shown(name.text)} stands at the end {expected}", "correct the file")
+        else:
+            yield open_blocks.pop()
+    if open_blocks:
+        raise refused(file, open_blocks[-1].line, f"{shown(open_blocks[-1].kind)} has no /end", "complete the file")
+    if not is_a2l:
+        raise refused(file, 1, "it has no /begin PROJECT", "give an A2L file")
+
+
+def _characteristic(block: _Block, described: _Described, file: str) -> Characteristic:
+    """Reads: name, description, type, address, deposit, largest difference, conversion, lower and upper limit, then optional fields."""
+    if len(block.tokens) < 9:
+        raise refused(file, block.line, f"the characteristic {shown(block.text(0))} is incomplete", "export the file again")
+    name = block.text(0)
+    lower, upper = _number(block, 7, file), _number(block, 8, file)
+    conversion = block.text(6)
+    method = described.get("COMPU_METHOD", conversion)
+    if method is None and conversion != _IDENTICAL:
+        raise refused(file, block.tokens[6].line, f"there is no COMPU_METHOD {shown(conversion)}", "export the file again")
+    layout = described.get("RECORD_LAYOUT", block.text(4))
+    is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after("FNC_VALUES", 1)[1:2])
+    unit = next(iter(block.after("PHYS_UNIT", 9)), method.text(4) if method else "")
+    choices = _choices(method, described, lower, upper)
+    resolution = _resolution(method) if is_whole else None
+    given = [float(text) for text in block.after("STEP_SIZE", 9)[:1] if _is_number(text)]
+    step = given[0] if given and given[0] > 0 else resolution
+    return Characteristic(
+        name,
+        unit=unit_of(unit),
+        description=" ".join(block.text(1).split()),
+        lower=lower,
+        upper=upper,
+        step=None if choices or (step == 1.0 and is_whole) else step,
+        integer=not choices and is_whole and step == 1.0,
+        choices=choices,
+        line=block.line,
+    )
+
+
+def _choices(method: _Block | None, described: _Described, lower: float, upper: float) -> tuple[str, ...]:
+    """Returns the texts of an enumeration's values within the limits."""
+    table = None if method is None else described.get("COMPU_VTAB", next(iter(method.after("COMPU_TAB_REF", 5)), ""))
+    if table is None:
+        return ()
+    pairs = zip(table.tokens[4::2], table.tokens[5::2], strict=False)
+    texts = [
+        text.text for value, text in pairs if text.is_string and _is_number(value.text) and lower <= float(value.text) <= upper
+    ]
+    return tuple(dict.fromkeys(texts))
+
+
+def _resolution(method: _Block | None) -> float | None:
+    """Returns the physical step of one unit of a whole number: 1 if stored as it is, None if the conversion is not linear."""
+    if method is None or method.text(2) == "IDENTICAL":
+        return 1.0
+    if method.text(2) == "LINEAR":
+        slope = _numbers(method.after("COEFFS_LINEAR", 5)[:2])
+        return abs(slope[0]) or None if slope else None
+    if method.text(2) == "RAT_FUNC":  # stored = (a x^2 + b x + c) / (d x^2 + e x + f)
+        factors = _numbers(method.after("COEFFS", 5)[:6])
+        if len(factors) < 6:
+            return None
+        a, b, _, d, e, f = factors
+        return abs(f / b) if a == d == e == 0 and b != 0 and f != 0 else None
+    return None
+
+
+def _numbers(texts: Sequence[str]) -> list[float]:
+    """Returns numbers, none if one of them is none."""
+    return [float(text) for text in texts] if all(map(_is_number, texts)) else []
+
+
+def _number(block: _Block, position: int, file: str) -> float:
+    token = block.tokens[position]
+    if not _is_number(token.text):
+        raise refused(file, token.line, f"{shown(token.text)} is no number", f"correct the limit of {shown(block.text(0))}")
+    return float(token.text)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

@@ -1,0 +1,141 @@
+"""The `parameters` and `baseline` sections of a problem, from characteristics of files."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+
+LARGEST = 1e6
+"""Largest number that a parameter of drivecal may have."""
+MOST_PARAMETERS = 200
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
+
+
+@dataclass(slots=True)
+class Sections:
+    """`parameters` and `baseline`, ready for `problem.yaml`. `guessed`: parameters whose range is only a span around their value."""
+
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    baseline: dict[str, float | str] = field(default_factory=dict)
+    guessed: list[str] = field(default_factory=list)
+
+
+def joined(files: Iterable[Sequence[Characteristic]]) -> list[Characteristic]:
+    """Returns the characteristics of several files by name: what a later file does not say, an earlier one may, e.g. limits of an A2L for
+    the values of a DCM."""
+    result: dict[str, Characteristic] = {}
+    for characteristics in files:
+        for new in characteristics:
+            known = result.get(new.name)
+            result[new.name] = new if known is None else _joined(known, new)
+    return list(result.values())
+
+
+def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
+    return replace(
+        known,
+        value=known.value if new.value is None else new.value,
+        unit=known.unit if new.unit == "1" else new.unit,
+        description=new.description or known.description,
+        lower=known.lower if new.lower is None else new.lower,
+        upper=known.upper if new.upper is None else new.upper,
+        step=new.step or known.step,
+        integer=new.integer or known.integer,
+        choices=new.choices or known.choices,
+    )
+
+
+def chosen_by(characteristics: Sequence[Characteristic], patterns: Sequence[str]) -> list[Characteristic]:
+    """Returns the characteristics whose names match one of the `patterns` (`ACC_*`), all without patterns."""
+    result = [
+        characteristic
+        for characteristic in characteristics
+        if not patterns or any(fnmatchcase(characteristic.name, pattern) for pattern in patterns)
+    ]
+    if not result:
+        names = [characteristic.name for characteristic in characteristics]
+        remedy = nearest(patterns[0], names) if patterns and names else "give a file with scalar characteristics"
+        raise InvalidInputError(Problem("--match", "no characteristic is left", remedy))
+    if len(result) > MOST_PARAMETERS:
+        message = f"{len(result):,} characteristics are more than the {MOST_PARAMETERS} parameters of a problem"
+        raise InvalidInputError(Problem("--match", message, "choose some by their names, e.g. --match 'ACC_*'"))
+    return result
+
+
+def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, str], span: float) -> Sections:
+    """Returns the sections. `names`: parameters by label, for labels that cannot be names of drivecal; `span`: half the width of a range
+    that no file gives, as a share of the value. Raises InvalidInputError with all characteristics that cannot be parameters."""
+    result, problems = Sections(), []
+    for characteristic in characteristics:
+        name = names.get(characteristic.name, characteristic.name)
+        if not _NAME.fullmatch(name):
+            message = f"{shown(name)} cannot be the name of a parameter"
+            problems.append(Problem(shown(characteristic.name), message, "bind it to another name by --names"))
+        elif name in result.parameters:
+            problems.append(Problem(shown(name), "two characteristics have this name", "change the file of --names"))
+        else:
+            try:
+                result.parameters[name] = _entry(characteristic, span, name, result.guessed)
+            except InvalidInputError as error:
+                problems += error.problems
+            if characteristic.value is not None:
+                result.baseline[name] = _value(characteristic)
+    if problems:
+        raise InvalidInputError(*problems)
+    return result
+
+
+def _value(characteristic: Characteristic) -> float | str:
+    if isinstance(characteristic.value, float) and characteristic.integer:
+        return round(characteristic.value)
+    return characteristic.value if characteristic.value is not None else ""
+
+
+def _entry(characteristic: Characteristic, span: float, name: str, guessed: list[str]) -> dict[str, Any]:
+    entry: dict[str, Any] = {}
+    if characteristic.choices or isinstance(characteristic.value, str):
+        if len(characteristic.choices) < 2:
+            message = "it is a text, and no file says what others there are"
+            raise InvalidInputError(Problem(name, message, "give an A2L with its enumeration, or leave it out by --match"))
+        entry["choices"] = list(characteristic.choices)
+    else:
+        lower, upper = characteristic.lower, characteristic.upper
+        if lower is None or upper is None or not -LARGEST <= lower < upper <= LARGEST:
+            if characteristic.value is None:
+                message = "it has neither a usable range nor a value"
+                raise InvalidInputError(
+                    Problem(name, message, "give a DCM or CDFX with its value, too, or leave it out by --match")
+                )
+            reach = span * abs(characteristic.value) or span
+            lower, upper = characteristic.value - reach, characteristic.value + reach
+            guessed.append(name)
+        entry |= {"lower": _short(lower), "upper": _short(upper)}
+        if characteristic.integer:
+            entry |= {"lower": int(lower), "upper": int(upper), "integer": True}
+        elif characteristic.step is not None and name not in guessed:
+            entry |= _grid(lower, upper, characteristic.step)
+    if characteristic.unit != "1":
+        entry["unit"] = characteristic.unit[:32]
+    if characteristic.description:
+        entry["description"] = characteristic.description[:1000]
+    return entry
+
+
+def _grid(lower: float, upper: float, step: float) -> dict[str, float]:
+    """Returns `step`, and the upper end as the last step within the limits; nothing if there is no such grid with nine decimals."""
+    count = math.floor((upper - lower) / step + 1e-9)
+    if count < 1 or _short(step) != step:
+        return {}
+    return {"upper": _short(lower + count * step), "step": step}
+
+
+def _short(value: float) -> float:
+    """Rounds to the nine decimals that a parameter has."""
+    return round(value, 9)

@@ -1,0 +1,82 @@
+"""Causes of failed cells: why runs have no result, which failures simulations report, and why scores have no value."""
+
+import re
+from collections.abc import Iterable
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.resolve.bundle_bench import BundleBench
+from drivecal.campaigns.resolve.bundle_source import bundles_of
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.specification import HIGHWAY
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import evaluations
+from drivecal.storage.campaigns import StoredCampaign
+
+MOST_GROUPS = 10_000
+"""Groups of equal words, and runs with the worst score, that are looked at."""
+MOST_CAUSES = 100
+_VARYING = re.compile(r"/\S*drivecal-\S+|0x[0-9a-fA-F]+|\d+(\.\d+)?([eE][-+]?\d+)?")
+
+
+def causes_of(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:
+    """Returns the causes of a campaign's failed cells, frequent ones first."""
+    causes = [*_reported(connection, campaign.sequence), *_undefined(connection, campaign)]
+    return sorted(_merged(causes), key=lambda cause: (-cause.cells, cause.example))[:MOST_CAUSES]
+
+
+def broken_down(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
+    """Returns the causes of cells without a result, frequent ones first."""
+    causes = [cause for cause in _reported(connection, campaign_sequence) if cause.kind == "no_result"]
+    return sorted(_merged(causes), key=lambda cause: (-cause.cells, cause.example))
+
+
+def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCause]:
+    return [
+        FailureCause(
+            kind="no_result" if group.outcome is Outcome.FAILED else "failed",
+            cause=group.failure,
+            detail=group.detail,
+            scenarios=[group.scenario],
+            cells=group.cells,
+            example=group.example,
+        )
+        for group in evaluations.failed_cells(connection, campaign_sequence, MOST_GROUPS)
+    ]
+
+
+def _undefined(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:
+    """Rates the runs with the worth of a failed run again, because only the formula knows which of them have no value."""
+    spec = campaign.spec
+    if campaign.resolution is None or spec.get("problem", HIGHWAY) == HIGHWAY:
+        return []
+    begun_with = resolved_spec(campaign)
+    bench = BundleBench(bundles_of(connection)(spec["problem"]), tuple(begun_with.setups), begun_with.scale.name)
+    rated = (
+        (run, bench.rate(run.scenario, run.metrics, None))
+        for run in evaluations.scored(connection, campaign.sequence, begun_with.scale.failed, MOST_GROUPS)
+    )
+    return [
+        FailureCause(kind="unscored", cause=rating.undefined, scenarios=[run.scenario], cells=run.cells, example=run.example)
+        for run, rating in rated
+        if rating is not None and rating.undefined is not None
+    ]
+
+
+def _merged(causes: Iterable[FailureCause]) -> list[FailureCause]:
+    """Joins causes whose words differ in numbers and temporary paths only."""
+    merged: dict[tuple[str, str, str | None], FailureCause] = {}
+    for cause in sorted(causes, key=lambda cause: cause.example):
+        key = (cause.kind, _plain(cause.cause) or "", _plain(cause.detail))
+        first = merged.get(key)
+        if first is None:
+            merged[key] = cause
+        else:
+            scenarios = list(dict.fromkeys([*first.scenarios, *cause.scenarios]))
+            merged[key] = first.model_copy(update={"cells": first.cells + cause.cells, "scenarios": scenarios})
+    return list(merged.values())
+
+
+def _plain(words: str | None) -> str | None:
+    return None if words is None else _VARYING.sub("#", words)

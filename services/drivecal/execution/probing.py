@@ -1,0 +1,124 @@
+"""Asks workers for the versions of tools outside of bundles (`probe`), and notes workers whose answers differ from a campaign's. Pure."""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field, replace
+
+from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey
+
+PATIENCE_WITH_ANSWERS = 60.0
+"""Seconds without an agreeing worker after which a campaign is hopeless. A worker that refuses is replaced after half of it, and then runs
+the probe again."""
+ASK_AGAIN_SECONDS = 10.0
+"""Pause after every worker failed to run a probe."""
+
+
+@dataclass(slots=True)
+class _Question:
+    request: BundleRequest
+    answer: str | None = None
+    batch: int | None = None
+    """The batch that asks, at a worker now."""
+    refusals: dict[str, str] = field(default_factory=dict)
+    """Reasons of workers that gave no answer."""
+    not_before: float = 0.0
+
+
+class Questions:
+    """Probes that campaigns wait for, by tag. Each is run by one worker, and by another if that one fails."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._open: dict[str, _Question] = {}
+        self._last = 0
+
+    def ask(self, request: BundleRequest, tag: str) -> str | None:
+        """Returns the answer once a worker has given it, and forgets it; None until then."""
+        question = self._open.setdefault(tag, _Question(request))
+        if question.answer is not None:
+            del self._open[tag]
+        return question.answer
+
+    def forget(self, tag: str) -> None:
+        """Drops the question of a campaign."""
+        self._open.pop(tag, None)
+
+    def batch_for(self, worker: str, ready: Collection[str]) -> tuple[int, Batch] | None:
+        """Returns a question to send to a worker with a free slot, with its number: negative, as no other batch's is."""
+        for question in self._open.values():
+            if question.answer is not None or question.batch is not None or self._clock() < question.not_before:
+                continue
+            if not set(ready) - question.refusals.keys():  # each has failed: from the start, after a pause
+                question.refusals.clear()
+                question.not_before = self._clock() + ASK_AGAIN_SECONDS
+            elif worker not in question.refusals:
+                self._last -= 1
+                question.batch = self._last
+                return self._last, Batch(replace(question.request, tools=None), ())
+        return None
+
+    def answered(self, batch_id: int, result: BatchResult) -> None:
+        """Takes an answer, or the reason for a missing one."""
+        for question in self._sent(batch_id):
+            question.answer = result.tools
+            if result.tools is None:
+                question.refusals[result.worker] = result.refusal or "it gave no answer"
+
+    def lost(self, batch_id: int, worker: str, detail: str) -> None:
+        """Notes that a worker was lost while it was asked."""
+        for question in self._sent(batch_id):
+            question.refusals[worker] = detail
+
+    def trouble(self) -> str | None:
+        """Returns why a campaign cannot start, or None."""
+        for question in self._open.values():
+            for worker, reason in question.refusals.items():
+                return f"{worker} cannot run the probe of {question.request.problem}: {reason}"
+        return None
+
+    def _sent(self, batch_id: int) -> Iterator[_Question]:
+        for question in self._open.values():
+            if question.batch == batch_id:
+                question.batch = None
+                yield question
+
+
+@dataclass(slots=True)
+class _Dispute:
+    since: float
+    refusals: dict[str, str]
+    """Reasons of the workers that answer otherwise."""
+
+
+class Disputes:
+    """Setups that workers refuse because their tools have other versions than the campaign began with."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._open: dict[SetupKey, _Dispute] = {}
+
+    @property
+    def are_open(self) -> bool:
+        """Whether there is any."""
+        return bool(self._open)
+
+    def forget(self, setups: Collection[SetupKey]) -> None:
+        """Drops setups that a campaign no longer waits for."""
+        for setup in setups:
+            self._open.pop(setup, None)
+
+    def note(self, setup: SetupKey, result: BatchResult) -> None:
+        """Takes the result of a batch: a refusal by a worker with other tools, or proof that a worker agrees."""
+        if result.refusal is None:
+            self._open.pop(setup, None)
+        elif result.tools is not None:
+            dispute = self._open.setdefault(setup, _Dispute(self._clock(), {}))
+            dispute.refusals[result.worker] = result.refusal
+
+    def hopeless(self, setups: Collection[SetupKey], ready: Collection[str]) -> str | None:
+        """Returns the reason why none of the workers will run one of these setups, or None."""
+        for setup in self._open.keys() & set(setups):
+            dispute = self._open[setup]
+            agreeing = set(ready) - dispute.refusals.keys()
+            if ready and not agreeing and self._clock() >= dispute.since + PATIENCE_WITH_ANSWERS:
+                return next(dispute.refusals[worker] for worker in ready)
+        return None

@@ -1,0 +1,22 @@
+"""What goes between a coordinator and the process of a worker."""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCall:
+    """A call of a method of `drivecal.runtime.worker.Worker`. Number 0 wants no answer."""
+
+    number: int
+    method: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteAnswer:
+    """The value of a call, or the description of its error."""
+
+    number: int
+    value: Any
+    error: str | None = None

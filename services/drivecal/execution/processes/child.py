@@ -1,0 +1,55 @@
+"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR NAME CERTIFICATES_MB`."""
+
+import contextlib
+import ctypes
+import os
+import queue
+import signal
+import sys
+import threading
+from multiprocessing.connection import Connection
+
+from drivecal.domain.errors import DrivecalError
+from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
+from drivecal.runtime.worker import Worker, describe
+
+_PR_SET_PDEATHSIG = 1
+
+
+def main() -> int:
+    """Serves calls until the other end of the connection is closed."""
+    descriptor, name, certificates_mb = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    os.set_inheritable(descriptor, False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
+    with contextlib.suppress(OSError, AttributeError):  # macOS has none; there the end of the connection ends this process
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    connection = Connection(descriptor)
+    calls: queue.SimpleQueue[RemoteCall] = queue.SimpleQueue()
+    threading.Thread(target=_receive, args=(connection, calls), name="calls", daemon=True).start()
+    worker = Worker(name, certificates_mb=certificates_mb or None)
+    while True:
+        call = calls.get()
+        answer = _answer(worker, call)
+        if call.number:
+            connection.send(answer)
+
+
+def _receive(connection: Connection, calls: "queue.SimpleQueue[RemoteCall]") -> None:
+    """Takes calls off the connection at once, so that their sender never waits for a busy worker."""
+    try:
+        while True:
+            calls.put(connection.recv())
+    except (EOFError, OSError):
+        os._exit(0)  # the coordinator is gone
+
+
+def _answer(worker: Worker, call: RemoteCall) -> RemoteAnswer:
+    try:
+        return RemoteAnswer(call.number, getattr(worker, call.method)(*call.arguments))
+    except (Exception, SystemExit) as error:  # noqa: BLE001  # whatever it is, the worker answers
+        return RemoteAnswer(call.number, None, str(error) if isinstance(error, DrivecalError) else describe(error))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

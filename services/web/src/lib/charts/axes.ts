@@ -1,0 +1,96 @@
+/** Axes and colours of parallel coordinates, for parameters of every kind and scores of every scale. */
+
+import { extent, type Table } from "../server/columns";
+import type { Scale } from "../server/types";
+import type { Axis } from "./polylines";
+
+/** A parameter as a campaign's setup describes it; bounds of a choice are positions in `choices`. */
+export interface Ranged {
+  name: string;
+  unit: string;
+  lower: number;
+  upper: number;
+  kind?: string;
+  choices?: readonly string[];
+}
+
+/** A column whose lines are coloured, from its worst value to its best. */
+export interface Colouring {
+  name: string;
+  worst: number;
+  best: number;
+}
+
+/** A quantity with its unit; the unit 1 is not worth a word. */
+export function titled(name: string, unit: string | null | undefined): string {
+  return unit && unit !== "1" ? `${name} / ${unit}` : name;
+}
+
+/** The parameter that a column holds: names that the table itself uses have a prefix. */
+export function parameterOf<T extends { name: string }>(column: string, parameters: readonly T[]): T | undefined {
+  return parameters.find(({ name }) => name === column) ?? parameters.find(({ name }) => `parameter_${name}` === column);
+}
+
+/** An axis for each column of a parameter. Texts stand in the order of the parameter's choices, then of the alphabet. */
+export function parameterAxes(table: Table, columns: readonly string[], parameters: readonly Ranged[]): Axis[] {
+  return columns.flatMap((name): Axis[] => {
+    const column = table.columns[name];
+    if (column === undefined) return [];
+    const known = parameterOf(name, parameters);
+    const title = known ? titled(known.name, known.unit) : name;
+    if (column.kind === "text") {
+      const listed = known?.choices ?? [];
+      const choices = [...listed, ...column.words.filter((word) => !listed.includes(word)).sort()];
+      return [{ name, title, lower: 0, upper: Math.max(1, choices.length - 1), choices }];
+    }
+    if (known && !known.choices?.length) return [{ name, title, lower: known.lower, upper: known.upper }];
+    const [lower, upper] = extent(table, name) ?? [0, 1];
+    return [{ name, title, lower, upper }];
+  });
+}
+
+/** The axis of a score: its usual range, and what lies beyond. */
+export function scoreAxis(table: Table, name: string, scale: Scale): Axis {
+  const seen = extent(table, name) ?? [scale.lower, scale.upper];
+  return { name, title: titled(name, unitOf(scale)), lower: Math.min(scale.lower, seen[0]), upper: Math.max(scale.upper, seen[1]) };
+}
+
+/** Unit of a score; points are what scores are counted in anyway. */
+function unitOf(scale: Scale): string {
+  return scale.unit === "points" ? "1" : scale.unit;
+}
+
+export function isMinimised(scale: Pick<Scale, "direction">): boolean {
+  return scale.direction === "minimise";
+}
+
+/** The colours of a column of scores over a range of them: by default the scale's usual one. */
+export function colouring(name: string, scale: Scale, range: readonly [number, number] = [scale.lower, scale.upper]): Colouring {
+  const [low, high] = range;
+  return isMinimised(scale) ? { name, worst: high, best: low } : { name, worst: low, best: high };
+}
+
+/** The values of a column along its axis: texts by their place among the choices, NaN where there is none. */
+export function positions(table: Table, axis: Pick<Axis, "name" | "choices">): Float64Array {
+  const column = table.columns[axis.name];
+  if (column === undefined) return new Float64Array(0);
+  if (column.kind === "number") return column.values;
+  const places = column.words.map((word) => axis.choices?.indexOf(word) ?? -1);
+  return Float64Array.from(column.codes, (code) => {
+    const place = places[code] ?? -1;
+    return place < 0 ? Number.NaN : place;
+  });
+}
+
+/** The choices within a range of their positions. */
+export function chosen(axis: Pick<Axis, "choices">, [low, high]: readonly [number, number]): string[] {
+  return (axis.choices ?? []).filter((_, place) => place >= low && place <= high);
+}
+
+const MOST_TICKS = 12;
+
+/** The choices that are written beside their axis, with their places: of many, some. */
+export function marks(choices: readonly string[]): [number, string][] {
+  const every = Math.ceil(choices.length / MOST_TICKS);
+  return choices.map((word, place): [number, string] => [place, word.length > 12 ? `${word.slice(0, 11)}…` : word]).filter(([place]) => place % every === 0);
+}

@@ -1,0 +1,51 @@
+/** Charts of the time series that a simulator reports, whatever they are. */
+
+import { SERIES } from "./palette";
+import type { Series } from "./plot";
+
+export type Reported = Readonly<Record<string, readonly number[]>>;
+
+export interface SeriesChart {
+  title: string;
+  xTitle: string;
+  yTitle: string;
+  x: readonly number[];
+  series: Series[];
+}
+
+const TIMES = ["time", "time_s", "t", "t_s"];
+/** Series of one unit share a chart unless the smaller of them would be a flat line on it. */
+const FLAT = 6;
+const MOST_LINES = 6;
+
+/** The series over which the others are drawn: a time that never goes back. Null where there is none. */
+export function timeOf(series: Reported): string | null {
+  return TIMES.find((name) => {
+    const values = series[name];
+    return values !== undefined && values.length > 1 && values.every((value, at) => at === 0 || value >= (values[at - 1] as number));
+  }) ?? null;
+}
+
+/** Charts of all series in their order; series that have not the length of the time are drawn by their steps. */
+export function chartsOf(series: Reported, units: Readonly<Record<string, string>>): SeriesChart[] {
+  const time = timeOf(series);
+  const times = time === null ? [] : (series[time] ?? []);
+  const groups: { unit: string; timed: boolean; size: number; names: string[] }[] = [];
+  for (const [name, values] of Object.entries(series)) {
+    if (name === time || values.length === 0) continue;
+    const unit = units[name] ?? "1";
+    const timed = time !== null && values.length === times.length;
+    const size = values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+    const fits = (other: number): boolean => size <= FLAT * other && other <= FLAT * size;
+    const group = groups.find((entry) => unit !== "1" && entry.unit === unit && entry.timed === timed && entry.names.length < MOST_LINES && fits(entry.size) && (timed || series[entry.names[0] ?? ""]?.length === values.length));
+    if (group) group.names.push(name);
+    else groups.push({ unit, timed, size, names: [name] });
+  }
+  return groups.map(({ unit, timed, names }) => ({
+    title: names.map((name) => name.replaceAll("_", " ")).join(", "),
+    xTitle: timed && time !== null ? `time / ${units[time] ?? "s"}` : "step",
+    yTitle: unit === "1" ? "" : unit,
+    x: timed ? times : (series[names[0] ?? ""] ?? []).map((_, at) => at),
+    series: names.map((name, at) => ({ name: name.replaceAll("_", " "), values: series[name] ?? [], colour: SERIES[at] ?? "", ...(at % 2 === 1 ? { dash: "6 3" } : {}) })),
+  }));
+}

@@ -1,0 +1,34 @@
+/** The section `optimizer` of a form: the settings of the chosen optimizer, as its plug-in declares them. */
+
+import type { OptimizerAnswer } from "../server/types";
+import type { Shape } from "../server/shape";
+import { changed, type Schema } from "./schema";
+
+type Settings = Readonly<Record<string, unknown>>;
+
+/** The names of optimizers that can search a problem. */
+export function suiting(optimizers: readonly OptimizerAnswer[], shape: Shape | null): string[] {
+  const needed = shape === null ? [] : [...new Set([...shape.parameters.map((parameter) => String(parameter.kind)), ...(shape.constraints.length > 0 ? ["constraints"] : [])])];
+  return optimizers.filter(({ supports }) => needed.every((ability) => supports.includes(ability))).map(({ name }) => name);
+}
+
+/** The schema of the section for the chosen optimizer; that of all optimizers where it declares none. */
+export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[], settings: unknown): Schema {
+  const kind = kindOf(settings);
+  const own = optimizers.find(({ name }) => name === kind)?.settings as Schema | undefined;
+  if (own?.properties === undefined) return general;
+  const section: Schema = { ...own, description: own.description ?? "", properties: { ...own.properties, kind: { type: "string", default: kind } } };
+  return { anyOf: [section, { type: "null" }], default: general.default };
+}
+
+/** The section with another value: settings of an optimizer that is not chosen any more are left out. */
+export function withSettings(optimizers: readonly OptimizerAnswer[], before: unknown, after: unknown): unknown {
+  if (typeof after !== "object" || after === null || kindOf(before) === kindOf(after)) return after;
+  const own = optimizers.find(({ name }) => name === kindOf(after))?.settings as Schema | undefined;
+  if (own?.properties === undefined) return after;
+  return Object.keys(after).filter((name) => name !== "kind" && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
+}
+
+function kindOf(settings: unknown): string {
+  return String((settings as Settings | null | undefined)?.["kind"] ?? "genetic");
+}

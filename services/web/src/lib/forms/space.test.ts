@@ -1,0 +1,53 @@
+import { expect, test } from "vitest";
+import type { Shape, ShapeParameter } from "../server/shape";
+import { parameterRows, scenarioRows, withBaseline, withFixed, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
+
+const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", meaning: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
+const SHAPE: Shape = {
+  name: "heater", digest: "d", description: "", simulator: "command", constraints: [],
+  parameters: [
+    parameter("gain", { unit: "W/K" }), parameter("stage", { kind: "grid", lower: 0.5, upper: 2.5, step: 0.5 }),
+    parameter("rooms", { kind: "integer", lower: 1, upper: 6 }), parameter("mode", { kind: "choice", lower: 0, upper: 2, choices: ["eco", "normal", "boost"] }),
+  ],
+  baseline: { gain: 0.5, stage: 1, rooms: 3, mode: "normal" },
+  scenarios: [{ id: "winter", title: "" }, { id: "spring", title: "" }],
+  scores: [],
+};
+
+test("a range is written only where it differs, and then with all parameters as they are", () => {
+  const narrow = withRange(SHAPE, {}, "gain", { upper: 1 });
+  expect(narrow["parameters"]).toEqual([
+    { name: "gain", lower: 0, upper: 1, unit: "W/K" }, { name: "stage", lower: 0.5, upper: 2.5, step: 0.5, unit: "1" },
+    { name: "rooms", lower: 1, upper: 6, integer: true, unit: "1" }, { name: "mode", choices: ["eco", "normal", "boost"], unit: "1" },
+  ]);
+  expect(parameterRows(SHAPE, narrow)[0]).toMatchObject({ lower: 0, upper: 1, baseline: 0.5 });
+  expect(withRange(SHAPE, narrow, "gain", { upper: 2 })).toEqual({});
+  const eco = withRange(SHAPE, {}, "mode", { choices: ["eco", "boost"] });
+  expect(parameterRows(SHAPE, eco)[3]?.choices).toEqual(["eco", "boost"]);
+  expect(withRange(SHAPE, eco, "mode", { choices: ["eco", "normal", "boost"] })).toEqual({});
+  expect(parameterRows(SHAPE, withRange(SHAPE, {}, "gain", { upper: undefined }))[0]?.upper).toBeUndefined();
+});
+
+test("values are held and taken back, and the baseline stays whole", () => {
+  const held = withFixed(withFixed({}, "mode", "eco"), "gain", 1);
+  expect(held).toEqual({ fixed: { mode: "eco", gain: 1 } });
+  expect(withFixed(withFixed(held, "gain", undefined), "mode", undefined)).toEqual({});
+  const compared = withBaseline(SHAPE, {}, "rooms", 4);
+  expect(compared).toEqual({ baseline: { gain: 0.5, stage: 1, rooms: 4, mode: "normal" } });
+  expect(withBaseline(SHAPE, compared, "rooms", 3)).toEqual({});
+});
+
+test("scenarios and weights are written where they differ, and one scenario is always left", () => {
+  const winter = withScenario(SHAPE, withWeight({}, "spring", 3), "spring", false);
+  expect(winter).toEqual({ catalogue: ["winter"] });
+  expect(scenarioRows(SHAPE, winter).map((row) => row.used)).toEqual([true, false]);
+  expect(withScenario(SHAPE, winter, "winter", false)).toEqual(winter);
+  expect(withScenario(SHAPE, winter, "spring", true)).toEqual({});
+  expect(withWeight(withWeight({}, "winter", 0), "winter", 1)).toEqual({});
+});
+
+test("another problem begins without what belonged to the one before", () => {
+  const before: Wanted = { name: "a", problem: "x", weights: { S1: 2 }, fixed: { P1: 1 }, optimizer: { kind: "genetic", population: 20, start_sets: [{}] } };
+  expect(withProblem(before, "heater")).toEqual({ name: "a", problem: "heater", optimizer: { kind: "genetic", population: 20 } });
+  expect(withProblem(before, undefined)).toEqual({ name: "a", optimizer: { kind: "genetic", population: 20 } });
+});

@@ -1,0 +1,111 @@
+/** Scenarios and parameters of a campaign as a form shows them: read from the specification, and written into it only where they differ from the problem's own. */
+
+import type { Shape, ShapeParameter } from "../server/shape";
+
+export type Wanted = Readonly<Record<string, unknown>>;
+export type Value = number | string;
+
+export interface ParameterRow {
+  parameter: ShapeParameter;
+  lower: number | undefined;
+  upper: number | undefined;
+  step: number | undefined;
+  choices: readonly string[];
+  fixed: Value | undefined;
+  baseline: Value | undefined;
+}
+
+export interface ScenarioRow {
+  id: string;
+  title: string;
+  used: boolean;
+  weight: number;
+}
+
+type Range = Pick<ParameterRow, "lower" | "upper" | "step" | "choices">;
+
+function mapOf(value: unknown): Record<string, Value> {
+  return typeof value === "object" && value !== null && !Array.isArray(value) ? (value as Record<string, Value>) : {};
+}
+
+function ownRange({ lower, upper, step, choices }: ShapeParameter): Range {
+  return { lower, upper, step: step ?? undefined, choices };
+}
+
+export function parameterRows(shape: Shape, wanted: Wanted): ParameterRow[] {
+  const listed = Array.isArray(wanted["parameters"]) ? (wanted["parameters"] as Record<string, unknown>[]) : [];
+  const fixed = mapOf(wanted["fixed"]);
+  const baseline = mapOf(wanted["baseline"] ?? shape.baseline);
+  return shape.parameters.map((parameter) => {
+    const entry = listed.find((candidate) => candidate["name"] === parameter.name);
+    const known = (name: string): number | undefined => (typeof entry?.[name] === "number" ? entry[name] : undefined);
+    const range = entry ? { lower: known("lower"), upper: known("upper"), step: known("step"), choices: (entry["choices"] as string[] | undefined) ?? parameter.choices } : ownRange(parameter);
+    return { parameter, ...range, fixed: fixed[parameter.name], baseline: baseline[parameter.name] };
+  });
+}
+
+/** The specification with another range of a parameter. All parameters are listed as soon as one of them differs. */
+export function withRange(shape: Shape, wanted: Wanted, name: string, changes: Partial<Range>): Wanted {
+  const rows = parameterRows(shape, wanted).map((row) => (row.parameter.name === name ? { ...row, ...changes } : row));
+  const same = ({ parameter, lower, upper, step, choices }: ParameterRow): boolean =>
+    JSON.stringify(ownRange(parameter)) === JSON.stringify({ lower, upper, step, choices: choices.length > 0 ? choices : parameter.choices }) || (parameter.kind === "choice" && choices.length === parameter.choices.length);
+  return put(wanted, "parameters", rows.every(same) ? undefined : rows.map(entryOf));
+}
+
+function entryOf({ parameter: { name, kind, unit }, lower, upper, step, choices }: ParameterRow): Record<string, unknown> {
+  if (kind === "choice") return { name, choices, unit };
+  return { name, lower, upper, ...(kind === "integer" ? { integer: true } : step === undefined ? {} : { step }), unit };
+}
+
+export function withFixed(wanted: Wanted, name: string, value: Value | undefined): Wanted {
+  return put(wanted, "fixed", filled(mapOf(wanted["fixed"]), name, value));
+}
+
+/** The specification with another value of the baseline; the other values stay those of the problem's own. */
+export function withBaseline(shape: Shape, wanted: Wanted, name: string, value: Value | undefined): Wanted {
+  const baseline = filled(mapOf(wanted["baseline"] ?? shape.baseline), name, value);
+  return put(wanted, "baseline", JSON.stringify(baseline) === JSON.stringify(shape.baseline ?? undefined) ? undefined : baseline);
+}
+
+export function scenarioRows(shape: Shape, wanted: Wanted): ScenarioRow[] {
+  const listed = Array.isArray(wanted["catalogue"]) ? (wanted["catalogue"] as string[]) : null;
+  const weights = mapOf(wanted["weights"]);
+  return shape.scenarios.map(({ id, title }) => ({ id, title, used: listed?.includes(id) ?? true, weight: Number(weights[id] ?? 1) }));
+}
+
+/** The specification with a scenario more or less; the last one stays. */
+export function withScenario(shape: Shape, wanted: Wanted, id: string, used: boolean): Wanted {
+  const rows = scenarioRows(shape, wanted).map((row) => (row.id === id ? { ...row, used } : row));
+  const left = rows.filter((row) => row.used).map((row) => row.id);
+  if (left.length === 0) return wanted;
+  const catalogue = typeof wanted["catalogue"] === "string" ? wanted["catalogue"] : undefined;
+  const listed = put(wanted, "catalogue", left.length === rows.length ? catalogue : left);
+  return used ? listed : withWeight(listed, id, 1);
+}
+
+export function withWeight(wanted: Wanted, id: string, weight: number): Wanted {
+  return put(wanted, "weights", filled(mapOf(wanted["weights"]), id, weight === 1 ? undefined : weight));
+}
+
+/** The parts of a specification that belong to a problem: another one begins without them. */
+const OF_A_PROBLEM = ["catalogue", "parameters", "fixed", "baseline", "weights", "evaluator", "driving_function", "vehicle", "robustness"];
+
+export function withProblem(wanted: Wanted, problem: string | undefined): Wanted {
+  const left = Object.fromEntries(Object.entries(wanted).filter(([name]) => !OF_A_PROBLEM.includes(name)));
+  const optimizer = mapOf(left["optimizer"]) as Record<string, unknown>;
+  if (optimizer["start_sets"] !== undefined) left["optimizer"] = Object.fromEntries(Object.entries(optimizer).filter(([name]) => name !== "start_sets"));
+  return put(left, "problem", problem);
+}
+
+function filled(values: Readonly<Record<string, Value>>, name: string, value: Value | undefined): Record<string, Value> | undefined {
+  const made: Record<string, Value> = { ...values };
+  if (value === undefined) delete made[name];
+  else made[name] = value;
+  return Object.keys(made).length > 0 ? made : undefined;
+}
+
+function put(wanted: Wanted, name: string, value: unknown): Wanted {
+  const made: Record<string, unknown> = { ...wanted, [name]: value };
+  if (value === undefined) delete made[name];
+  return made;
+}

@@ -1,0 +1,26 @@
+/** Whether the server can be reached. While it cannot, it is asked for again and again; views read anew what they missed when it is back. */
+
+import { ask, whenHeard } from "./api";
+
+const WAIT_MILLISECONDS = 1_000;
+
+let lost = $state(false);
+let returns = $state(0);
+let timer: ReturnType<typeof setTimeout> | undefined;
+
+export const reach = {
+  get lost(): boolean {
+    return lost;
+  },
+  /** How often it came back: what reads this in an effect runs again then. */
+  get returns(): number {
+    return returns;
+  },
+};
+
+whenHeard((answered) => {
+  clearTimeout(timer);
+  if (answered && lost) returns += 1;
+  lost = !answered;
+  if (lost) timer = setTimeout(() => void ask("/healthz", { cache: "no-store" }, "").catch(() => undefined), WAIT_MILLISECONDS);
+});

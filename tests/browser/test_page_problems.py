@@ -1,0 +1,186 @@
+"""The page for a problem of a user's own: other parameters, another scale, other time series, and no road."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+from tests.browser.conftest import Opening, barriers
+from tests.support.computed import ComputedBackend
+from tests.support.problems import MANIFEST, heated, push
+from tests.support.runs import run, submit, working
+from tests.support.server import RunningApi, serving
+
+from drivecal.storage import results
+from drivecal.storage.campaigns import StoredCampaign
+
+SPEC: dict[str, Any] = {
+    "problem": "heater",
+    "catalogue": "highway",
+    "parameters": "highway",
+    "sensitivity": {"intervals": 3, "samples": 6, "threshold": "auto"},
+    "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
+    "reduction": {"mode": "exact"},
+}
+TABS = ("overview", "ranking", "evaluations", "curves", "influence", "savings", "trust")
+
+
+@dataclass(frozen=True)
+class Heated:
+    """A server with a campaign on a pushed problem that has ended."""
+
+    api: RunningApi
+    campaign: StoredCampaign
+
+    def at(self, *path: str) -> str:
+        return f"{self.api.url}/#/campaigns/{'/'.join([self.campaign.id, *path])}"
+
+
+@pytest.fixture(scope="module")
+def heater(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Heated]:
+    folder = tmp_path_factory.mktemp("heater")
+    with serving(f"sqlite:///{folder / 'drivecal.db'}", home=str(folder / "home")) as api:
+        push(api.database, folder / "problem")
+        yield Heated(api, run(api.database, submit(api.database, **SPEC), ComputedBackend(answer=heated)))
+
+
+def column(page: Page, name: str) -> list[str]:
+    """The first values of a column as they are shown."""
+    heads = [text.rstrip(" ↑↓") for text in page.get_by_role("columnheader").all_inner_texts()]
+    rows = page.get_by_role("row").all()[1:8]
+    return [row.get_by_role("gridcell").nth(heads.index(name)).inner_text() for row in rows]
+
+
+@pytest.mark.parametrize("small", [False, True], ids=["desktop", "dark-phone"])
+def test_every_view_of_another_problem_can_be_used_by_everybody(heater: Heated, opening: Opening, *, small: bool) -> None:
+    page = opening(f"{heater.api.url}/", dark=small, phone=small, expected=("409",))
+    broken: dict[str, Any] = {}
+    for address in [heater.at(tab) for tab in TABS]:
+        page.goto(address)
+        expect(page.locator("main h1")).to_be_visible()
+        broken[address] = barriers(page, contrast_alone=small)
+        expect(page.get_by_role("main")).not_to_contain_text(re.compile(r"NaN|undefined|\bdriv(e|en|ing)\b"))
+    assert {address: rules for address, rules in broken.items() if rules} == {}
+
+
+def test_pushed_problems_are_listed_with_what_they_are(heater: Heated, opening: Opening) -> None:
+    page = opening(f"{heater.api.url}/#/problems")
+    row = page.get_by_role("table", name="Problems").get_by_role("row", name="heater")
+    for text in ("4", "2", "command", "cost / EUR, 0 to 100, less is better", "just now"):
+        expect(row).to_contain_text(text)
+    expect(page.get_by_role("table", name="Problems").get_by_role("row", name="highway")).to_contain_text("11")
+    assert barriers(page) == []
+    page.get_by_role("link", name="heater", exact=True).click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("heater")
+    parameters = page.get_by_role("table", name="Parameters")
+    expect(parameters.get_by_role("row", name="mode")).to_contain_text("eco, normal, boost")
+    expect(parameters.get_by_role("row", name="gain")).to_contain_text("Power for each degree below the set point")
+    expect(page.get_by_role("table", name="Scores").get_by_role("row", name="cost")).to_contain_text(
+        "10*energy_kwh + 5*discomfort"
+    )
+    expect(page.get_by_role("table", name="Scenarios").get_by_role("row", name="winter")).to_contain_text("outside -10")
+    expect(page.get_by_text("gain <= 2*stage")).to_be_visible()
+    assert barriers(page) == []
+    page.goto(heater.at())
+    page.get_by_role("link", name=heater.campaign.spec["problem"][:8]).click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("heater")
+
+
+def test_a_choice_has_an_axis_with_its_words_and_can_be_brushed(heater: Heated, opening: Opening) -> None:
+    page = opening(heater.at("evaluations"))
+    plot = page.get_by_role("group", name="Parallel coordinates")
+    for word in ("eco", "normal", "boost"):
+        expect(plot.get_by_text(word, exact=True)).to_be_visible()
+    expect(plot.get_by_text("gain / W/K")).to_be_visible()
+    expect(plot.get_by_text("score / EUR")).to_be_visible()
+    mode = page.get_by_role("slider", name="Range of mode")
+    mode.press("ArrowDown")
+    expect(mode).to_have_attribute("aria-valuetext", "eco, normal")
+    expect(page.get_by_role("group", name="Range of mode", exact=True)).to_contain_text("eco, normal")
+    assert set(column(page, "mode")) <= {"eco", "normal"}
+
+
+def test_less_is_better_where_the_score_says_so(heater: Heated, opening: Opening) -> None:
+    page = opening(heater.at("ranking"))
+    expect(page.get_by_text("less is better")).to_be_visible()
+    objective = page.get_by_role("columnheader", name="objective").get_by_role("button")
+    objective.click()
+    best = column(page, "objective")
+    assert heater.campaign.best is not None
+    assert best == sorted(best, key=float)
+    assert float(best[0]) == round(heater.campaign.best.objective, 4)
+    objective.click()
+    assert float(column(page, "objective")[0]) > float(best[0])
+
+
+def test_a_failed_run_is_shown_as_failed(heater: Heated, opening: Opening) -> None:
+    page = opening(f"{heater.at('evaluations')}?failure=frozen")
+    expect(page.get_by_role("gridcell", name="✕ 120").first).to_be_visible()
+    assert set(column(page, "failure")) == {"frozen"}
+
+
+def test_an_evaluation_has_its_measures_and_the_series_of_its_simulator(heater: Heated, opening: Opening) -> None:
+    with heater.api.database.read() as connection:
+        rows, _ = results.page(connection, heater.campaign.sequence, limit=5)
+    page = opening(f"{heater.api.url}/#/evaluations/{rows[0].id}")
+    expect(page.get_by_text("Waiting for a worker")).to_be_visible()
+    with working(heater.api.database, ComputedBackend(answer=heated)):
+        expect(page.get_by_role("img", name="room, wanted: °C over time / s")).to_be_visible()
+        expect(page.get_by_role("img", name="power: kW over time / s")).to_be_visible()
+    row = page.get_by_role("table", name="Measures of the run").get_by_role("row", name="energy kwh")
+    expect(row).to_contain_text("kWh")
+    expect(page.get_by_role("heading", level=1)).to_contain_text(rows[0].scenario)
+    expect(page.get_by_text("Top view of the road")).to_have_count(0)
+    expect(page.get_by_text(MANIFEST["scores"]["cost"]["unit"]).first).to_be_visible()
+    assert barriers(page) == []
+
+
+def test_an_evaluation_without_declared_series_is_not_simulated_again(
+    opening: Opening, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("silent")
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        push(api.database, folder / "problem", series={})
+        run(api.database, submit(api.database, **SPEC | {"sensitivity": None}), ComputedBackend(answer=heated))
+        page = opening(f"{api.url}/#/evaluations/1")
+        expect(page.get_by_text("declares no time series")).to_be_visible()
+        assert api.http.get("/api/v1/campaigns").json()["items"][0]["kind"] == "calibration"
+
+
+def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, opening: Opening) -> None:
+    page = opening(f"{heater.api.url}/#/problems", expected=("422",))
+    page.get_by_role("link", name="New campaign on heater").click()
+    expect(page.get_by_label("score")).to_contain_text("cost / EUR, 0 to 100, less is better")
+    page.get_by_role("button", name="quick").click()
+    page.get_by_label("population").fill("12")
+    page.get_by_label("iterations").fill("2")
+    page.get_by_label("mutation").fill("0.2")
+    expect(page.get_by_text("for 48 proposed cells")).to_be_visible()
+    page.get_by_role("checkbox", name="spring").uncheck()
+    page.get_by_label("Weight of winter").fill("2")
+    page.get_by_label("gain from").fill("3")
+    page.get_by_label("gain from").blur()
+    expect(page.get_by_role("group", name="Parameters")).to_contain_text("gain upper")
+    expect(page.get_by_role("button", name="Start it")).to_be_disabled()
+    page.get_by_label("gain from").fill("0.25")
+    page.get_by_label("rooms held at").fill("3")
+    page.get_by_role("checkbox", name="mode boost").uncheck()
+    page.get_by_label("stage baseline").fill("1.5")
+    page.get_by_label("stage baseline").blur()
+    expect(page.get_by_text("for 24 proposed cells")).to_be_visible()
+    assert barriers(page) == []
+    page.get_by_role("button", name="Start it").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("campaign")
+    stored = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
+    assert (stored["problem"], stored["catalogue"], stored["weights"]) == ("heater", ["winter"], {"winter": 2})
+    assert (stored["fixed"], stored["baseline"]["stage"], stored["baseline"]["mode"]) == ({"rooms": 3}, 1.5, "normal")
+    ranges = {entry["name"]: entry for entry in stored["parameters"]}
+    assert (ranges["gain"]["lower"], ranges["gain"]["upper"], ranges["gain"]["step"]) == (0.25, 2, None)
+    assert (ranges["rooms"]["integer"], ranges["mode"]["choices"]) == (True, ["eco", "normal"])
+    assert stored["optimizer"]["mutation"] == 0.2
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Really cancel").click()

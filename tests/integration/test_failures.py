@@ -1,0 +1,181 @@
+"""Failed cells of a user's problem: their causes with counts, scores without a value, and campaigns in which everything fails."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+import yaml
+from tests.support.computed import ComputedBackend
+
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.bundles.archives import content_digest
+from drivecal.bundles.checks import checked
+from drivecal.campaigns.results.failures import causes_of
+from drivecal.campaigns.stages.stage import ALL_FAILED
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage import campaigns, events
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance.invariants import check_counters
+from drivecal.storage.problems import bundles
+
+LIMITS = Limits.of(load_settings())
+MANIFEST: dict[str, Any] = {
+    "problem": "mine",
+    "parameters": {"x": {"lower": 0, "upper": 1}},
+    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"y": "1"},
+    "scores": {"cost": {"formula": "1/max(y, 0)", "direction": "minimise", "range": [0, 10]}},
+}
+SPEC: dict[str, Any] = {
+    "problem": "mine",
+    "sensitivity": None,
+    "optimizer": {"kind": "random", "population": 40, "iterations": 2, "seed": 1},
+    "reduction": {"mode": "exact"},
+}
+
+
+@dataclass
+class Simulated:
+    """Answers of a simulator: cells with x below `broken` have no result, above `undefined` a negative y, above `collides` a failure."""
+
+    broken: float = 0.0
+    undefined: float = 2.0
+    collides: float = 2.0
+    runs: int = field(default=0)
+
+    def __call__(self, scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        self.runs += 1
+        x = float(cell.parameters["x"])
+        if x < self.broken:
+            detail = f"it ended with exit code 3; its last messages: no licence after {x:.3f} s"
+            return CellResult(cell.id, None, None, {}, None, 7.0, "crash", detail, contained=True)
+        if x > self.collides:
+            return CellResult(cell.id, None, None, {}, "collision", 7.0)
+        return CellResult(cell.id, None, None, {"y": -1.0 if x > self.undefined else 1 + x}, None, 7.0)
+
+
+@pytest.fixture(autouse=True)
+def _pushed(database: Database) -> None:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST))
+    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
+    with database.transaction() as connection:
+        bundles.add(connection, digest=content_digest(archived), name="mine", manifest=manifest, archive=archived)
+
+
+def submit(database: Database, **changes: Any) -> StoredCampaign:
+    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
+
+
+def dispatcher(database: Database, simulated: Simulated) -> Dispatcher:
+    ticks = iter(range(10**9))
+    own = database.fenced(Leadership.begin(database).fence)
+    backend = ComputedBackend(answer=simulated)
+    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+
+
+def run(database: Database, campaign: StoredCampaign, simulated: Simulated) -> StoredCampaign:
+    running = dispatcher(database, simulated)
+    for _ in range(5_000):
+        running.step()
+        with database.read() as connection:
+            now = campaigns.get(connection, campaign.id)
+        if now.state.ended:
+            return now
+    raise AssertionError("the campaign did not end")
+
+
+def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:
+    with database.read() as connection:
+        return causes_of(connection, campaigns.get(connection, campaign.id))
+
+
+def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> None:
+    ended = run(database, submit(database), Simulated(broken=0.2, undefined=0.6, collides=0.8))
+    assert ended.state is CampaignState.SUCCEEDED
+    found = {(cause.kind, cause.cause): cause for cause in causes(database, ended)}
+    assert {kind for kind, _ in found} == {"no_result", "failed", "unscored"}
+    assert len(found) == 3
+    crash = found["no_result", "crash"]
+    assert crash.cells == ended.cells.failed > 1
+    assert "no licence" in (crash.detail or "")
+    assert set(crash.scenarios) == {"city", "road"}
+    [undefined] = [cause for cause in found.values() if cause.kind == "unscored"]
+    assert "division by zero" in undefined.cause
+    assert undefined.cells == ended.cells.unscored > 1
+    assert sum(cause.cells for cause in found.values()) < ended.cells.requested
+    with database.read() as connection:
+        assert list(check_counters(connection)) == []
+
+
+def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:
+    campaign = submit(database)
+    ended = run(database, campaign, Simulated(undefined=0.5))
+    assert any(f"{ended.cells.unscored}" in note and "no value" in note for note in ended.notes)
+    with database.read() as connection:
+        told = [
+            event for event in events.since(connection, campaign.sequence, 0, 1_000) if "division by zero" in str(event.data)
+        ]
+    assert len(told) == 1
+    again = run(database, submit(database), Simulated())
+    assert (again.cells.unscored, again.cells.simulated) == (0, 0), "only simulations count"
+    assert [cause.kind for cause in causes(database, again)] == ["unscored"], "the causes are those of all cells"
+
+
+def test_a_campaign_without_failures_has_no_cause(database: Database) -> None:
+    assert causes(database, run(database, submit(database), Simulated())) == []
+
+
+@pytest.mark.parametrize("sensitivity", [None, {"intervals": 4, "samples": 8, "threshold": 0.02}])
+def test_a_campaign_in_which_everything_fails_ends_early_with_the_cause(
+    database: Database, sensitivity: dict[str, Any] | None
+) -> None:
+    optimizer = {"kind": "random", "population": 400, "iterations": 5, "seed": 1}
+    simulated = Simulated(broken=2.0)
+    ended = run(database, submit(database, optimizer=optimizer, sensitivity=sensitivity), simulated)
+    assert ended.state is CampaignState.FAILED
+    assert "no licence" in (ended.error or "")
+    assert "crash" in (ended.error or "")
+    assert simulated.runs < 3 * 800, "each cell of the first generation would be tried three times"
+
+
+def test_the_end_is_the_same_after_a_kill_between_the_results_and_the_end(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = submit(database, optimizer={"kind": "random", "population": 100, "iterations": 2, "seed": 1})
+    with monkeypatch.context() as patch:  # the process that stores the results dies before it can end the campaign
+        patch.setattr("drivecal.campaigns.stages.stage.CampaignStage._refuse_failures", lambda _: None)
+        running = dispatcher(database, Simulated(broken=2.0))
+        for _ in range(2_000):
+            running.step()
+            with database.read() as connection:
+                if campaigns.get(connection, campaign.id).cells.failed >= ALL_FAILED:
+                    break
+    later = Simulated(broken=2.0)
+    ended = run(database, campaign, later)
+    assert ended.state is CampaignState.FAILED
+    assert "no licence" in (ended.error or "")
+    assert later.runs == 0
+
+
+def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
+    ended = run(database, submit(database), Simulated(broken=0.7))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.cells.failed > ALL_FAILED

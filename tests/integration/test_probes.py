@@ -1,0 +1,181 @@
+"""Versions of tools outside of a bundle belong to its results: campaigns, evaluations, comparisons and restarts."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from typing import Any
+
+import pytest
+import yaml
+from tests.support.fake_backend import FakeBackend
+
+from drivecal.api import submission
+from drivecal.api.comparison_submission import submit as submit_comparison
+from drivecal.api.dependencies import Limits
+from drivecal.bundles.archives import content_digest
+from drivecal.bundles.checks import checked
+from drivecal.campaigns.cells.tracing import request_trace
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.problems import bundles
+
+LIMITS = Limits.of(load_settings())
+MANIFEST: dict[str, Any] = {
+    "problem": "mine",
+    "parameters": {"value": {"lower": 0, "upper": 100}},
+    "simulator": {
+        "kind": "command",
+        "command": ["sh", "-c", "{parameters} {results}"],
+        "probe": ["mysim", "--version"],
+        "deterministic": True,
+    },
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"value": "1"},
+    "series": {"v": "1"},
+    "scores": {"best": {"formula": "value", "direction": "maximise", "range": [0, 100]}},
+}
+SPEC: dict[str, Any] = {
+    "problem": "mine",
+    "sensitivity": None,
+    "optimizer": {"kind": "random", "population": 10, "iterations": 2, "seed": 1},
+    "reduction": {"mode": "exact"},
+}
+CELLS = 26
+"""That such a campaign requests."""
+
+
+@pytest.fixture(autouse=True)
+def _pushed(database: Database) -> None:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST))
+    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
+    with database.transaction() as connection:
+        bundles.add(connection, digest=content_digest(archived), name="mine", manifest=manifest, archive=archived)
+
+
+def submit(database: Database, **changes: Any) -> StoredCampaign:
+    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
+
+
+def dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
+    own = database.fenced(Leadership.begin(database).fence)
+    return Dispatcher(own, WorkPool(backend, StoredLeases(own), clock=lambda: backend.now), clock=lambda: backend.now)
+
+
+def ended(database: Database, campaign: StoredCampaign, backend: FakeBackend | None = None) -> StoredCampaign:
+    running = dispatcher(database, backend or FakeBackend())
+    for _ in range(5_000):
+        running.step()
+        with database.read() as connection:
+            now = campaigns.get(connection, campaign.id)
+        if now.state.ended:
+            return now
+    raise AssertionError("the campaign did not end")
+
+
+def on(version: str) -> FakeBackend:
+    return FakeBackend(tools={1: version, 2: version})
+
+
+def test_results_of_other_tools_never_answer(database: Database) -> None:
+    first = ended(database, submit(database), on("1.0"))
+    assert (first.state, first.cells.simulated) == (CampaignState.SUCCEEDED, CELLS)
+    assert any("1.0" in note for note in first.notes)
+    assert ended(database, submit(database), on("1.0")).cells.repeated == CELLS
+    assert ended(database, submit(database), on("2.0")).cells.simulated == CELLS
+    assert ended(database, submit(database), on("2.0")).cells.repeated == CELLS
+    assert ended(database, submit(database), on("1.0")).cells.repeated == CELLS
+
+
+def test_a_campaign_keeps_its_answer_over_restarts(database: Database) -> None:
+    campaign = submit(database)
+    running = dispatcher(database, on("1.0"))
+    for _ in range(2_000):
+        running.step()
+        with database.read() as connection:
+            if campaigns.get(connection, campaign.id).cells.simulated:
+                break
+    restarted = ended(database, campaign, FakeBackend(tools={1: "2.0", 2: "1.0"}))
+    assert (restarted.state, restarted.cells.simulated) == (CampaignState.SUCCEEDED, CELLS)
+    with database.read() as connection:
+        assert len({row.setup_id for row in results.stream(connection, campaign.sequence)}) == 2
+
+
+def test_a_campaign_whose_tools_are_gone_ends_with_both_answers(database: Database) -> None:
+    campaign = submit(database)
+    running = dispatcher(database, on("1.0"))
+    for _ in range(2_000):
+        running.step()
+        with database.read() as connection:
+            if campaigns.get(connection, campaign.id).cells.simulated:
+                break
+    failed = ended(database, campaign, on("2.0"))
+    assert failed.state is CampaignState.FAILED
+    assert "1.0" in (failed.error or "")
+    assert "2.0" in (failed.error or "")
+
+
+def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) -> None:
+    campaign = submit(database)
+    running = dispatcher(database, FakeBackend(refusing={1: "no mysim", 2: "no mysim"}))
+    for _ in range(20):
+        running.step()
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, "cancel")
+    for _ in range(50):
+        running.step()
+    with database.read() as connection:
+        assert campaigns.get(connection, campaign.id).state is CampaignState.CANCELLED
+
+
+def test_evaluations_comparisons_and_reruns_are_asked_too(database: Database) -> None:
+    first = ended(database, submit(database, reduction={"mode": "exact"}), on("1.0"))
+    wanted = {"problem": "mine", "parameters": {"value": 7.0}}
+    single = submission.evaluate(database, LIMITS, EvaluationSpecification.model_validate(wanted), None)
+    assert ended(database, single, on("3.0")).cells.simulated == 2
+    rerun = submission.rerun(database, LIMITS, first.id, RerunSpecification.model_validate({"weights": {"city": 2}}), None)
+    assert ended(database, rerun, on("1.0")).cells.repeated == CELLS
+    compared = {
+        "problem": "mine",
+        "optimizers": [{"kind": "random"}, {"kind": "genetic"}],
+        "populations": [6],
+        "seeds": [1, 2, 3],
+        "iterations": 2,
+        "reductions": ["exact"],
+        "sensitivity": None,
+    }
+    comparison = submit_comparison(database, LIMITS, ComparisonSpecification.model_validate(compared), None)
+    assert ended(database, comparison, on("4.0")).state is CampaignState.SUCCEEDED
+    with database.read() as connection:
+        runs = campaigns.runs_of(connection, comparison.sequence)
+    assert {(run.resolution or {}).get("tools") for run in runs} == {"4.0"}
+
+
+def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> None:
+    analysis = {"intervals": 3, "samples": 4, "threshold": 0.02}
+    made = ended(database, submit(database, sensitivity=analysis), on("1.0"))
+    assert made.influence_map_id is not None
+    named = {"sensitivity": {"map": made.influence_map_id}, "reduction": {"mode": "influence"}}
+    assert ended(database, submit(database, **named), on("1.0")).state is CampaignState.SUCCEEDED
+    other = ended(database, submit(database, **named), on("2.0"))
+    assert other.state is CampaignState.FAILED
+    assert "map" in (other.error or "")
+
+
+def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) -> None:
+    first = ended(database, submit(database), on("1.0"))
+    with database.transaction() as connection:
+        number = next(results.stream(connection, first.sequence)).id
+        traced = request_trace(connection, number)
+    assert ended(database, traced, on("2.0")).state is CampaignState.FAILED

@@ -1,0 +1,41 @@
+"""Simulators that wait: wall-clock time in the account, in predictions of cost, and in what a predictor may cost."""
+
+from __future__ import annotations
+
+from tests.integration.test_failures import Simulated, _pushed, run, submit
+
+from drivecal.analysis.savings import account
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import campaigns, costs, evaluations
+from drivecal.storage.engine.database import Database
+
+__all__ = ["_pushed"]
+
+
+class Sleeping(Simulated):
+    """Takes 90 s for 5 ms of CPU time."""
+
+    def __call__(self, scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        y = 1.0 + float(cell.parameters["x"])
+        return CellResult(cell.id, None, None, {"y": y}, None, 5.0, wall_milliseconds=90_000.0)
+
+
+def test_a_sleeping_simulator_saves_the_workers_time(database: Database) -> None:
+    first = run(database, submit(database), Sleeping())
+    again = run(database, submit(database), Sleeping())
+    assert (first.cells.repeated, again.cells.simulated) == (0, 0)
+    with database.read() as connection:
+        accounts = [
+            account(each.id, each.state, ["city", "road"], costs.by_outcome(connection, each.sequence), None)
+            for each in (first, again)
+        ]
+        setups = (campaigns.get(connection, first.id).resolution or {})["setups"]
+        expected = costs.recent_milliseconds(connection, list(setups.values()))
+        means = evaluations.mean_seconds(connection, again.sequence)
+    assert [each.clock for each in accounts] == ["wall", "wall"]
+    assert accounts[0].simulated_seconds == 90 * first.cells.simulated
+    assert accounts[1].repeated_saved_seconds == 90 * again.cells.repeated
+    assert abs(first.simulating_seconds - 0.005 * first.cells.simulated) < 1e-9, "CPU time stays CPU time"
+    assert expected == 90_000.0
+    assert means == {"city": 90.0, "road": 90.0}

@@ -1,0 +1,75 @@
+"""A problem that shares nothing with the motorway: less is better, parameters of every kind, failures, time series."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text, pack
+from drivecal.client.problems import read_manifest
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import admission
+from drivecal.storage.engine.database import Database
+from drivecal.storage.problems import bundles
+from drivecal.storage.problems.bundles import StoredBundle
+
+MANIFEST: dict[str, Any] = {
+    "problem": "heater",
+    "description": "A room that is heated",
+    "parameters": {
+        "gain": {"lower": 0, "upper": 2, "unit": "W/K", "description": "Power for each degree below the set point"},
+        "stage": {"lower": 0.5, "upper": 2.5, "step": 0.5, "unit": "kW"},
+        "rooms": {"lower": 1, "upper": 6, "integer": True},
+        "mode": {"choices": ["eco", "normal", "boost"], "description": "Programme of the pump"},
+    },
+    "constraints": ["gain <= 2*stage"],
+    "baseline": {"gain": 0.5, "stage": 1, "rooms": 3, "mode": "normal"},
+    "simulator": {"kind": "command", "command": ["sh", "./run.sh", "{parameters}", "{scenario}", "{results}"]},
+    "scenarios": {"winter": {"outside": -10}, "spring": {"outside": 12}},
+    "measures": {"energy_kwh": "kWh", "discomfort": "K"},
+    "failures": ["frozen"],
+    "series": {"time": "s", "room": "°C", "wanted": "°C", "power": "kW"},
+    "scores": {
+        "cost": {
+            "formula": "10*energy_kwh + 5*discomfort",
+            "direction": "minimise",
+            "range": [0, 100],
+            "tolerance": 2,
+            "failed": 120,
+            "unit": "EUR",
+        },
+        "ease": {"formula": "10 - discomfort", "direction": "maximise", "range": [0, 10]},
+    },
+}
+SERIES = {"time": [0.0, 1.0, 2.0], "room": [15.0, 18.0, 20.5], "wanted": [21.0, 21.0, 21.0], "power": [2.0, 1.5, 0.5]}
+
+
+def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
+    """Stores the problem as a push would, with changes of its manifest."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "problem.yaml").write_text(yaml.safe_dump(MANIFEST | changes, sort_keys=False))
+    (folder / "run.sh").write_text("exit 1\n")
+    archive = pack(folder)
+    files = files_of(archive, 2**20)
+    manifest = read_manifest(manifest_text(files), executables(files))
+    digest = content_digest(archive)
+    with database.transaction() as connection:
+        admission.admit_problem(connection, digest, 1000)
+        document = manifest.model_dump(mode="json")
+        return bundles.add(connection, digest=digest, name=manifest.problem, manifest=document, archive=archive)[0]
+
+
+def heated(scenario: str, cell: Cell) -> CellResult:
+    """Measures of a cell; little power in winter freezes."""
+    p = cell.parameters
+    power = p["gain"] * p["stage"] * {"eco": 0.6, "normal": 1, "boost": 1.3}[p["mode"]]
+    cold = 3 if scenario == "winter" else 1
+    measures = {"energy_kwh": power + 0.2 * p["rooms"], "discomfort": abs(cold - power)}
+    failure = "frozen" if scenario == "winter" and power < 0.4 else None
+    trace = {"measures": measures, "failure": failure, "series": SERIES}
+    content = gzip.compress(json.dumps(trace).encode(), mtime=0) if cell.trace else None
+    return CellResult(cell.id, None, None, measures, failure, 7.0, trace=content)

@@ -1,0 +1,111 @@
+"""A2L: limits, units, resolutions and enumerations of scalar characteristics; faults are named with their line."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.calibration_data import a2l
+from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.domain.errors import InvalidInputError
+
+HEAD = """ASAP2_VERSION 1 71 /* a comment
+over two lines */
+/begin PROJECT acc "A project with ""quotes"" and \\"more\\""
+/begin MODULE m ""
+/begin MOD_COMMON "" BYTE_ORDER MSB_LAST /end MOD_COMMON
+"""
+TAIL = """
+/begin RECORD_LAYOUT _U16 FNC_VALUES 1 UWORD ROW_DIR DIRECT /end RECORD_LAYOUT
+/begin RECORD_LAYOUT _F32 FNC_VALUES 1 FLOAT32_IEEE ROW_DIR DIRECT /end RECORD_LAYOUT
+/begin COMPU_METHOD speed "" RAT_FUNC "%8.3" "m/s" COEFFS 0 80 0 0 0 1 /end COMPU_METHOD
+/begin COMPU_METHOD gap "" LINEAR "%8.3" "s" COEFFS_LINEAR 0.01 0 /end COMPU_METHOD
+/begin COMPU_METHOD same "" IDENTICAL "%8.3" "" /end COMPU_METHOD
+/begin COMPU_METHOD modes "" TAB_VERB "%1.0" "" COMPU_TAB_REF modes_t /end COMPU_METHOD
+/begin COMPU_VTAB modes_t "" TAB_VERB 3 0 "eco" 1 "normal" 2 "sport" DEFAULT_VALUE "none" /end COMPU_VTAB
+/end MODULE
+/end PROJECT
+"""
+
+
+def file(*characteristics: str) -> bytes:
+    return (HEAD + "\n".join(f"/begin CHARACTERISTIC {text} /end CHARACTERISTIC" for text in characteristics) + TAIL).encode()
+
+
+def read(*characteristics: str) -> list[Characteristic]:
+    return a2l.read(file(*characteristics), "a.a2l").characteristics
+
+
+def test_limits_units_and_resolutions_are_physical() -> None:
+    v0, gap, n, mode, free, bound = read(
+        'v0 "Desired /* no comment */ speed" VALUE 0x10 _U16 0 speed 0 60 // a comment "\n',
+        'gap "Time gap" VALUE 0x12 _U16 0 gap 0.5 3.0 DISPLAY_IDENTIFIER g',
+        'n "" VALUE 0x14 _U16 0 same 1 9',
+        'mode "" VALUE 0x16 _U16 0 modes 0 1',
+        'free "" VALUE 0x18 _F32 0 gap -1 1 PHYS_UNIT "ms"',
+        'bound "" VALUE 0x18 _F32 0 NO_COMPU_METHOD 0 1 STEP_SIZE 0.25',
+    )
+    assert (v0.name, v0.description, v0.lower, v0.upper, v0.unit, v0.step) == (
+        *("v0", "Desired /* no comment */ speed", 0.0, 60.0, "m/s", 0.0125),
+    )
+    assert (gap.lower, gap.upper, gap.unit, gap.step, gap.integer) == (0.5, 3.0, "s", 0.01, False)
+    assert (n.lower, n.upper, n.unit, n.step, n.integer) == (1.0, 9.0, "1", None, True)
+    assert (mode.choices, mode.integer, mode.step) == (("eco", "normal"), False, None)
+    assert (free.unit, free.step, free.integer) == ("ms", None, False)
+    assert (bound.unit, bound.step) == ("1", 0.25)
+    assert v0.line == 6
+
+
+def test_curves_are_listed_and_left_out() -> None:
+    content = a2l.read(file('curve "" CURVE 0x10 _U16 0 speed 0 60 /begin AXIS_DESCR STD_AXIS /end AXIS_DESCR'), "a.a2l")
+    assert (content.characteristics, content.skipped) == ([], ["curve"])
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (b"", 1),
+        (b"/begin A\n/end A", 1),
+        (b"/begin PROJECT a\n/end B", 2),
+        (b"/begin PROJECT a\n/begin MODULE b", 2),
+        (b"/end A", 1),
+        (b'/begin PROJECT a\n"open\n/end PROJECT', 2),
+        (b'/begin PROJECT a\n/include "other.a2l"\n/end PROJECT', 2),
+        (file('a "" VALUE 0x10 _U16 0 speed 0'), 6),
+        (file('a "" VALUE 0x10 _U16 0 speed zero 1'), 6),
+        (file('a "" VALUE 0x10 _U16 0 missing 0 1'), 6),
+        (file('a "" VALUE 0 _U16 0 speed 0 1', 'a "" VALUE 0 _U16 0 speed 0 1'), 7),
+    ],
+)
+def test_the_first_fault_is_named_with_its_line(content: bytes, line: int) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        a2l.read(content, "a.a2l")
+    assert [problem.field for problem in refused.value.problems] == [f"a.a2l, line {line}"]
+
+
+TOKENS = [
+    "/begin",
+    "/end",
+    "PROJECT",
+    "CHARACTERISTIC",
+    "VALUE",
+    '""',
+    '"',
+    "0",
+    "nan",
+    "1e999",
+    "/*",
+    "*/",
+    "COMPU_METHOD",
+    "LINEAR",
+    "\n",
+]
+
+
+@given(st.lists(st.sampled_from(TOKENS), max_size=60).map(" ".join))
+def test_any_words_are_read_or_refused(text: str) -> None:
+    with contextlib.suppress(InvalidInputError):
+        assert a2l.read(text.encode(), "a.a2l").skipped is not None

@@ -1,0 +1,120 @@
+"""CDF 2.x: values survive, quality data is where tools look for it, hostile XML is refused with its line."""
+
+from __future__ import annotations
+
+import string
+from xml.etree import ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.calibration_data import cdfx
+from drivecal.calibration_data.characteristics import Characteristic, Quality
+from drivecal.domain.errors import InvalidInputError
+
+QUALITY = Quality(
+    "calibrated",
+    "2026-11-21T10:00:00+00:00",
+    "my-acc",
+    "comfort",
+    "process",
+    "c" * 32,
+    "d" * 64,
+    "looked at",
+    (("score city", "6"),),
+)
+words = st.text(string.ascii_letters + "äß<>&'_.", min_size=1, max_size=40)
+
+
+@given(
+    st.lists(
+        st.builds(Characteristic, name=words, value=st.floats(allow_nan=False, allow_infinity=False) | words, unit=words),
+        max_size=20,
+        unique_by=lambda characteristic: characteristic.name,
+    )
+)
+def test_nothing_is_lost_on_the_way_through_a_file(given: list[Characteristic]) -> None:
+    file = cdfx.write(given, QUALITY)
+    read = cdfx.read(file, "a.cdfx").characteristics
+    assert [(row.name, row.value, row.unit) for row in read] == [(row.name, row.value, row.unit) for row in given]
+    assert cdfx.write(given, QUALITY) == file
+
+
+def test_values_and_history_are_where_other_tools_look_for_them() -> None:
+    given = [Characteristic(f"P_{index}", (index - 500) / 7e5, "m/s", f"number {index}") for index in range(1000)]
+    root = ET.fromstring(cdfx.write(given, QUALITY, "set"))
+    instances = root.findall("./SW-SYSTEMS/SW-SYSTEM/SW-INSTANCE-SPEC/SW-INSTANCE-TREE/SW-INSTANCE")
+    values = [float(instance.findtext("SW-VALUE-CONT/SW-VALUES-PHYS/V", "")) for instance in instances]
+    assert values == [row.value for row in given]
+    assert {instance.findtext("CATEGORY") for instance in instances} == {"VALUE"}
+    entry = instances[0].find("SW-CS-HISTORY/CS-ENTRY")
+    assert entry is not None
+    assert [child.tag for child in entry] == ["STATE", "DATE", "CSUS", "CSPR", "CSWP", "CSTO", "CSPI", "CSDI", "REMARK", "SD"]
+    assert (entry.findtext("STATE"), entry.findtext("CSPI")) == ("calibrated", "c" * 32)
+    assert [(figure.get("GID"), figure.text) for figure in entry.findall("SD")] == [("score city", "6")]
+
+
+def document(inside: str, head: str = "", category: str = "CDF20") -> bytes:
+    return f"""<?xml version="1.0" encoding="ISO-8859-1"?>
+{head}<MSRSW xmlns="http://www.asam.net/xml"><SHORT-NAME>a</SHORT-NAME><CATEGORY>{category}</CATEGORY>
+<SW-SYSTEMS><SW-SYSTEM><SW-INSTANCE-SPEC><SW-INSTANCE-TREE>
+{inside}
+</SW-INSTANCE-TREE></SW-INSTANCE-SPEC></SW-SYSTEM></SW-SYSTEMS></MSRSW>""".encode("latin-1")
+
+
+def instance(name: str, value: str, category: str = "VALUE", around: str = "{}") -> str:
+    container = (
+        f"<SW-VALUE-CONT><UNIT-DISPLAY-NAME>°</UNIT-DISPLAY-NAME><SW-VALUES-PHYS>{value}</SW-VALUES-PHYS></SW-VALUE-CONT>"
+    )
+    return (
+        f"<SW-INSTANCE><SHORT-NAME>{name}</SHORT-NAME><CATEGORY>{category}</CATEGORY>{around.format(container)}</SW-INSTANCE>"
+    )
+
+
+VARIANT = "<SW-INSTANCE-PROPS-VARIANT>{}</SW-INSTANCE-PROPS-VARIANT>"
+
+
+def test_structures_variants_and_truths_are_read_and_arrays_left_out() -> None:
+    read = cdfx.read(
+        document(
+            instance("a", "<V>1.5</V>")
+            + instance("b", "<VT>true</VT>", "BOOLEAN", f"<SW-INSTANCE-PROPS-VARIANTS>{VARIANT}</SW-INSTANCE-PROPS-VARIANTS>")
+            + instance("c", "<VG><V>1</V><V>2</V></VG>", "VAL_BLK")
+            + instance(
+                "d",
+                "<V>1</V>",
+                "VALUE",
+                f"<SW-INSTANCE-PROPS-VARIANTS>{VARIANT * 2}</SW-INSTANCE-PROPS-VARIANTS>".replace("{}", "{0}"),
+            )
+            + f"<SW-INSTANCE><SHORT-NAME>s</SHORT-NAME><CATEGORY>STRUCTURE</CATEGORY>{instance('e', '<V>2</V>')}</SW-INSTANCE>",
+            cdfx.DOCTYPE,
+        ),
+        "a.cdfx",
+    )
+    assert [(row.name, row.value, row.unit, row.choices) for row in read.characteristics] == [
+        ("a", 1.5, "°", ()),
+        ("b", "true", "°", ("false", "true")),
+        ("s.e", 2.0, "°", ()),
+    ]
+    assert read.skipped == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        (b"", 1),
+        (b"<MSRSW>\n<a></MSRSW>", 2),
+        (document("", category="CDF10"), 2),
+        (b"<A/>", 1),
+        (document("", '<!DOCTYPE MSRSW [<!ENTITY a "b">]>'), 2),
+        (document("", '<!DOCTYPE MSRSW [<!ENTITY a SYSTEM "file:///etc/passwd">]>'), 2),
+        (document(instance("a", "<V>x</V>")), 4),
+        (document(instance("a", "<V>1</V>") + "\n" + instance("a", "<V>1</V>")), 5),
+        (b"<x>" * 10_000, 1),
+    ],
+)
+def test_the_first_fault_is_named_with_its_line(file: bytes, line: int) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        cdfx.read(file, "a.cdfx")
+    assert [problem.field for problem in refused.value.problems] == [f"a.cdfx, line {line}"]

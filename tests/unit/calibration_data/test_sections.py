@@ -1,0 +1,72 @@
+"""Sections of problem.yaml from the characteristics of files, and files of names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from drivecal.bundles.manifest import ParameterEntry
+from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.files import labels_of
+from drivecal.calibration_data.sections import chosen_by, joined, sections_of
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.parameters import Parameter
+
+
+def entry(characteristic: Characteristic, span: float = 0.5) -> dict[str, Any]:
+    sections = sections_of([characteristic], {}, span)
+    fields = sections.parameters[characteristic.name]
+    Parameter.declared(characteristic.name, **ParameterEntry.model_validate(fields).model_dump())  # a problem takes it
+    return fields
+
+
+@pytest.mark.parametrize(
+    ("characteristic", "expected"),
+    [
+        (Characteristic("a", 1.0, "m", "text", 0.0, 2.0), {"lower": 0.0, "upper": 2.0, "unit": "m", "description": "text"}),
+        (Characteristic("a", lower=0.0, upper=1.05, step=0.1), {"lower": 0.0, "upper": 1.0, "step": 0.1}),
+        (Characteristic("a", lower=0.0, upper=1.0, step=2.0**-10), {"lower": 0.0, "upper": 1.0}),
+        (Characteristic("a", lower=1.0, upper=9.0, integer=True), {"lower": 1, "upper": 9, "integer": True}),
+        (Characteristic("a", "eco", choices=("eco", "sport")), {"choices": ["eco", "sport"]}),
+        (Characteristic("a", -4.0), {"lower": -6.0, "upper": -2.0}),
+        (Characteristic("a", 0.0, lower=-3.4e38, upper=3.4e38), {"lower": -0.5, "upper": 0.5}),
+    ],
+)
+def test_an_entry_is_one_that_a_problem_takes(characteristic: Characteristic, expected: dict[str, Any]) -> None:
+    assert entry(characteristic) == expected
+
+
+def test_ranges_of_one_file_join_values_of_another() -> None:
+    sections = sections_of(
+        joined([[Characteristic("g", lower=0.5, upper=3.0, unit="s")], [Characteristic("g", 1.5), Characteristic("h", 2.0)]]),
+        {},
+        0.1,
+    )
+    assert sections.parameters == {"g": {"lower": 0.5, "upper": 3.0, "unit": "s"}, "h": {"lower": 1.8, "upper": 2.2}}
+    assert sections.baseline == {"g": 1.5, "h": 2.0}
+    assert sections.guessed == ["h"]
+
+
+def test_labels_that_are_no_names_are_bound_by_a_map_or_refused() -> None:
+    given = [Characteristic("_gap[0]", 1.0), Characteristic("v0", 1.0)]
+    assert list(sections_of(given, {"_gap[0]": "gap"}, 0.5).parameters) == ["gap", "v0"]
+    with pytest.raises(InvalidInputError) as refused:
+        sections_of([*given, Characteristic("text", "eco"), Characteristic("none")], {"v0": "text"}, 0.5)
+    assert [problem.field for problem in refused.value.problems] == ["_gap[0]", "text", "none"]
+
+
+def test_characteristics_are_chosen_by_their_names() -> None:
+    given = [Characteristic(f"ACC_{index}") for index in range(201)] + [Characteristic("ABS_1")]
+    assert [row.name for row in chosen_by(given, ["ABS_*", "ACC_7"])] == ["ACC_7", "ABS_1"]
+    for patterns in ([], ["ACC_*"], ["ESP*"]):
+        with pytest.raises(InvalidInputError) as refused:
+            chosen_by(given, patterns)
+        assert [problem.field for problem in refused.value.problems] == ["--match"]
+
+
+def test_a_file_of_names_is_checked_whole() -> None:
+    assert labels_of({"P1": "ACC_a", "P2": "ACC_b"}, ["P1", "P2", "P3"]) == {"P1": "ACC_a", "P2": "ACC_b"}
+    with pytest.raises(InvalidInputError) as refused:
+        labels_of({"P1": "ACC_a", "P2": "ACC_a", "P4": "x", "P3": "two words", "P5": 1}, ["P1", "P2", "P3", "P5"])
+    assert [problem.field for problem in refused.value.problems] == ["P2", "P4", "P3", "P5"]

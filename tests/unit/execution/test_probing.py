@@ -1,0 +1,117 @@
+"""Tools outside of bundles: the pool asks a worker for their versions, and knows when no worker has those of a campaign."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.fake_backend import FakeBackend
+
+from drivecal.contracts.work import BundleRequest, Cell
+from drivecal.execution.pool import WorkPool
+from drivecal.execution.probing import PATIENCE_WITH_ANSWERS
+from drivecal.execution.scheduling.in_flight import Work
+
+
+def setup(tools: str | None = None) -> BundleRequest:
+    simulator = {"kind": "process", "timeout": 60.0, "probe": ["mysim", "--version"]}
+    names = (("x",), (), ("y",), (), ())
+    return BundleRequest("digest", "mine", "city", {}, simulator, *names, f"fingerprint {tools}", tools=tools)
+
+
+def pool_on(backend: FakeBackend) -> WorkPool:
+    return WorkPool(backend, clock=lambda: backend.now)
+
+
+def answer(pool: WorkPool, rounds: int = 100) -> str | None:
+    for _ in range(rounds):
+        found = pool.probe(setup(), "a")
+        if found is not None:
+            return found
+        pool.poll(1.0)
+    return None
+
+
+def submit(pool: WorkPool, tools: str, cells: int = 20) -> None:
+    pool.submit(Work(setup(tools), [Cell(number, {"value": float(number)}) for number in range(1, cells + 1)]), tag="a")
+
+
+def test_one_worker_answers() -> None:
+    backend = FakeBackend(tools={1: "2.1", 2: "2.1"})
+    assert answer(pool_on(backend)) == "2.1"
+    assert backend.sizes == [(0.0, "city", 0)]
+
+
+def test_another_worker_is_asked_if_the_first_cannot_say() -> None:
+    pool = pool_on(FakeBackend(refusing={1: "mysim is not on PATH"}, tools={2: "2.1"}))
+    assert answer(pool) == "2.1"
+
+
+def test_a_worker_that_dies_of_the_question_is_not_asked_twice() -> None:
+    backend = FakeBackend(tools={1: "2.1", 2: "2.1"})
+    pool = pool_on(backend)
+    assert pool.probe(setup(), "a") is None
+    pool._fill()
+    backend.kill(0)
+    assert answer(pool) == "2.1"
+
+
+def test_a_campaign_that_no_worker_can_answer_says_why_and_waits() -> None:
+    backend = FakeBackend(refusing={1: "mysim is not on PATH", 2: "mysim is not on PATH"})
+    pool = pool_on(backend)
+    assert answer(pool, rounds=50) is None
+    assert "mysim is not on PATH" in (pool.trouble() or "")
+    assert len(backend.sizes) < 20, "it asks now and then"
+    backend.refusing.clear()
+    assert answer(pool) == "1.0"
+    assert pool.trouble() is None
+
+
+def test_a_withdrawn_question_is_not_answered() -> None:
+    backend = FakeBackend()
+    pool = pool_on(backend)
+    assert pool.probe(setup(), "a") is None
+    pool.withdraw("a")
+    pool.poll(1.0)
+    assert backend.sizes == []
+
+
+@pytest.mark.parametrize("odd", [1, 2])
+def test_cells_go_to_the_workers_that_agree(odd: int) -> None:
+    backend = FakeBackend(tools={odd: "2.0"})
+    pool = pool_on(backend)
+    submit(pool, "1.0", cells=400)
+    workers, troubles = set(), set()
+    while pool.held("a"):
+        workers |= {completed.worker for completed in pool.poll(1.0)}
+        troubles.add(pool.trouble())
+        assert pool.hopeless("a") is None
+    assert workers == {f"worker-{3 - odd}"}
+    assert any("2.0" in (trouble or "") and "1.0" in (trouble or "") for trouble in troubles)
+
+
+def test_a_campaign_without_an_agreeing_worker_is_hopeless_after_a_while() -> None:
+    backend = FakeBackend(tools={1: "2.0", 2: "2.0"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    while (reason := pool.hopeless("a")) is None:
+        assert backend.now < 3 * PATIENCE_WITH_ANSWERS
+        pool.poll(1.0)
+    assert backend.now >= PATIENCE_WITH_ANSWERS
+    assert "1.0" in reason
+    assert "2.0" in reason
+    assert any(fault is None for _, fault in backend.replaced), "a new process may see another version"
+    pool.withdraw("a")
+    assert pool.hopeless("a") is None
+
+
+def test_tools_that_come_back_in_time_cost_nothing() -> None:
+    backend = FakeBackend(tools={1: "2.0", 2: "2.0"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    while backend.now < PATIENCE_WITH_ANSWERS / 3:
+        pool.poll(1.0)
+    backend.tools.clear()
+    completed = []
+    while pool.held("a"):
+        assert pool.hopeless("a") is None
+        completed += pool.poll(1.0)
+    assert len(completed) == 20

@@ -1,0 +1,130 @@
+"""Cache of unpacked bundles on a node, by digest: private to the worker's user, and checked before a simulator runs from it."""
+
+import os
+import stat
+import tempfile
+import time
+from pathlib import Path
+
+from drivecal.bundles.archives import folder_digest, remove, unpack
+from drivecal.domain.errors import InvalidInputError, UnavailableError
+
+CACHE = "DRIVECAL_BUNDLE_CACHE"
+"""Environment variable: folder of unpacked bundles."""
+LEFT_SECONDS = 3600.0
+"""Age at which a partly unpacked bundle belongs to no living worker: unpacking takes seconds."""
+
+Signature = tuple[tuple[str, int, int, int, int, int], ...]
+
+
+def cache_folder() -> Path:
+    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or a new temporary folder."""
+    given = os.environ.get(CACHE)
+    folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError:
+        writable = False
+    else:
+        writable = os.access(folder, os.W_OK)
+    return folder if writable else Path(tempfile.mkdtemp(prefix="drivecal-bundles-"))
+
+
+class BundleCache:
+    """Unpacked bundles of a node, shared by its workers: a folder for each digest, complete or absent."""
+
+    def __init__(self, folder: Path) -> None:
+        """`folder`: is created if it does not exist."""
+        self._folder = folder
+        self._signatures: dict[str, Signature] = {}
+        """Files of bundles whose digest was checked."""
+        self._tidied = False
+
+    def has(self, digest: str) -> bool:
+        """Whether a bundle is there."""
+        return (self._folder / digest).is_dir()
+
+    def folder(self, digest: str) -> Path:
+        """Returns the folder of a bundle whose content is that of its digest.
+
+        The content is read again only if a file's size, mode or times are others than at the last check. Raises UnavailableError if the
+        bundle is not there, if others could change it, and if it was changed: then it is removed, and comes anew to the next worker.
+        """
+        folder = self._folder / digest
+        if not self.has(digest):
+            raise UnavailableError(f"the files of the bundle {digest} are not on this machine")
+        _refuse_others(self._folder)
+        _refuse_others(folder)
+        signature = _signature(folder)
+        if self._signatures.get(digest) != signature:
+            if not _has_digest(folder, digest):
+                self._signatures.pop(digest, None)
+                remove(folder)
+                raise UnavailableError(
+                    f"the cached files of the bundle {digest} were changed on this machine, perhaps by its simulator; they are removed and"
+                    " fetched again: let the simulator write into its working directory, and run workers as another user than root"
+                )
+            self._signatures[digest] = signature
+        return folder
+
+    def store(self, digest: str, archive: bytes) -> None:
+        """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest, and
+        UnavailableError if others could change the cache.
+
+        Atomic, because workers of a node share the folder.
+        """
+        if self.has(digest):
+            return
+        self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        _refuse_others(self._folder)
+        if not self._tidied:
+            self._remove_leftovers()
+        try:
+            unpack(archive, self._folder / digest, digest)
+        except OSError:
+            if not self.has(digest):  # else another worker was faster
+                raise
+
+    def _remove_leftovers(self) -> None:
+        """Removes what killed workers left of bundles that they unpacked. Other names than those of `unpack` are never touched."""
+        self._tidied = True
+        for path in self._folder.glob(".*-*"):
+            named = path.name[1:].partition("-")[0]
+            is_digest = len(named) == 64 and set(named) <= set("0123456789abcdef")
+            try:
+                status = path.lstat()
+                is_old = time.time() - status.st_mtime > LEFT_SECONDS
+                if is_digest and is_old and stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid():
+                    remove(path)
+            except OSError:  # another worker was faster
+                continue
+
+
+def _refuse_others(folder: Path) -> None:
+    """Raises UnavailableError if a user other than this process's could change a folder."""
+    status = folder.lstat()
+    remedy = f"set {CACHE} to a folder of the worker's user with mode 0700"
+    if not stat.S_ISDIR(status.st_mode):
+        raise UnavailableError(f"the bundle cache {folder} is a link; {remedy}")
+    if status.st_uid != os.geteuid():
+        raise UnavailableError(f"the bundle cache {folder} belongs to another user (uid {status.st_uid}); {remedy}")
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise UnavailableError(f"other users may write to the bundle cache {folder}; type: chmod 700 {folder}, or {remedy}")
+
+
+def _has_digest(folder: Path, digest: str) -> bool:
+    try:
+        return folder_digest(folder) == digest
+    except InvalidInputError:  # a link, a device, or more than a bundle may hold
+        return False
+
+
+def _signature(folder: Path) -> Signature:
+    """Returns what the system knows of all files and folders. A change of content changes a time, also of a file that is set back."""
+    entries = []
+    for parent, folders, files in os.walk(folder):
+        for name in (".", *files, *(name for name in folders if Path(parent, name).is_symlink())):
+            path = os.path.join(parent, name)  # noqa: PTH118  # ten thousand files, half the time
+            status = os.lstat(path)
+            entries.append((path, status.st_mode, status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino))
+    return tuple(sorted(entries))
