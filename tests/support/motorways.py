@@ -12,6 +12,7 @@ from fmpy.fmi2 import FMU2Slave
 from tests.support.fmus import HEADERS, archive
 from tests.support.simulators import compiled, opened
 
+from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import MEASURES, SERIES
 from drivecal.plugins.simulators import Declared, SimulatorSession
 
@@ -204,7 +205,8 @@ def driven(
     declared: Declared = EVERYTHING,
     **section: Any,
 ) -> Iterator[SimulatorSession]:
-    """Opens a session of a scenario."""
-    settings = {"controller": dict(controller or CONTROLLERS["python"]), "timeout": 60.0, "memory_mb": 2000}
-    with opened("highway", folder, declared, data, **(settings | section)) as session:
+    """Opens a session of a scenario, with the section as the coordinator sends it: all settings, those without a value included."""
+    given = {"kind": "highway", "controller": dict(controller or CONTROLLERS["python"]), "timeout": 60.0} | section
+    sent = HighwaySimulator.model_validate(given).model_dump(mode="json", exclude={"kind"})
+    with opened("highway", folder, declared, data, **sent) as session:
         yield session

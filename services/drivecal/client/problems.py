@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
@@ -35,7 +36,13 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
         return manifest, archive, ()
     from drivecal.bundles.highway_roads import conversions, route_notes
 
-    networks, notes = conversions(manifest, files)
+    try:
+        networks, notes = conversions(manifest, files)
+    except InvalidInputError as error:
+        _, lines = located_yaml(manifest_text(files))
+        raise InvalidInputError(
+            *(replace(problem, field=_located(problem.field, lines)) for problem in error.problems)
+        ) from error
     archive = with_files(archive, networks) if networks else archive
     files = files_of(archive)
     return read_archived(files), archive, (*notes, *route_notes(manifest, files))
@@ -70,7 +77,7 @@ def read_manifest(
 
             check_roads(manifest, contents)
     except InvalidInputError as error:
-        problems = [Problem(_located(problem.field, lines), problem.message, problem.remedy) for problem in error.problems]
+        problems = [replace(problem, field=_located(problem.field, lines)) for problem in error.problems]
     else:
         return manifest
     raise InvalidInputError(*problems)

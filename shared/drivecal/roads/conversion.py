@@ -61,9 +61,8 @@ def netconvert() -> str:
     """Returns the path of netconvert, preferably of this environment. Raises UnavailableError if it is missing."""
     executable = shutil.which("netconvert", path=sysconfig.get_path("scripts")) or shutil.which("netconvert")
     if executable is None:
-        raise UnavailableError(
-            "netconvert, which converts OpenDRIVE files, is not installed; type: pip install 'drivecal[opendrive]'"
-        )
+        message = "netconvert, which makes networks, is not installed; type: pip install 'drivecal[opendrive]'"
+        raise UnavailableError(message)
     return executable
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -15,6 +16,10 @@ TOLERANCE = 0.09
 """Metres between the line and the file's points, before rounding."""
 FASTEST_TURN = 8.0
 """Lateral acceleration (m/s²) at the speed limit that no car reaches: the line leaves short corners that ask for more."""
+SLOWEST, FASTEST = 5.0, 36.0
+"""Speeds (m/s) between which limits count there."""
+SMALLEST_RADIUS = 30.0
+"""Metres."""
 SHORTEST_TURN = 20.0
 """Metres. Longer turns are the road's own."""
 AROUND = 25.0
@@ -23,7 +28,7 @@ WIDENINGS = 10
 """Times that the tolerance grows by half there, at most."""
 LARGEST_GAP = 100.0
 """Metres between lanes that follow each other."""
-SHORTEST, LONGEST = 10.0, 200_000.0
+SHORTEST, LONGEST = 10.0, 100_000.0
 """Metres of a route."""
 
 
@@ -116,23 +121,37 @@ def _blended(begin: Lane, end: Lane) -> Floats:
 
 
 def _drivable(nodes: Floats, limits: Floats) -> tuple[Floats, tuple[tuple[float, float], ...]]:
-    """Returns the line through nodes (n, 2), and the ranges in which it leaves them for want of a curve that can be driven."""
-    tolerance = np.full(len(nodes), TOLERANCE)
+    """Returns the line through nodes (n, 2), and the ranges in which it leaves them for want of a curve that can be driven.
+
+    It leaves them only if that helps: around corners that nothing makes fit for the limit, it stays as long as their radius is not below
+    `SMALLEST_RADIUS`.
+    """
     s = lengths(nodes)
-    for widening in range(WIDENINGS + 1):
-        line = table(smoothed(nodes, tolerance))
-        most = FASTEST_TURN / np.maximum(np.interp(line[:, 0], s, limits), 5.0) ** 2
-        corners = [corner for corner in _runs(line[:, 0], np.abs(line[:, 4]) > most) if corner[1] - corner[0] < SHORTEST_TURN]
-        if not corners or widening == WIDENINGS:
-            break
-        wider = np.zeros(len(nodes), np.bool_)
-        for begin, end in corners:
-            wider |= (s >= begin - AROUND) & (s <= end + AROUND)
-        tolerance[wider] *= 1.5
+    drivable = FASTEST_TURN / np.clip(limits, SLOWEST, FASTEST) ** 2
+    line, tolerance, hopeless = _widened(nodes, np.full(len(nodes), TOLERANCE), drivable)
+    if hopeless.any():
+        base = np.where(hopeless, TOLERANCE, tolerance)
+        line, tolerance, _ = _widened(nodes, base, np.maximum(drivable, 1.0 / SMALLEST_RADIUS))
     return line, _runs(s, tolerance > TOLERANCE)
 
 
-def _runs(s: Floats, inside: "np.typing.NDArray[np.bool_]") -> tuple[tuple[float, float], ...]:
+def _widened(nodes: Floats, tolerance: Floats, most: Floats) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
+    """Returns a line whose short turns have at most the curvature `most` (n,), the tolerance (n,) that it takes, and where none does."""
+    s, tolerance = lengths(nodes), tolerance.copy()
+    for widening in range(WIDENINGS + 1):
+        line = table(smoothed(nodes, tolerance))
+        excess = np.abs(line[:, 4]) > np.interp(line[:, 0], s, most)
+        around = np.zeros(len(nodes), np.bool_)
+        for begin, end in _runs(line[:, 0], excess):
+            if end - begin < SHORTEST_TURN:
+                around |= (s >= begin - AROUND) & (s <= end + AROUND)
+        if not around.any() or widening == WIDENINGS:
+            break
+        tolerance[around] *= 1.5
+    return line, tolerance, around
+
+
+def _runs(s: Floats, inside: npt.NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
     """Returns first and last s of each run of true values."""
     borders = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]])))
     return tuple((float(s[first]), float(s[last - 1])) for first, last in borders.reshape(-1, 2))

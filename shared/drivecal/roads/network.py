@@ -32,6 +32,8 @@ WIDEST = 20.0
 """Metres of a lane."""
 MOST_LANES = 32
 """Lanes of an edge."""
+MOST_CONNECTIONS = 1_000
+"""Connections from an edge, and lanes into a junction."""
 MOST_POINTS = 200_000
 """Points of a lane."""
 WIDTHS = "drivecal.widths"
@@ -249,7 +251,12 @@ class _Reader:
             for_cars=_for_cars(attributes),
             line=attributes.line,
         )
-        self.connections.setdefault(begin, []).append(connection)
+        others = self.connections.setdefault(begin, [])
+        others.append(connection)
+        if len(others) > MOST_CONNECTIONS:
+            raise attributes.fault(
+                f"{shown(begin, 60)} has more than {MOST_CONNECTIONS:,} connections", "build the network again"
+            )
 
     def on_junction(self, attributes: Attributes) -> None:
         self.junction, self.foes = attributes, []
@@ -269,6 +276,8 @@ class _Reader:
         if name in self.junctions:
             raise attributes.fault("another junction has the same id", "rename one")
         lanes = tuple(attributes.text("incLanes", "").split())
+        if len(lanes) > MOST_CONNECTIONS:
+            raise attributes.fault(f"more than {MOST_CONNECTIONS:,} lanes lead into the junction", "build the network again")
         self.junctions[name] = Junction(name, attributes.text("type", ""), lanes, tuple(self.foes), attributes.line)
 
     def on_roundabout(self, attributes: Attributes) -> None:

@@ -58,6 +58,10 @@ class _Placement:
         self.lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge.iter("lane")}
         self.inner = {lane.get("id", "") for edge in net.iter("edge") if edge.get("function") for lane in edge.iter("lane")}
         self.connections = list(net.iter("connection"))
+        self.onward: dict[str, str | None] = {}
+        """The lane inside of a junction that follows another one."""
+        for connection in self.connections:
+            self.onward.setdefault(f"{connection.get('from')}_{connection.get('fromLane')}", connection.get("via"))
         self.pieces: dict[str, Piece] = {}
         self.default: dict[str, set[str]] = {}
         self.changing: set[str] = set()
@@ -137,9 +141,7 @@ class _Placement:
             if via is None or via not in self.lanes:
                 return
             yield self.lanes[via]
-            edge, _, index = via.rpartition("_")
-            onward = (one for one in self.connections if one.get("from") == edge and one.get("fromLane") == index)
-            via = next((one.get("via") for one in onward), None)
+            via = self.onward.get(via)
 
     def _write(self, lane: Element, points: Floats, widths: Floats) -> None:
         """Writes points and widths of a lane."""

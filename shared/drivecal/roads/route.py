@@ -98,7 +98,7 @@ def _edge(network: Network, name: str, index: int) -> Edge:
     edge = network.edges.get(name)
     if edge is None:
         roads = [edge.id for edge in network.edges.values() if edge.function == ""]
-        close = get_close_matches(name, roads[:20_000], n=1)
+        close = get_close_matches(name, roads[:2_000], n=1)
         remedy = (
             f"did you mean {shown(close[0], 80)}?"
             if close

@@ -203,6 +203,9 @@ def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
     (problem,) = error.value.problems
     assert problem.field == "scenarios.merge.network"
     assert "maps/road.xodr" in problem.message
+    with pytest.raises(InvalidInputError) as located:
+        read_bundle(tmp_path)
+    assert [problem.field.startswith("problem.yaml: line ") for problem in located.value.problems] == [True]
 
 
 def test_archives_with_further_files_stay_within_their_limits(tmp_path: Path) -> None:

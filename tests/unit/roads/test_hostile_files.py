@@ -23,7 +23,7 @@ from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
 
 MUTATIONS = 2000 if os.environ.get("DRIVECAL_LONG") else 300
-CONVERSIONS = 200 if os.environ.get("DRIVECAL_LONG") else 10
+CONVERSIONS = 100 if os.environ.get("DRIVECAL_LONG") else 10
 STRANGE = (
     "", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0x10", "١", "1_0", "99999999999999999999", "a" * 300, "\u202e", "before",
     "before_0", ":b_0", "0,0", "0,0 0,0", "0,0 1e9,1e9", "0,0 1,1,1 2,2", "-0.0,5 5,-0.0", " ", "true", "internal", "driving", "0.1 0.2",

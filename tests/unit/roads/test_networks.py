@@ -93,6 +93,12 @@ def test_files_elements_and_levels_without_end_are_refused(monkeypatch: pytest.M
     assert refused(b" " * 1001)
 
 
+def test_connections_without_end_are_refused() -> None:
+    way = '<connection from="before" to="beside" fromLane="0" toLane="0"/>'
+    assert "connections" in refused(changed("</net>", way * 1001 + "</net>"))
+    assert "lanes" in refused(changed('incLanes="[^"]+"', f'incLanes="{"before_0 " * 1001}"'))
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "latin-1", "ascii"])
 def test_other_encodings_are_read(encoding: str) -> None:
     text = entrance().decode().replace('encoding="UTF-8"', f'encoding="{encoding}"')

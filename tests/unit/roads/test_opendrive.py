@@ -139,6 +139,15 @@ def test_limits_are_those_of_the_file() -> None:
     assert np.nanmax(drive(("two_way", "along")).limits) == pytest.approx(33.5)
 
 
+def test_limits_of_lanes_stand_above_those_of_roads() -> None:
+    slow = '<speed sOffset="0" max="72" unit="km/h"/>'
+    content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{slow}</lane>", count=0)
+    lanes = read_network(converted(content, NAME).network, NAME).edges["-5#0"].lanes
+    assert [lane.limit for lane in lanes] == pytest.approx([20.0, 33.5])
+    free = edited("two_way", 'max="33.5" unit="m/s"', 'max="no limit"')
+    assert any("no speed limit" in note for note in converted(free, NAME).notes)
+
+
 def test_what_netconvert_assumes_is_noted() -> None:
     (note,) = [note for note in conversion_of("entrance").notes if "no speed limit" in note]
     assert note.startswith("road 3:")

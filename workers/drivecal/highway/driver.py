@@ -37,7 +37,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
-    section = settings["simulator"]["controller"]
+    section = simulator.controller.model_dump(mode="json", exclude_none=True)
     control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
     loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)
     loop.prepare()

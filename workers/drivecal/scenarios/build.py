@@ -5,10 +5,8 @@ on time and place is removed. netconvert is part of `eclipse-sumo`, which only t
 """
 
 import re
-import shutil
 import subprocess
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Iterator
 from itertools import pairwise
@@ -19,6 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.roads import Floats, pose_on, reference_line, to_cartesian
 from drivecal.domain.scenarios import Road
+from drivecal.roads.conversion import netconvert
 from drivecal.scenarios.definitions import DEFINITIONS
 from drivecal.scenarios.highway import network_name
 
@@ -80,14 +79,6 @@ def stations(line: Floats, begin: float, end: float) -> Iterator[float]:
         bends = any(pose_on(line, s + beside)[3] != 0.0 for beside in (-POINT_SPACING, 0.0, POINT_SPACING))
         if bends or part in {0, parts}:
             yield s
-
-
-def netconvert() -> str:
-    """Returns the path of netconvert, preferably of this environment. Raises UnavailableError if it is missing."""
-    executable = shutil.which("netconvert", path=sysconfig.get_path("scripts")) or shutil.which("netconvert")
-    if executable is None:
-        raise UnavailableError("netconvert, which builds the networks, is not installed; install eclipse-sumo")
-    return executable
 
 
 def build(road: Road) -> bytes:
