@@ -90,6 +90,7 @@ def test_poison_in_a_campaign_is_failed_with_its_cause_and_nothing_else_is(tmp_p
         "driving_function": "poisonous",
         "parameters": "all",
         "sensitivity": None,
+        "reduction": {"mode": "exact"},
         "optimizer": {
             "kind": "genetic",
             "population": POISON.DOSES,

@@ -47,7 +47,7 @@ def _carry_out(api: RunningApi, campaign: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
 def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
-    changes = {"reduction": {"mode": "influence", "audit": 0.1, "narrow": True}}
+    changes = {"reduction": {"mode": "influence", "audit": 0.1, "max_error": 1, "narrow": True}}
     with serving(new_database(request, request.param, tmp_path_factory.mktemp("reuse"))) as api:
         submitted = api.http.post("/api/v1/campaigns", json=WITH_ANALYSIS | changes)
         assert submitted.status_code == 202, submitted.text

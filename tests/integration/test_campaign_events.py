@@ -79,13 +79,13 @@ def test_what_is_told_of_a_campaign_that_was_killed_again_and_again_is_told_once
     assert found[0] == found[1]
 
 
-def test_reuse_that_is_stopped_is_told_with_its_reason(database: Database) -> None:
-    campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction={"audit": 0.5})
+def test_rejected_lots_of_references_are_told_once_by_scenario(database: Database) -> None:
+    campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction={"audit": 0.0, "max_error": 0.02})
     ended = run(database, campaign)
-    stopped = [data for kind, data in told(database, campaign) if kind == "reuse_stopped"]
-    assert {one["scenario"] for one in stopped} == {name for name, rate in ended.error_rate.items() if rate.stopped}
-    assert len(stopped) == len({one["scenario"] for one in stopped}) > 0
-    assert all(0 < one["wrong"] <= one["audited"] for one in stopped)
+    rejected = [data for kind, data in told(database, campaign) if kind == "lot_rejected"]
+    assert {one["scenario"] for one in rejected} == {name for name, rate in ended.error_rate.items() if rate.rejected}
+    assert len(rejected) == len({one["scenario"] for one in rejected}) > 0
+    assert all(0 < one["wrong"] <= one["audited"] for one in rejected)
 
 
 def test_notes_are_told_once(database: Database) -> None:

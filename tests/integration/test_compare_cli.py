@@ -31,7 +31,10 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
 def ended(api: RunningApi) -> dict[str, Any]:
     """A comparison of two optimizers with and without a map that denies every influence, as the command's JSON gives it at its end."""
     stored = post_map(api.database, nothing_matters())
-    document = SMALL | {"sensitivity": {"map": stored}, "reductions": ["exact", {"mode": "influence", "audit": 0.0}]}
+    document = SMALL | {
+        "sensitivity": {"map": stored},
+        "reductions": ["exact", {"mode": "influence", "audit": 0.0, "max_error": 1}],
+    }
     environment = pytest.MonkeyPatch()
     environment.setenv("DRIVECAL_URL", api.url)
     from tests.support.command import command
@@ -47,7 +50,7 @@ def ended(api: RunningApi) -> dict[str, Any]:
 def test_a_comparison_gives_table_5_and_what_the_reduction_changed(ended: dict[str, Any]) -> None:
     assert (ended["kind"], ended["state"], len(ended["runs"])) == ("comparison", "succeeded", 12)
     conditions = [(one["optimizer"], one["seed"], one["reduction"]) for one in ended["runs"][:3]]
-    assert conditions == [("genetic", 1, "exact"), ("genetic", 1, "influence audit=0.0"), ("genetic", 2, "exact")]
+    assert conditions == [("genetic", 1, "exact"), ("genetic", 1, "influence audit=0.0 max_error=1.0"), ("genetic", 2, "exact")]
     for group in ended["groups"]:
         runs = [
             one for one in ended["runs"] if (one["optimizer"], one["reduction"]) == (group["optimizer"], group["reduction"])
@@ -88,7 +91,7 @@ def test_it_is_shown_listed_and_exported(run: Run, ended: dict[str, Any]) -> Non
     table = next(index for index, line in enumerate(lines) if line.startswith("optimizer"))
     assert lines[table].split()[:6] == ["optimizer", "population", "reduction", "best", "mean", "min"]
     assert [line.split()[0] for line in lines[table + 1 : table + 5]] == ["genetic", "genetic", "swarm", "swarm"]
-    assert "influence audit=0.0 - exact" in shown.stdout
+    assert "influence audit=0.0 max_error=1.0 - exact" in shown.stdout
     assert [line.split()[0] for line in run("list").stdout.splitlines()[1:]] == [ended["id"]]
     for name, rows in (("comparison", "runs"), ("comparison-groups", "groups"), ("comparison-effects", "effects")):
         exported = list(csv.DictReader(io.StringIO(run("export", ended["id"], "--table", name).stdout)))

@@ -200,6 +200,9 @@ def test_a_run_that_fails_while_its_cells_are_at_workers_leaves_nothing_behind(
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 
+WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
+
+
 def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     stored_map = post_map(database, nothing_matters())
     comparison = submit_comparison(
@@ -207,20 +210,24 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
         stored_map,
         optimizers=[{"kind": "genetic"}],
         populations=[9],
-        reductions=["exact", {"mode": "influence", "audit": 0.4}],
+        reductions=["exact", WITHOUT_LOTS, {"mode": "influence", "audit": 0.0}],
     )
     ended = run(database, comparison)
     runs = runs_of(database, ended)
-    assert [one.name.rpartition(", ")[2] for one in runs[:2]] == ["exact", "influence audit=0.4"]
-    assert [one.influence_map_id for one in runs[:2]] == [None, stored_map]
-    exact, reduced = runs[0::2], runs[1::2]
+    labels = ["exact", "influence audit=0.4 max_error=1.0", "influence audit=0.0"]
+    assert [one.name.rpartition(", ")[2] for one in runs[:3]] == labels
+    assert [one.influence_map_id for one in runs[:3]] == [None, stored_map, stored_map]
+    exact, reduced, inspected = runs[0::3], runs[1::3], runs[2::3]
     assert all(one.cells.reused > 0 for one in reduced)
     assert all(two.cells.simulated < one.cells.simulated for one, two in zip(exact, reduced, strict=True))
     rate = ended.error_rate["S1"]
-    assert rate.audited == sum(one.error_rate["S1"].audited for one in reduced) > 0
+    for name in ("audited", "wrong", "lots", "rejected"):
+        counted = [sum(getattr(one.error_rate["S1"], name) for one in group) for group in (reduced, inspected)]
+        assert getattr(rate, name) == sum(counted) > 0
+    assert rate.lots == sum(one.error_rate["S1"].lots for one in inspected)
     assert rate.upper_95 is not None
-    assert rate.stopped == any(one.error_rate["S1"].stopped for one in reduced)
-    assert len(ended.notes) == sum("was stopped" in note for one in reduced for note in one.notes) > 0
+    assert not rate.stopped
+    assert len(ended.notes) == sum("were rejected" in note for one in inspected for note in one.notes) > 0
     assert all(note.startswith("genetic, population 9, seed ") for note in ended.notes)
     with database.read() as connection:
         figures, _ = generations.page(connection, exact[0].sequence, limit=10)
@@ -229,7 +236,7 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
 
 def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Database) -> None:
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
-    reductions = ["exact", {"mode": "influence", "audit": 0.4}]
+    reductions = ["exact", WITHOUT_LOTS]
     weights = {"S1": 3.0, "S2": 1.0}
     given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": reductions, "weights": weights}
     ended = run(database, submit_comparison(database, stored_map, **given))
@@ -252,7 +259,7 @@ def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Da
         assert campaign.spec["reduction"]["confirm"] == (20 if one.reduction == "exact" else CONFIRMED)
     assert sum(one.confirmations for one in found.runs()) > 0
     believed = [one for one in found.runs() if one.best != one.simulated_best]
-    assert {one.reduction for one in believed} == {"influence audit=0.4"}
+    assert {one.reduction for one in believed} == {"influence audit=0.4 max_error=1.0"}
     assert not any("confirmed" in note for note in ended.notes), "the tables tell"
     assert [one.difference for one in found.pairs()] == [
         pytest.approx((two.simulated_best or 0) - (one.simulated_best or 0))
@@ -268,7 +275,7 @@ def test_runs_of_an_earlier_release_have_the_best_of_what_they_simulated(
 ) -> None:
     monkeypatch.setattr("drivecal.campaigns.comparisons.resolve.CONFIRMED", 0)
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
-    given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": [{"mode": "influence", "audit": 0.4}]}
+    given = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": [WITHOUT_LOTS]}
     ended = run(database, submit_comparison(database, stored_map, **given))
     with database.read() as connection:
         found = read_compared(connection, ended).runs()

@@ -6,14 +6,17 @@ from datetime import timedelta
 from types import SimpleNamespace
 from typing import Any
 
+from sqlalchemy import update
 from tests.support.computed import ComputedBackend
 from tests.support.runs import get, influenced, nothing_matters, post_map, run, submit
 
 from drivecal.api.submission import expected
 from drivecal.campaigns.resolve.maps import doubts
 from drivecal.contracts.specification import CampaignSpecification
+from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns
 
 VALIDATION = {"samples": 20, "references": 3, "largest": 20}
 
@@ -28,9 +31,9 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
     before = run(database, submit(database, stored_map=stored, reduction={"audit": 0.0}), ComputedBackend(answer=influenced))
     assert before.notes == ()
     study = validated(database, stored)
-    after = submit(database, stored_map=stored, reduction={"audit": 0.0})
+    after = submit(database, stored_map=stored, reduction={"audit": 0.0, "max_error": 0.02})
     ended = run(database, after, ComputedBackend(answer=influenced))
-    (note,) = (note for note in ended.notes if "S1" in note)
+    (note,) = (note for note in ended.notes if "wrong in S1" in note)
     assert study.id in note
     assert get(database, before).notes == (), "what was known when it began"
     unaffected = run(
@@ -42,28 +45,35 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
 def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     stored = post_map(database, nothing_matters())
     study = validated(database, stored)
-    document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
+    document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None, "reduction": {"mode": "influence"}}
     assert document["sensitivity"] == {"map": stored}
     limits: Any = SimpleNamespace(largest_campaign=10**9)
     notes = expected(database, limits, CampaignSpecification.model_validate(document)).notes
     assert any(study.id in note for note in notes)
 
 
-def test_a_stopped_reuse_counts_and_small_errors_do_not(database: Database) -> None:
+def test_audits_count_where_they_are_certain_and_what_an_earlier_release_stopped_counts_in_any_case(
+    database: Database,
+) -> None:
     stored = post_map(database, nothing_matters())
-    stopped = run(
+    audited = run(
         database,
         submit(database, stored_map=stored, catalogue=["S1"], reduction={"audit": 1.0, "max_error": 0.001}),
         ComputedBackend(answer=influenced),
     )
-    assert stopped.error_rate["S1"].stopped
-    assert stopped.ended_at is not None
+    rate = audited.error_rate["S1"]
+    lower, _ = clopper_pearson(rate.wrong, rate.audited)
+    assert lower > 0.1
+    assert audited.ended_at is not None
+    later = audited.ended_at + timedelta(seconds=1)
     with database.read() as connection:
-        (note,) = doubts(connection, stored, 0.9, stopped.ended_at + timedelta(seconds=1))
-        assert doubts(connection, stored, 0.9, stopped.ended_at) == []
-    assert stopped.id in note
-    study = validated(database, stored)
-    assert study.ended_at is not None
+        (note,) = doubts(connection, stored, 0.1, later)
+        assert doubts(connection, stored, 0.1, audited.ended_at) == []
+        assert doubts(connection, stored, lower, later) == []
+    assert audited.id in note
+    with database.transaction() as connection:
+        stopped = {"S1": rate.model_copy(update={"stopped": True}).model_dump(mode="json")}
+        connection.execute(update(campaigns).where(campaigns.c.sequence == audited.sequence).values(error_rate=stopped))
     with database.read() as connection:
-        scenarios = [note.split()[9] for note in doubts(connection, stored, 1.0, study.ended_at + timedelta(seconds=1))]
-    assert scenarios == ["S1:"], "nothing is more wrong than wholly"
+        (note,) = doubts(connection, stored, 1.0, later)
+    assert "stopped" in note

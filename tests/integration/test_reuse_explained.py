@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from sqlalchemy import update
+from tests.integration.test_confirmation import step_until
 from tests.support.computed import IGNORED, ComputedBackend, computed
-from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, run, submit
+from tests.support.runs import EXPERT_SPACE, SMALL, dispatcher, get, nothing_matters, post_map, run, submit
 from tests.support.values import numbers
 
 from drivecal.campaigns.results.explanation import explain
@@ -17,6 +19,7 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.results import StoredEvaluation
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
@@ -119,8 +122,15 @@ def test_where_the_campaign_allows_no_reuse_that_is_the_reason(
     assert _explain(database, cell).reason == reason
 
 
-def test_audits_and_the_stop_that_they_led_to_are_explained(database: Database) -> None:
-    campaign = run(database, submit(database, stored_map=post_map(database, nothing_matters()), reduction={"audit": 0.5}))
+def test_audits_and_the_stop_by_an_earlier_release_are_explained(database: Database) -> None:
+    reduction = {"audit": 0.5, "max_error": 0.02}
+    campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction=reduction)
+    step_until(database, campaign, 1, dispatcher(database))
+    rates = {name: rate.model_copy(update={"stopped": True}) for name, rate in get(database, campaign).error_rate.items()}
+    with database.transaction() as connection:
+        stopped = {name: rate.model_dump(mode="json") for name, rate in rates.items()}
+        connection.execute(update(campaigns).where(campaigns.c.sequence == campaign.sequence).values(error_rate=stopped))
+    campaign = run(database, campaign)
     rows = {row.id: row for row in _rows(database, campaign)}
     verdicts = set()
     for row in (row for row in rows.values() if row.audited):
@@ -132,12 +142,12 @@ def test_audits_and_the_stop_that_they_led_to_are_explained(database: Database) 
         assert found.audit.wrong == (abs((row.score or 0) - (donor.score or 0)) > 1)
         verdicts.add((found.audit.agrees, found.audit.wrong))
     assert verdicts == {(True, False), (False, False), (False, True)}
-    late = [row for row in rows.values() if row.iteration == 2 and row.outcome is Outcome.SIMULATED]
+    late = [row for row in rows.values() if row.iteration == 2 and row.outcome is not Outcome.REPEATED]
     found = _explain(database, late[0])
     assert found.reason == "stopped"
     assert "audited cells were wrong" in found.sentence
-    early = next(row for row in rows.values() if row.iteration == 0 and row.outcome is Outcome.REUSED)
-    assert _explain(database, early).reason == "reused"
+    assert all(row.outcome is not Outcome.REUSED for row in late)
+    assert all(rate.stopped for rate in campaign.error_rate.values())
 
 
 def test_a_cell_whose_leader_has_no_result_says_so(database: Database) -> None:

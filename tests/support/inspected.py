@@ -1,4 +1,4 @@
-"""Batches of a scenario under predicted answers, without a campaign: predict, choose a lot, draw, compare, release or reject."""
+"""Batches of a scenario under predicted or reused answers, without a campaign: choose a lot, draw, compare, release or reject."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivecal.reduction.lots import draw
-from drivecal.reduction.prediction import Floats, ScenarioLearner, choose_lot
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.reduction.audit import expected_error_rate
+from drivecal.reduction.lots import SamplingPlan, best_plan, draw
+from drivecal.reduction.prediction import Bools, Floats, ScenarioLearner, choose_lot
 
 
 @dataclass(slots=True)
@@ -50,3 +52,23 @@ def inspect(learner: ScenarioLearner, features: Floats, scores: Floats, ratings:
     seen = predictions.scores[simulated], predictions.confidence[simulated]
     learner.observe(*seen, scores[simulated], weight[simulated])
     return tally
+
+
+def plan_of_references(size: int, limit: float, known: ErrorRate) -> SamplingPlan:
+    """The plan of a lot of references, as campaigns choose it."""
+    return best_plan(size, limit, expected_error_rate(known))
+
+
+def inspect_references(wrong: Bools, limit: float, known: ErrorRate, secret: bytes) -> tuple[Tally, ErrorRate]:
+    """Inspects a lot of references, n of which are `wrong`; returns the audits with those of its sample, too."""
+    plan = plan_of_references(len(wrong), limit, known)
+    sampled = draw([place.to_bytes(8) for place in range(len(wrong))], plan.sample, secret)
+    errors = int(wrong[sampled].sum())
+    tally = Tally(cells=len(wrong), simulated=len(wrong), lots=1, inspected=len(wrong), sampled=plan.sample)
+    if plan.releases(errors):
+        tally.released = tally.cells - plan.sample
+        tally.simulated, tally.different = plan.sample, int(wrong.sum()) - errors
+    else:
+        tally.rejected = 1
+    seen = {"audited": known.audited + plan.sample, "wrong": known.wrong + errors, "lots": known.lots + 1}
+    return tally, known.model_copy(update=seen)

@@ -27,15 +27,16 @@ SMALL: dict[str, Any] = {
     "parameters": EXPERT_SPACE,
     "catalogue": ["S1", "S2", "S3"],
     "optimizer": {"kind": "genetic", "population": 24, "iterations": 6, "seed": 3},
-    "reduction": {"mode": "influence"},
+    "reduction": {"mode": "influence", "max_error": 1},
 }
+"""By references without lots, where a campaign reuses."""
 WITH_ANALYSIS: dict[str, Any] = {
     "catalogue": ["S1", "S2"],
     "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 5)],
     "fixed": {f"P{i}": 0.5 for i in range(5, 12)},
     "sensitivity": {"intervals": 5, "samples": 8, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 40, "iterations": 5, "seed": 2},
-    "reduction": {"mode": "influence", "audit": 0.1},
+    "reduction": {"mode": "influence", "audit": 0.1, "max_error": 1},
 }
 MOST_STEPS = 5_000
 

@@ -40,8 +40,8 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which the
-    self-check found too many wrong answers, so that nothing is reused there any more."""
+    """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which an
+    earlier release stopped reuse for too many wrong answers."""
 
     mode: ReductionMode
     audit: float = 0.0

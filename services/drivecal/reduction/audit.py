@@ -8,6 +8,8 @@ from drivecal.domain.evaluations import AuditCount
 from drivecal.domain.parameters import ParameterSet
 
 CONFIDENCE = 0.95
+PRIOR_WRONG, PRIOR_AUDITS = 0.25, 50.0
+"""Wrong answers and audits that count before the first one: half a percent, the order of the paper's R_err."""
 
 
 def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int) -> bool:
@@ -35,35 +37,38 @@ def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) ->
     return lower, upper
 
 
+def expected_error_rate(rate: ErrorRate | None) -> float:
+    """Returns the expected share of wrong references, by the audits so far and a weak belief in the map."""
+    wrong, audited = (0, 0) if rate is None else (rate.wrong, rate.audited)
+    return (wrong + PRIOR_WRONG) / (audited + PRIOR_AUDITS)
+
+
 def error_rates(
     counts: Iterable[AuditCount],
     before: Mapping[str, ErrorRate],
     scenarios: Iterable[str],
-    max_error: float,
     contradictions: Mapping[str, int] | None = None,
+    lots: Mapping[str, tuple[int, int]] | None = None,
 ) -> dict[str, ErrorRate]:
-    """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` beside it.
+    """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` and its inspected and rejected `lots` beside it.
 
-    Reuse in a scenario is stopped once the lower end of the interval passes `max_error`, and stays stopped (`before`).
+    An earlier release stopped reuse in a scenario for good once the lower end of the interval passed `max_error`: what it stopped stays
+    stopped (`before`).
     """
     by_scenario = {count.scenario: count for count in counts}
     rates: dict[str, ErrorRate] = {}
     for scenario in scenarios:
         was_stopped = scenario in before and before[scenario].stopped
-        contradicting = (contradictions or {}).get(scenario, 0)
-        count = by_scenario.get(scenario)
-        if count is None or count.audited == 0:
-            rates[scenario] = ErrorRate(stopped=was_stopped, contradictions=contradicting)
-            continue
-        lower, upper = clopper_pearson(count.wrong, count.audited)
-        rates[scenario] = ErrorRate(
-            audited=count.audited,
-            different=count.different,
-            wrong=count.wrong,
-            upper_95=upper,
-            stopped=was_stopped or lower > max_error,
-            contradictions=contradicting,
+        inspected, rejected = (lots or {}).get(scenario, (0, 0))
+        rate = ErrorRate(
+            stopped=was_stopped, contradictions=(contradictions or {}).get(scenario, 0), lots=inspected, rejected=rejected
         )
+        count = by_scenario.get(scenario)
+        if count is not None and count.audited:
+            _, upper = clopper_pearson(count.wrong, count.audited)
+            counted = {"audited": count.audited, "different": count.different, "wrong": count.wrong, "upper_95": upper}
+            rate = rate.model_copy(update=counted)
+        rates[scenario] = rate
     return rates
 
 

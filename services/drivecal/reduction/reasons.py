@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.explanation import Difference, Explanation, Proof, Reference
+from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Proof, Reference
 from drivecal.domain.evaluations import AuditCount
 from drivecal.domain.scales import COMFORT, Scale
 
@@ -64,7 +64,8 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
         case "sampled":
             return f"{beginning} as part of the sample that inspects its lot: {_predicted(explanation)}"
         case "lot_rejected":
-            return f"{beginning} because its lot was rejected: {_predicted(explanation)}"
+            inspected = _predicted(explanation) if explanation.lot is None else f"{_inspected(explanation.lot)}."
+            return f"{beginning} because its lot was rejected: {inspected}"
         case "not_accepted":
             confidence = 0.0 if explanation.prediction is None else explanation.prediction.confidence
             doubt = f"its prediction (confidence {confidence:.0%}) was too uncertain for a lot"
@@ -73,6 +74,11 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
             return f"{beginning}: the predictor was not asked, because too little was known or asking would have cost more than it saves."
         case "analysis":
             return f"{beginning}: the sensitivity analysis makes the map that reuse rests on, so {_SAME}."
+
+
+def _inspected(lot: InspectedLot) -> str:
+    wrong = f"{lot.errors} of their answers by references were wrong, and at most {lot.acceptance} may be"
+    return f"of {lot.size} cells that references were to answer {lot.sample} were simulated, {wrong}"
 
 
 def _predicted(explanation: Explanation) -> str:

@@ -114,7 +114,8 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
         [
             *(name, rate.audited, rate.different, rate.wrong),
             percent(rate.wrong / rate.audited if rate.audited else None),
-            *(percent(rate.upper_95), rate.contradictions, Emphasized("stopped") if rate.stopped else "on"),
+            *(percent(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
+            Emphasized("stopped") if rate.stopped else "on",
         ]
         for name, rate in rates.items()
         if rate.audited or rate.stopped or rate.contradictions

@@ -5,12 +5,14 @@ campaign's evaluator: the evaluation that made the run may have been rated by an
 """
 
 from collections import Counter
+from collections.abc import Sequence
 
 from sqlalchemy import ColumnElement, Connection, FromClause, case, func, select, update
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import AuditCount, Outcome
+from drivecal.domain.evaluations import AuditCount, Donor, Outcome
 from drivecal.domain.scales import COMFORT, Scale
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
 from drivecal.storage.evaluations import DONORS, of_iteration
 
@@ -39,6 +41,30 @@ def settle(
 def count(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
     """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores."""
     return _by_scenario(connection, scale, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED)
+
+
+def wrong_in_lots(
+    connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale, lot_ids: Sequence[int]
+) -> dict[int, int]:
+    """Returns the audited cells of lots whose reference has a wrong score, or that have no result while it has one, by lot."""
+    failed = evaluations.c.outcome == Outcome.FAILED
+    query = (
+        select(evaluations.c.lot, func.count())
+        .select_from(_audited(evaluator))
+        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.lot.in_(list(lot_ids)))
+        .where(evaluations.c.audited, _TRUSTED.is_not(None), failed | (scale.largest_agreeing < _CHANGE))
+        .group_by(evaluations.c.lot)
+    )
+    return dict(connection.execute(query).all()) if lot_ids else {}
+
+
+def trusted(connection: Connection, campaign_sequence: int, evaluator: str, references: Sequence[int]) -> dict[int, Donor]:
+    """Returns the results of references as a campaign's evaluator rates them, by id; those without a result are left out."""
+    mine = _donor.c.campaign_sequence == campaign_sequence
+    score, rating = (case((mine, _donor.c[name]), else_=_trusted.c[name]) for name in ("score", "rating"))
+    query = select(_donor.c.id, _donor.c.run_id, score, rating, _donor.c.failure).select_from(_rated(_donor, evaluator))
+    usable = query.where(_donor.c.outcome.in_(DONORS), _donor.c.run_id.is_not(None), score.is_not(None))
+    return {row[0]: Donor(*row) for row in rows_among(connection, usable, _donor.c.id, references)}
 
 
 def proofs(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:

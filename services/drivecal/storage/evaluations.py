@@ -24,7 +24,8 @@ class NewEvaluation:
     """A requested cell with its plan (`reduction.assignment`).
 
     `donor` is the stored result, `leader` the position, among the cells inserted together, of the one that answers this cell, or that
-    its audit does not trust. A copy of a donor has its answer at once; every other cell is pending.
+    its audit does not trust. A copy of a donor has its answer at once, unless it waits for the verdict on its `lot`; every other cell is
+    pending.
     """
 
     stage: StageName
@@ -42,6 +43,11 @@ class NewEvaluation:
     confidence: float | None = None
     predicted_score: float | None = None
     predicted_rating: float | None = None
+
+    @property
+    def answered_at_once(self) -> bool:
+        """Whether a stored result is the cell's answer as soon as the cell is stored."""
+        return self.donor is not None and self.lot is None and self.plan in (*COPIES, Outcome.CERTIFIED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +144,13 @@ def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> N
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
 
-def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Plans a simulation for the predicted cells that were drawn as the samples of their lots."""
+def draw_sample(connection: Connection, evaluation_ids: Sequence[int], kind: Outcome) -> None:
+    """Plans a simulation for the predicted or reused cells that were drawn as the samples of their lots. Those of references are audits."""
+    drawn = {"audited" if kind is Outcome.REUSED else "sampled": True}
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
     rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
-        connection.execute(statement.values(plan=Outcome.SIMULATED, sampled=True), rows)
+        connection.execute(statement.values(plan=Outcome.SIMULATED, **drawn), rows)
 
 
 def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
@@ -203,7 +210,7 @@ _PREDICTION = ("lot", "confidence", "predicted_score", "predicted_rating")
 
 
 def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
-    answered = cell.donor if cell.plan in COPIES or cell.plan is Outcome.CERTIFIED else None
+    answered = cell.donor if cell.answered_at_once else None
     as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "audited", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
         "campaign_sequence": campaign_sequence,

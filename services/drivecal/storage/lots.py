@@ -1,12 +1,14 @@
-"""Lots of predicted answers: a batch of a scenario with its sampling plan and, once its sample is simulated, its verdict."""
+"""Lots of predicted or reused answers: a batch of a scenario with its sampling plan and, once its sample is simulated, its verdict."""
 
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
+from typing import Any
 
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, Row, case, func, select, update
 
+from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.tables import campaigns, evaluations, lots
 
 
@@ -19,7 +21,7 @@ class LotVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class NewLot:
-    """Predictions of a batch in a scenario; `individual` is the batch's first. `size` 0: no prediction was accepted."""
+    """Answers of a batch in a scenario; `individual` is the batch's first. `size` 0: no prediction was accepted."""
 
     iteration: int
     individual: int
@@ -31,9 +33,11 @@ class NewLot:
     aoql: float
     """The largest expected share of released errors (average outgoing quality limit)."""
     known: int
-    """Answers that the predictor had learned from."""
+    """Answers that the predictor had learned from; 0 for references."""
     seconds: float
-    """CPU time of the predictor."""
+    """CPU time of the predictor; 0 for references."""
+    kind: Outcome
+    """`PREDICTED` or `REUSED`: the outcome of the released answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class StoredLot(NewLot):
 
     @property
     def released(self) -> int:
-        """Number of predictions that became answers."""
+        """Number of inspected answers that were released."""
         return self.size - self.sample if self.verdict is LotVerdict.RELEASED else 0
 
 
@@ -69,27 +73,42 @@ def insert(connection: Connection, campaign_sequence: int, new: Sequence[NewLot]
     return list(connection.scalars(statement, [{"campaign_sequence": campaign_sequence} | asdict(lot) for lot in new]))
 
 
-def of_campaign(connection: Connection, campaign_sequence: int) -> list[StoredLot]:
-    """Returns all lots of a campaign, in the order of their batches."""
+def of_campaign(connection: Connection, campaign_sequence: int, kind: Outcome | None = None) -> list[StoredLot]:
+    """Returns the lots of a campaign, or those of a kind, in the order of their batches."""
     query = select(lots).where(lots.c.campaign_sequence == campaign_sequence).order_by(lots.c.id)
-    return [
-        StoredLot(
-            row.iteration,
-            row.individual,
-            row.scenario,
-            row.size,
-            row.sample,
-            row.acceptance,
-            row.tolerance,
-            row.aoql,
-            row.known,
-            row.seconds,
-            row.id,
-            None if row.verdict is None else LotVerdict(row.verdict),
-            row.errors,
-        )
-        for row in connection.execute(query)
-    ]
+    if kind is not None:
+        query = query.where(lots.c.kind == kind)
+    return [_lot(row) for row in connection.execute(query)]
+
+
+def by_id(connection: Connection, number: int) -> StoredLot:
+    """Returns a lot that exists."""
+    return _lot(connection.execute(select(lots).where(lots.c.id == number)).one())
+
+
+def _lot(row: Row[Any]) -> StoredLot:
+    columns = {field.name: getattr(row, field.name) for field in fields(StoredLot)}
+    verdict = None if row.verdict is None else LotVerdict(row.verdict)
+    return StoredLot(**columns | {"kind": Outcome(row.kind), "verdict": verdict})
+
+
+def verdicts(connection: Connection, campaign_sequence: int, kind: Outcome) -> dict[str, tuple[int, int]]:
+    """Returns the inspected and the rejected lots of a kind, by scenario."""
+    rejected = func.count(case((lots.c.verdict == LotVerdict.REJECTED, 1)))
+    query = select(lots.c.scenario, func.count(), rejected).where(
+        lots.c.campaign_sequence == campaign_sequence, lots.c.kind == kind, lots.c.verdict.is_not(None)
+    )
+    return {name: (inspected, count) for name, inspected, count in connection.execute(query.group_by(lots.c.scenario))}
+
+
+def references(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, set[int]]:
+    """Returns the evaluations that are to answer, or are compared with, the cells of a campaign's lots of references, by lot."""
+    cell = evaluations.c
+    query = select(cell.lot, cell.reference).where(cell.campaign_sequence == campaign_sequence, cell.lot.in_(list(lot_ids)))
+    listed: dict[int, set[int]] = {number: set() for number in lot_ids}
+    for number, reference in connection.execute(query.where(cell.reference.is_not(None))) if lot_ids else ():
+        listed[number].add(reference)
+    return listed
 
 
 def errors_so_far(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, int]:

@@ -62,24 +62,26 @@ def about(connection: Connection, campaign_id: str, campaign_sequence: int, infl
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Wrong answers of an influence map in a scenario, of so many that were compared by a campaign's validation or audits."""
+    """Wrong answers of an influence map in a scenario, of so many that were compared by a campaign's validation or audits; `stopped`: an
+    earlier release then stopped reuse there."""
 
     campaign: str
     scenario: str
     wrong: int
     compared: int
     audited: bool
+    stopped: bool = False
 
 
 def errors_of_map(connection: Connection, influence_map_id: str, before: datetime) -> list[MapError]:
-    """Returns what validations of a map measured and which audits stopped its reuse, in campaigns that ended `before`, oldest first."""
+    """Returns what validations and audits of a map measured, in campaigns that ended `before`, oldest first."""
     ended = campaigns.c.influence_map_id == influence_map_id, campaigns.c.ended_at < before
-    stopped = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
+    audited = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
     errors = [
-        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True)
-        for row in connection.execute(stopped)
+        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True, stopped=rate["stopped"])
+        for row in connection.execute(audited)
         for scenario, rate in row.error_rate.items()
-        if rate["stopped"]
+        if rate["wrong"]
     ]
     validated = (
         select(campaigns.c.id, studies.c.document)

@@ -34,7 +34,8 @@ Reason = Literal[
 """`confirmation`: simulated after the search, for the best set owed its score there to a reference. `blocked`: something is stored, but
 every set differs where it matters. `unanswered`: the cell that was to answer it has no result. `stopped`: the self-check stopped reuse in
 this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse. `analysis`: a cell of the sensitivity stage, which only
-repeats. `predicted`: released with its lot. `sampled`, `lot_rejected`: simulated to inspect its lot, or because of the lot's verdict.
+repeats. `predicted`: released with its lot. `sampled`, `lot_rejected`: simulated to inspect its lot, or because of the lot's verdict; the
+sample of a lot of references is `audited`.
 `not_accepted`: predicted, but simulated, for the prediction was too uncertain or the set too good. `not_predicted`: the predictor was not
 asked."""
 
@@ -89,10 +90,11 @@ class Proof(Answer):
 
 
 class InspectedLot(Answer):
-    """A lot of predictions: `sample` of `size` were simulated; with more than `acceptance` errors beyond the `tolerance` it is rejected.
+    """A lot of predictions or reused answers: `sample` of `size` were simulated; with more than `acceptance` errors beyond the `tolerance`
+    it is rejected.
 
-    `limit` bounds the expected released errors for each prediction in a lot, `known` counts the answers that the predictor had learned
-    from. `errors` and `verdict` (released or rejected) are null before the sample is simulated.
+    `limit` bounds the expected released errors for each answer in a lot, `known` counts the answers that the predictor had learned from
+    (0 for references). `errors` and `verdict` (released or rejected) are null before the sample is simulated.
     """
 
     id: int
@@ -157,5 +159,7 @@ class Explanation(Answer):
     audit: Audit | None = None
     proof: Proof | None = None
     prediction: Prediction | None = None
+    lot: InspectedLot | None = None
+    """The lot of an answer by a reference; that of a predicted one is in `prediction`."""
     distance: float | None = None
     stored: int | None = None

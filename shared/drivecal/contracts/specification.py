@@ -106,6 +106,8 @@ class ReductionSpecification(Model):
     tolerance if it has no steps); `limit`: expected released errors at most for each prediction in a lot (AOQL), by scenario. `narrow`:
     search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are simulated
     after the search, one after the other, until the best of the ranking has no score of a reference and no set is believed to be better.
+    `max_error`: expected wrong answers released at most for each reused answer in a lot (AOQL), by scenario; 1 makes no lots. `audit`:
+    share of reused and certified cells that is simulated as well.
     """
 
     mode: ReductionMode = "predicted"

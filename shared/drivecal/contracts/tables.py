@@ -129,9 +129,10 @@ class EvaluationRow(Answer):
 
     `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
     `proven_by`: the evaluation whose run a certificate says that it repeats; it answered certified cells, was checked by a simulation if
-    `proof_agrees` is not null, and tells for reused cells what a simulation would have given. `lot`: the lot of a predicted cell, also if
-    its sample or the whole lot was simulated; `sampled`: it was drawn, and `agrees` says whether the prediction was right; `confidence`:
-    the predictor's share of votes, 0 to 1, for every cell that it was asked about.
+    `proof_agrees` is not null, and tells for reused cells what a simulation would have given. `lot`: the lot of a predicted or reused
+    cell, also if its sample or the whole lot was simulated; `sampled`: a predicted cell was drawn, and `agrees` says whether the prediction
+    was right (a drawn cell of references is `audited`); `confidence`: the predictor's share of votes, 0 to 1, for every cell that it was
+    asked about.
     """
 
     model_config = ConfigDict(extra="allow")

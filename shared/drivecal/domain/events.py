@@ -48,7 +48,9 @@ class EventKind(StrEnum):
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     REUSE_STOPPED = "reuse_stopped"
-    """Too many `audited` cells of a `scenario` were `wrong`; from now on all its cells are simulated."""
+    """Of an earlier release: too many `audited` cells of a `scenario` were `wrong`; from then on all its cells were simulated."""
+    LOT_REJECTED = "lot_rejected"
+    """The first lot of references in a `scenario` was rejected: so many `audited` cells were `wrong` until then."""
     RUN = "run"
     """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` runs `of` the total."""
     NOTE = "note"
@@ -82,6 +84,7 @@ _TEXTS: dict[str, str] = {
     EventKind.BEST: "new best {objective:.4f} in iteration {iteration}: {scores}",
     EventKind.BASELINE: "baseline: objective {objective:.4f}",
     EventKind.REUSE_STOPPED: "reuse stopped in {scenario}: {wrong:,} of {audited:,} audited cells were wrong",
+    EventKind.LOT_REJECTED: "a lot of references rejected in {scenario} and simulated: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.RUN: "run {ended:,} of {of:,} {state}: {name}: best {best:.4f}",
     EventKind.NOTE: "note: {text}",
 }

@@ -1,4 +1,4 @@
-"""Lots of predictions: stored with their batch, sampled after their commit, and concluded once."""
+"""Lots of predictions and of references: stored with their batch, sampled after their commit, and concluded once."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from tests.support.storage import campaign, new_run, sample_set_ids, setup_id, s
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import evaluations, lots, results
+from drivecal.domain.scales import COMFORT
+from drivecal.storage import audits, evaluations, lots, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot
 from drivecal.storage.references import runs
 
 CALIBRATION = StageName.CALIBRATION
-LOT = NewLot(2, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.25)
+LOT = NewLot(2, 0, "S1", 3, 1, 0, 0.0, 0.05, 400, 0.25, Outcome.PREDICTED)
 
 
 def test_a_secret_is_made_once_for_each_campaign(database: Database) -> None:
@@ -44,6 +45,61 @@ def test_lots_keep_their_order_and_wait_for_their_verdict(database: Database) ->
     assert (first.aoql, first.known, first.seconds) == (0.05, 400, 0.25)
 
 
+def test_lots_of_both_kinds_may_belong_to_a_batch_and_are_told_apart(database: Database) -> None:
+    reused = replace(LOT, kind=Outcome.REUSED, known=0, seconds=0.0)
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        first, second, other = lots.insert(connection, sequence, [LOT, reused, replace(reused, scenario="S2")])
+        assert lots.verdicts(connection, sequence, Outcome.REUSED) == {}
+        lots.conclude(
+            connection, {first: (LotVerdict.RELEASED, 0), second: (LotVerdict.REJECTED, 1), other: (LotVerdict.RELEASED, 0)}
+        )
+    with database.read() as connection:
+        assert [lot.id for lot in lots.of_campaign(connection, sequence)] == [first, second, other]
+        assert [lot.id for lot in lots.of_campaign(connection, sequence, Outcome.REUSED)] == [second, other]
+        assert lots.by_id(connection, second).kind is Outcome.REUSED
+        assert lots.verdicts(connection, sequence, Outcome.PREDICTED) == {"S1": (1, 0)}
+        assert lots.verdicts(connection, sequence, Outcome.REUSED) == {"S1": (1, 1), "S2": (1, 0)}
+
+
+def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_references(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 6)
+        (number,) = lots.insert(connection, sequence, [replace(LOT, kind=Outcome.REUSED, size=4, sample=3)])
+        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED, b"key")
+        (reference,) = simulate(connection, sequence, [cell], score=5, rating=5.25)
+        donor = evaluations.own_references(connection, sequence, "S1", setup, [b"key"])[b"key"]
+        bare = replace(cell, iteration=2, plan=Outcome.REUSED, lot=number)
+        leader = replace(bare, individual=4, parameter_set_id=sets[5], plan=Outcome.SIMULATED, lot=None)
+        members = [replace(bare, individual=place, parameter_set_id=sets[place + 1], donor=donor) for place in range(3)]
+        evaluations.insert(
+            connection, sequence, [leader, *members, replace(bare, individual=3, parameter_set_id=sets[4], leader=0)]
+        )
+    with database.transaction() as connection:
+        waiting = {cell.individual: cell for cell in results.pending(connection, sequence)}
+        assert set(waiting) == {0, 1, 2, 3, 4}, "no answer before the verdict"
+        drawn = [waiting[0].id, waiting[1].id, waiting[3].id]
+        assert lots.references(connection, sequence, [number]) == {number: {reference, waiting[4].id}}
+        assert lots.references(connection, sequence, []) == {}
+        evaluations.draw_sample(connection, drawn, Outcome.REUSED)
+        cells = {cell.individual: cell for cell in results.pending(connection, sequence)}
+        assert [(cells[0].plan, cells[0].audited, cells[0].sampled)] == [(Outcome.SIMULATED, True, False)]
+        assert cells[0].reference == reference, "what it is compared with"
+        answers = [
+            AnsweredCell(drawn[0], Outcome.SIMULATED, 4, 4.0, donor.run),
+            AnsweredCell(drawn[1], Outcome.SIMULATED, 3, 3.0, donor.run),
+            AnsweredCell(drawn[2], Outcome.SIMULATED, 0, 0.0, donor.run),
+            AnsweredCell(waiting[4].id, Outcome.FAILED, None, None, None),
+        ]
+        evaluations.answer(connection, answers)
+        asked = connection, sequence, "reference@1", COMFORT, [number]
+        assert audits.wrong_in_lots(*asked) == {number: 1}, "a point is no error, and a reference without a result is none"
+        assert audits.wrong_in_lots(*asked[:4], []) == {}
+        trusted = audits.trusted(connection, sequence, "reference@1", [reference, waiting[4].id])
+        assert trusted == {reference: donor}
+
+
 def test_a_rejected_lot_releases_nothing(database: Database) -> None:
     with database.transaction() as connection:
         sequence = campaign(connection).sequence
@@ -69,7 +125,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         drawn = waiting[1]
         run = new_run(setup, drawn.parameter_set_id, evaluation=drawn.id, campaign_sequence=sequence, score=3, rating=3.1)
         (own,) = runs.insert_results(connection, [run])
-        evaluations.draw_sample(connection, [drawn.id])
+        evaluations.draw_sample(connection, [drawn.id], Outcome.PREDICTED)
         assert lots.errors_so_far(connection, sequence, [number]) == {}
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}

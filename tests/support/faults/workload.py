@@ -37,7 +37,7 @@ ANALYSING: dict[str, Any] = {
     "vehicle": {"parameters": {"mass": 1600}},
     "sensitivity": {"intervals": 3, "samples": 3, "threshold": 0.02},
     "optimizer": {"kind": "genetic", "population": 20, "iterations": 3, "seed": 2},
-    "reduction": {"mode": "influence", "audit": 0.1},
+    "reduction": {"mode": "influence", "audit": 0.1, "max_error": 1},
     "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},
     "validation": {"samples": 10, "references": 2, "largest": 20},
 }

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 
 from drivecal.campaigns.cells.predicting import batch_of, pays, released_by_scenario, skipped_text, slice_size
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome
 from drivecal.reduction.prediction import FEWEST_KNOWN
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 
 def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000, errors: int | None = 0) -> StoredLot:
     verdict = None if errors is None else LotVerdict.RELEASED if errors <= 1 else LotVerdict.REJECTED
-    return StoredLot(1, 0, "S1", size, sample, 1, 0.0, 0.05, known, seconds, 1, verdict, errors)
+    return StoredLot(1, 0, "S1", size, sample, 1, 0.0, 0.05, known, seconds, Outcome.PREDICTED, 1, verdict, errors)
 
 
 @pytest.mark.parametrize(

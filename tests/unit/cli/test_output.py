@@ -184,3 +184,9 @@ def test_wrong_answers_are_off_by_more_than_the_campaigns_own_tolerance() -> Non
         for scale in (COMFORT, COST)
     ]
     assert [text.rpartition("more than ")[2] for text in told] == ["1 point", "2"]
+
+
+def test_the_self_check_counts_lots_of_references() -> None:
+    rates = {"S1": ErrorRate(audited=30, wrong=1, lots=2, rejected=1), "S2": ErrorRate(audited=10, lots=1)}
+    told = self_check_text(Campaign(id="0" * 32, name="mine", state="running", error_rate=rates))
+    assert re.findall(r"\d[\d,]*", told.rpartition(";")[2]) == ["3", "1"]

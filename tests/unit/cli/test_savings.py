@@ -19,14 +19,14 @@ from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 
 def test_error_rates_have_their_bound_and_say_where_reuse_was_stopped(capsys: pytest.CaptureFixture[str]) -> None:
     rates = {
-        "S1": ErrorRate(audited=200, different=9, wrong=3, upper_95=0.0432, stopped=True, contradictions=2),
+        "S1": ErrorRate(audited=200, different=9, wrong=3, upper_95=0.0432, stopped=True, contradictions=2, lots=7, rejected=4),
         "S2": ErrorRate(),
         "S3": ErrorRate(contradictions=1),
     }
     print_error_rates(rates)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[3].split() == ["S1", "200", "9", "3", "1.50%", "4.32%", "2", "stopped"]
-    assert lines[4].split() == ["S3", "0", "0", "0", "-", "-", "1", "on"]
+    assert lines[3].split() == ["S1", "200", "9", "3", "1.50%", "4.32%", "2", "7", "4", "stopped"]
+    assert lines[4].split() == ["S3", "0", "0", "0", "-", "-", "1", "0", "0", "on"]
     assert len(lines) == 5
 
 

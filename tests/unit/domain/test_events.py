@@ -19,6 +19,7 @@ FIGURES: list[tuple[EventKind, dict[str, Any], list[str]]] = [
         ["5.5000", "iteration 3", "S1 6", "S2 5"],
     ),
     (EventKind.BASELINE, {"objective": 5.25}, ["5.2500"]),
+    (EventKind.LOT_REJECTED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
     (EventKind.REUSE_STOPPED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
     (
         EventKind.RUN,

@@ -1,5 +1,5 @@
-"""Whatever a predictor does, the errors released stay below the limit in the mean, for each prediction in a lot. All that a useless
-predictor costs is its fits and its samples."""
+"""Whatever a predictor or an influence map does, the errors released stay below the limit in the mean, for each answer in a lot. All that a
+useless predictor costs is its fits and its samples."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from tests.support.effort import tries
-from tests.support.inspected import Tally, inspect
+from tests.support.inspected import Tally, inspect, inspect_references, plan_of_references
 from tests.support.scales import COST
 
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.reduction.lots import outgoing_errors
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
 from drivecal.reduction.regression_forest import predictor_on
 
@@ -164,3 +166,70 @@ def test_predictions_of_continuous_scores_are_released_and_keep_the_limit(limit:
                 shares.append(tally.different / tally.inspected)
     assert released > 0.2 * cells
     assert np.mean(shares) <= limit + 3.0 * np.std(shares) / np.sqrt(len(shares))
+
+
+Adversary = Callable[[int, int, float, ErrorRate, "list[Tally]"], int]
+"""Number of wrong references in a lot: of a batch, of a size, under a limit, after these audits and verdicts."""
+
+
+def rarely_wrong(batch: int, size: int, limit: float, known: ErrorRate, verdicts: list[Tally]) -> int:
+    del batch, limit, known, verdicts
+    return size // 20
+
+
+def wholly_wrong(batch: int, size: int, limit: float, known: ErrorRate, verdicts: list[Tally]) -> int:
+    del batch, limit, known, verdicts
+    return size
+
+
+def wrong_from_the_middle_on(batch: int, size: int, limit: float, known: ErrorRate, verdicts: list[Tally]) -> int:
+    """As where a search moves to a region that the analysis did not see."""
+    del limit, known, verdicts
+    return size // 8 if batch >= 4 else 0
+
+
+def careful(batch: int, size: int, limit: float, known: ErrorRate, verdicts: list[Tally]) -> int:
+    """As many as pass best, of all that know the plan: the worst case of every lot."""
+    del batch, verdicts
+    return int(np.argmax(outgoing_errors(plan_of_references(size, limit, known))))
+
+
+def greedy(batch: int, size: int, limit: float, known: ErrorRate, verdicts: list[Tally]) -> int:
+    """More after each release, and none after a rejection, until the audits look well again."""
+    del batch, limit
+    if verdicts and verdicts[-1].rejected:
+        return 0
+    return min(size, 1 + size * sum(tally.released > 0 for tally in verdicts) // 40 + known.lots % 2)
+
+
+@pytest.mark.parametrize("limit", [0.02, 0.05])
+@pytest.mark.parametrize("adversary", [rarely_wrong, wholly_wrong, wrong_from_the_middle_on, careful, greedy])
+def test_replays_of_a_sabotaged_map_release_few_wrong_references(adversary: Adversary, limit: float) -> None:
+    excesses: list[float] = []
+    released = different = 0
+    for number in range(REPLAYS):
+        generator, known, tallies = np.random.default_rng([7, number]), ErrorRate(), list[Tally]()
+        for batch in range(8):
+            size = int(generator.integers(10, 160))
+            wrong = np.zeros(size, dtype=np.bool_)
+            wrong[generator.permutation(size)[: adversary(batch, size, limit, known, tallies)]] = True
+            tally, known = inspect_references(wrong, limit, known, number.to_bytes(4) + batch.to_bytes(4))
+            tallies.append(tally)
+        excesses.append(sum(tally.different - limit * tally.inspected for tally in tallies))
+        released += sum(tally.released for tally in tallies)
+        different += sum(tally.different for tally in tallies)
+        assert all(tally.simulated == tally.cells - tally.released for tally in tallies)
+    assert np.mean(excesses) <= 3.0 * np.std(excesses) / np.sqrt(REPLAYS)
+    assert (released == 0) == (different == 0) == (adversary is wholly_wrong), "a sabotage without an error shows nothing"
+
+
+def test_a_wrong_sample_stops_no_map_for_good() -> None:
+    """A rejected lot raises what is expected of references; right ones lower it again, and are released."""
+    known = ErrorRate()
+    first, known = inspect_references(np.arange(60) < 30, 0.02, known, b"first")
+    assert first.rejected
+    released = 0
+    for batch in range(10):
+        tally, known = inspect_references(np.zeros(60, dtype=np.bool_), 0.02, known, batch.to_bytes(4))
+        released += tally.released
+    assert released > 300

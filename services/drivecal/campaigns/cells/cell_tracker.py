@@ -49,7 +49,7 @@ class CellTracker:
         self._proofs: dict[int, int] = {}
         """Certificate probes for reused cells without an answer, see `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
-        self._inspection = Inspection(view.campaign)
+        self._inspection = Inspection(view.campaign, view.bench.evaluator_id, view.bench.scale)
         self._refuted: str | None = None
         self._refuted_setups: set[int] = set()
         self._exclusive = False
@@ -75,7 +75,7 @@ class CellTracker:
         self._counts["proposed"] += len(cells) + carried_over
         self._counts["carried_over"] += carried_over
         for cell in cells:
-            if cell.plan in COPIES and cell.donor is not None:
+            if cell.answered_at_once:
                 self._count(cell.plan)
             else:
                 self._counts["pending"] += 1
@@ -99,7 +99,7 @@ class CellTracker:
         self._pending |= self._inspection.load(connection, self._pending)
         self._copies, self._proofs = {}, {}
         for cell in self._pending.values():
-            if cell.plan in COPIES and cell.reference is not None:
+            if cell.plan in COPIES and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
         answers: list[AnsweredCell] = []
         if share_runs:
@@ -158,14 +158,14 @@ class CellTracker:
         return replace(completion, result=replace(result, score=plain(score), rating=float(rating)))
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
-        """Stores answers and the verdicts that follow from them; returns the cells of rejected lots, to be simulated."""
-        released, rejected = self._inspection.conclude(connection)
-        for cell in released:
-            answers.append(AnsweredCell(cell.id, Outcome.PREDICTED, cell.predicted_score, cell.predicted_rating, run_id=None))
-            self._close(cell, Outcome.PREDICTED)
-        for cell in rejected:
-            self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED)
+        """Stores answers and the verdicts that follow from them; returns the cells that are to be simulated instead."""
         evaluations.answer(connection, answers)
+        released, rejected = self._inspection.conclude(connection, self._pending.keys())
+        for cell, answer in released:
+            self._close(cell, answer.outcome)
+        evaluations.answer(connection, [replace(answer, proven_by=self._proofs.get(cell.id)) for cell, answer in released])
+        for cell in rejected:
+            self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED, reference=None)
         return [self._pending[cell.id] for cell in rejected]
 
     def _probes(self, connection: Connection, simulated: Sequence[StoredEvaluation]) -> dict[int, tuple[Probe, ...]]:
@@ -204,7 +204,7 @@ class CellTracker:
 
     def _work(self, cells: Sequence[StoredEvaluation], probes: Mapping[int, tuple[Probe, ...]] | None = None) -> list[Work]:
         by_setup: dict[int, list[Cell]] = {}
-        for pending in sorted(cells, key=lambda cell: not cell.sampled):  # lots wait for their samples
+        for pending in sorted(cells, key=lambda cell: not (cell.sampled or cell.audited)):  # lots wait for their samples
             cell = self._cell(pending)
             if probes and pending.id in probes:
                 cell = replace(cell, probes=probes[pending.id])

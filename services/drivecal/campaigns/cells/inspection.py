@@ -1,30 +1,35 @@
-"""Inspects lots of predicted cells: draws their samples, compares these with the predictions, and releases or rejects the lots.
+"""Inspects lots of predicted and of reused cells: draws their samples, compares these with the predictions or the references, and releases
+or rejects the lots.
 
-The rows are authoritative. A sample is drawn after the predictions are committed, by the campaign's secret, so that a crash changes
-neither sample nor verdict.
+The rows are authoritative. A sample is drawn after the lot is committed, by the campaign's secret, so that a crash changes neither sample
+nor verdict.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from sqlalchemy import Connection
 
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.scales import Scale
 from drivecal.reduction.lots import SamplingPlan, draw
 from drivecal.reduction.prediction import ROUNDING
-from drivecal.storage import evaluations, lots
+from drivecal.storage import audits, evaluations, lots
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.lots import LotVerdict, StoredLot
 from drivecal.storage.results import StoredEvaluation
 
 
 @dataclass(slots=True)
 class _OpenLot:
-    """A lot without a verdict: `sampled` cells wait for their simulation, `members` for the verdict."""
+    """A lot without a verdict: `sampled` cells wait for their simulation, `members` for the verdict. References in `awaited` are being
+    simulated in the same batch."""
 
     lot: StoredLot
     errors: int = 0
     sampled: set[int] = field(default_factory=set)
     members: dict[int, StoredEvaluation] = field(default_factory=dict)
+    awaited: set[int] = field(default_factory=set)
 
     @property
     def plan(self) -> SamplingPlan:
@@ -34,8 +39,8 @@ class _OpenLot:
 class Inspection:
     """The open lots of one campaign."""
 
-    def __init__(self, campaign: int) -> None:
-        self._campaign = campaign
+    def __init__(self, campaign: int, evaluator: str, scale: Scale) -> None:
+        self._campaign, self._evaluator, self._scale = campaign, evaluator, scale
         self._open: dict[int, _OpenLot] = {}
 
     def load(self, connection: Connection, pending: Mapping[int, StoredEvaluation]) -> dict[int, StoredEvaluation]:
@@ -47,16 +52,20 @@ class Inspection:
         stored = {lot.id: lot for lot in lots.of_campaign(connection, self._campaign) if lot.size and lot.verdict is None}
         errors = lots.errors_so_far(connection, self._campaign, list(stored))
         self._open = {number: _OpenLot(lot, errors.get(number, 0)) for number, lot in stored.items()}
+        reused = [number for number, lot in stored.items() if lot.kind is Outcome.REUSED]
+        for number, references in lots.references(connection, self._campaign, reused).items():
+            self._open[number].awaited = references & pending.keys()
         for cell in waiting:
-            if cell.lot in self._open and cell.sampled:
+            if cell.lot in self._open and (cell.sampled or cell.audited):
                 self._open[cell.lot].sampled.add(cell.id)
             elif cell.lot in self._open:
                 self._open[cell.lot].members[cell.id] = cell
         drawn: dict[int, StoredEvaluation] = {}
         for lot in self._open.values():
             if len(lot.members) == lot.lot.size:
-                drawn |= self._draw(connection, lot)
-        evaluations.draw_sample(connection, list(drawn))
+                sample = self._draw(connection, lot)
+                evaluations.draw_sample(connection, list(sample), lot.lot.kind)
+                drawn |= sample
         return drawn
 
     def _draw(self, connection: Connection, lot: _OpenLot) -> dict[int, StoredEvaluation]:
@@ -66,12 +75,15 @@ class Inspection:
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)
-        return {cell.id: replace(cell, plan=Outcome.SIMULATED, sampled=True) for cell in chosen}
+        reused = lot.lot.kind is Outcome.REUSED
+        return {cell.id: replace(cell, plan=Outcome.SIMULATED, sampled=not reused, audited=reused) for cell in chosen}
 
     def compare(self, cell: StoredEvaluation, score: float | None) -> bool | None:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other
-        cells."""
+        cells. Samples of references are compared by the verdict, for their references may still be simulated."""
         lot = self._open.get(cell.lot or 0)
+        if lot is not None and cell.audited:
+            lot.sampled.discard(cell.id)
         if not cell.sampled or lot is None or cell.predicted_score is None:
             return None
         right = score is not None and abs(score - cell.predicted_score) <= lot.lot.tolerance + ROUNDING
@@ -79,20 +91,49 @@ class Inspection:
         lot.errors += not right
         return right
 
-    def conclude(self, connection: Connection) -> tuple[list[StoredEvaluation], list[StoredEvaluation]]:
-        """Stores the verdicts of lots with a complete sample, and returns the cells to release and those to simulate.
+    def conclude(
+        self, connection: Connection, pending: Collection[int]
+    ) -> tuple[list[tuple[StoredEvaluation, AnsweredCell]], list[StoredEvaluation]]:
+        """Stores the verdicts of lots with a complete sample, and returns the cells to release, with their answers, and those to simulate.
 
-        A verdict waits for the whole sample even if it cannot change any more, so that it does not depend on the workers' timing.
+        All answers so far must be stored; `pending` cells have none. A verdict waits for the whole sample even if it cannot change any
+        more, so that it does not depend on the workers' timing, and for the references of all cells.
         """
-        released: list[StoredEvaluation] = []
-        rejected: list[StoredEvaluation] = []
-        complete = {number: lot for number, lot in self._open.items() if not lot.sampled}
-        for number, lot in complete.items():
-            (released if lot.plan.releases(lot.errors) else rejected).extend(lot.members.values())
-            del self._open[number]
+        for lot in self._open.values():
+            lot.awaited.intersection_update(pending)
+        complete = [lot for lot in self._open.values() if not lot.sampled and not lot.awaited]
+        self._compare_references(connection, complete)
+        released: list[tuple[StoredEvaluation, AnsweredCell]] = []
+        simulated: list[StoredEvaluation] = []
+        for lot in complete:
+            del self._open[lot.lot.id]
+            cells = list(lot.members.values())
+            answers = self._answers(connection, lot.lot.kind, cells) if lot.plan.releases(lot.errors) else {}
+            released += [(cell, answers[cell.id]) for cell in cells if cell.id in answers]
+            simulated += [cell for cell in cells if cell.id not in answers]
         verdicts = {
-            number: (LotVerdict.RELEASED if lot.plan.releases(lot.errors) else LotVerdict.REJECTED, lot.errors)
-            for number, lot in complete.items()
+            lot.lot.id: (LotVerdict.RELEASED if lot.plan.releases(lot.errors) else LotVerdict.REJECTED, lot.errors)
+            for lot in complete
         }
         lots.conclude(connection, verdicts)
-        return released, rejected
+        return released, simulated
+
+    def _compare_references(self, connection: Connection, complete: Iterable[_OpenLot]) -> None:
+        reused = {lot.lot.id: lot for lot in complete if lot.lot.kind is Outcome.REUSED}
+        if not reused:
+            return
+        wrong = audits.wrong_in_lots(connection, self._campaign, self._evaluator, self._scale, list(reused))
+        for number, lot in reused.items():
+            lot.errors = wrong.get(number, 0)
+
+    def _answers(self, connection: Connection, kind: Outcome, cells: Collection[StoredEvaluation]) -> dict[int, AnsweredCell]:
+        """Returns the answers of released cells, by id. A reference without a result answers no cell."""
+        if kind is Outcome.PREDICTED:
+            return {cell.id: AnsweredCell(cell.id, kind, cell.predicted_score, cell.predicted_rating, None) for cell in cells}
+        references = {cell.id: cell.reference for cell in cells if cell.reference is not None}
+        donors = audits.trusted(connection, self._campaign, self._evaluator, list(set(references.values())))
+        with_result = {cell: donors[reference] for cell, reference in references.items() if reference in donors}
+        return {
+            cell: AnsweredCell(cell, kind, donor.score, donor.rating, donor.run, donor.failure)
+            for cell, donor in with_result.items()
+        }

@@ -113,7 +113,7 @@ class LotPlanner:
 
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
-        self._lots_so_far = lots.of_campaign(connection, self._view.campaign)
+        self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         self._cell_seconds = evaluations.mean_seconds(connection, self._view.campaign)
         setups = ensure_setups(connection, self._view.bench)
         if self._newest is None:
@@ -182,7 +182,7 @@ class LotPlanner:
     def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
         batches = -(-self._population // self._slice) + iteration
-        stored = lots.of_campaign(connection, self._view.campaign)
+        stored = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         return released_by_scenario(stored, self._learners, self._reduction.limit, batches, self._number)
 
     def _number(self, lot: StoredLot) -> int:
@@ -250,6 +250,7 @@ class LotPlanner:
             self._reduction.limit,
             forecast.known,
             forecast.seconds,
+            Outcome.PREDICTED,
         )
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:

@@ -231,7 +231,7 @@ class _Sum:
 
 
 def _rate(audits: Mapping[str, int]) -> ErrorRate:
-    counts = {name: audits[name] for name in ("audited", "different", "wrong", "contradictions")}
+    counts = {name: audits[name] for name in ("audited", "different", "wrong", "contradictions", "lots", "rejected")}
     upper = clopper_pearson(audits["wrong"], audits["audited"])[1]
     return ErrorRate(**counts, upper_95=upper, stopped=bool(audits["stopped"]))
 

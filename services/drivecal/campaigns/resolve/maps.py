@@ -24,6 +24,7 @@ from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.plugins import registry
+from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references import influence_maps
@@ -169,10 +170,12 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
 
 def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:
     """Returns a warning for every scenario in which the map is known to be wrong: more than `largest_error` of what a validation compared
-    was wrong, or audits stopped reuse. Campaigns that ended `before` then count."""
+    was wrong, or certainly more of what was audited. Campaigns that ended `before` then count."""
     worst: dict[str, MapError] = {}
     for error in errors_of_map(connection, influence_map_id, before):
-        if error.audited or error.wrong > largest_error * error.compared:
+        surely, _ = clopper_pearson(error.wrong, error.compared)
+        exceeds = surely > largest_error if error.audited else error.wrong > largest_error * error.compared
+        if exceeds or error.stopped:
             known = worst.get(error.scenario)
             if known is None or error.wrong * known.compared > known.wrong * error.compared:
                 worst[error.scenario] = error
@@ -180,7 +183,7 @@ def doubts(connection: Connection, influence_map_id: str, largest_error: float, 
 
 
 def _doubt(error: MapError) -> str:
-    measured = "audits stopped its reuse" if error.audited else "its validation compared"
+    measured = "audits stopped its reuse" if error.stopped else "by audits" if error.audited else "its validation compared"
     return (
         f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were wrong "
         f"({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "

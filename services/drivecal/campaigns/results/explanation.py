@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
-from drivecal.campaigns.results.prediction import prediction_of
+from drivecal.campaigns.results.prediction import inspected_lot, prediction_of
 from drivecal.contracts.explanation import Audit, Difference, Explanation, Prediction, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
@@ -21,8 +21,9 @@ from drivecal.reduction import explanation
 from drivecal.reduction.audit import stopped_after
 from drivecal.reduction.explanation import CellComparison, Nearest
 from drivecal.reduction.reasons import sentence
-from drivecal.storage import audits, campaigns, results
+from drivecal.storage import audits, campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.lots import LotVerdict, StoredLot
 from drivecal.storage.references import influence_maps, parameter_sets, reference_candidates, runs
 from drivecal.storage.results import StoredEvaluation
 
@@ -63,6 +64,10 @@ class _Case:
         )
 
     @cached_property
+    def lot(self) -> StoredLot | None:
+        return None if self.cell.lot is None else lots.by_id(self.connection, self.cell.lot)
+
+    @cached_property
     def prediction(self) -> Prediction | None:
         return prediction_of(self.connection, self.campaign, self.cell, self._pinned)
 
@@ -85,10 +90,13 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
     """Explains an evaluation's answer. Raises NotFoundError."""
     cell = results.by_id(connection, evaluation_id)
     case = _Case(connection, cell, campaigns.by_sequence(connection, cell.campaign_sequence))
-    if cell.lot is not None and cell.outcome is not Outcome.CERTIFIED:
+    lot = case.lot
+    if lot is not None and lot.kind is Outcome.PREDICTED and cell.outcome is not Outcome.CERTIFIED:
         released = cell.plan is Outcome.PREDICTED
         return _explanation(case, "predicted" if released else "sampled" if cell.sampled else "lot_rejected")
     if cell.plan is Outcome.SIMULATED and not cell.audited and cell.outcome is not Outcome.CERTIFIED:
+        if lot is not None and lot.verdict is LotVerdict.REJECTED:
+            return _explanation(case, "lot_rejected")
         return _not_reused(case)
     answered_as = Outcome.CERTIFIED if cell.outcome is Outcome.CERTIFIED else cell.plan
     reason: Reason = "audited" if cell.audited else _REASONS[answered_as]
@@ -282,6 +290,7 @@ def _explanation(
         audit=audit,
         proof=_proof(case),
         prediction=case.prediction,
+        lot=None if case.lot is None or case.lot.kind is not Outcome.REUSED else inspected_lot(case.lot),
         distance=distance,
         stored=stored,
     )

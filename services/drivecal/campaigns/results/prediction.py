@@ -11,6 +11,7 @@ from drivecal.contracts.explanation import InspectedLot, Neighbour, Prediction
 from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
 from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import runs
 from drivecal.storage.results import StoredEvaluation
 
@@ -33,13 +34,13 @@ def prediction_of(
         confidence=cell.confidence,
         sampled=cell.sampled,
         agrees=cell.agrees if cell.sampled else None,
-        lot=None if cell.lot is None else _lot(connection, campaign.sequence, cell.lot),
+        lot=None if cell.lot is None else inspected_lot(lots.by_id(connection, cell.lot)),
         neighbours=_neighbours(connection, campaign, cell, resolved, neighbours),
     )
 
 
-def _lot(connection: Connection, campaign_sequence: int, number: int) -> InspectedLot:
-    (lot,) = (lot for lot in lots.of_campaign(connection, campaign_sequence) if lot.id == number)
+def inspected_lot(lot: StoredLot) -> InspectedLot:
+    """Returns a stored lot as an explanation shows it."""
     return InspectedLot(
         id=lot.id,
         size=lot.size,

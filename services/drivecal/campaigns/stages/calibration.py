@@ -15,6 +15,7 @@ from drivecal.analysis.confirmation import Confirmation, verdict_in
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
+from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
@@ -25,8 +26,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
-from drivecal.reduction.audit import error_rates
-from drivecal.storage import audits, campaigns, events, generations, results
+from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -188,8 +188,12 @@ class Calibration(CampaignStage):
             self._planner.predict(dict(zip(batch, sets, strict=True)))
         return Round(self._iteration, [(problem.bench, wanted)], self._policy())
 
-    def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
-        if self._planner is None or asked.number != self._iteration:
+    def _form_lots(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
+        if asked.number != self._iteration:
+            return planned
+        limit = self._problem.specification.reduction.max_error
+        planned = form_lots_of_references(connection, self._view, planned, limit, self._error_rate)
+        if self._planner is None:
             return planned
         best = self._ranking.surest()
         given = range(len(self._problem.start_sets)) if asked.number == 0 else ()  # first in the start population
@@ -279,17 +283,7 @@ class Calibration(CampaignStage):
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
         """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
-        view, sequence, bench = self._view, self._campaign.sequence, self._view.bench
-        rater, scale = bench.evaluator_id, bench.scale
-        audits.settle(connection, sequence, self.name, iteration, rater, scale)
-        contradictions = audits.contradictions(connection, sequence, view.influence_map_sequence, rater, view.watermark, scale)
-        limit = self._problem.specification.reduction.max_error
-        counts, before = audits.count(connection, sequence, rater, scale), self._error_rate
-        self._error_rate = error_rates(counts, before, self._problem.scenarios, limit, contradictions)
-        for scenario, rate in self._error_rate.items():
-            if rate.stopped and not (scenario in before and before[scenario].stopped):
-                data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
-                events.add(connection, sequence, EventKind.REUSE_STOPPED, data)
+        self._error_rate = check_reuse(connection, self._view, iteration, self._problem.scenarios, self._error_rate)
 
     def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
         """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
@@ -377,6 +371,8 @@ class Calibration(CampaignStage):
         for scenario, rate in self._error_rate.items():
             if rate.stopped:
                 notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
+        if (rejected := rejected_text(self._error_rate)) is not None:
+            notes.append(rejected)
         if counts.unrepeatable:
             notes.append(f"{counts.unrepeatable} simulations differ from another run of the same cell: scores are samples")
             if not self._repeatable_no_more:

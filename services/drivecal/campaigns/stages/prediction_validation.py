@@ -14,7 +14,7 @@ from drivecal.campaigns.stages.study import StudyStage
 from drivecal.campaigns.stages.validation import compared
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.evaluations import CellScore
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
@@ -63,7 +63,9 @@ class PredictionValidation(StudyStage):
         with database.read() as connection:
             source = campaigns.get(connection, wanted.of)
             stored = results.released(connection, source.sequence)
-            inspected = [lot for lot in lots.of_campaign(connection, source.sequence) if lot.verdict is not None]
+            inspected = [
+                lot for lot in lots.of_campaign(connection, source.sequence, Outcome.PREDICTED) if lot.verdict is not None
+            ]
         self._inspected = {name: sum(lot.size for lot in inspected if lot.scenario == name) for name in problem.scenarios}
         self._reduction = specification_of(source).reduction
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}

@@ -159,18 +159,18 @@ class Stage(Job):
                 for position, (bench, cells) in enumerate(asked.cells):
                     view = self._view if bench is self._view.bench else replace(self._view, bench=bench)
                     planned = plan_cells(connection, view, asked.policy, self.name, asked.number, cells)
-                    planned = self._predict(connection, asked, planned)
+                    planned = self._form_lots(connection, asked, planned)
                     self._tracker.request(connection, planned, carried_over=0 if position else asked.carried_over)
                 self._store(connection, asked)
                 self._save(connection)
         benches = [bench for bench, _ in asked.cells if bench is not self._view.bench]
-        with self._database.transaction() as connection:  # a sample is drawn after its predictions are committed
+        with self._database.transaction() as connection:  # a sample is drawn after its lot is committed
             work = self._tracker.load(connection, share_runs=asked.policy.mode != "off", benches=benches)
             self._save(connection)
         return work
 
-    def _predict(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:  # a hook
-        """Replaces simulations by predictions."""
+    def _form_lots(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:  # a hook
+        """Puts reused cells into lots, and replaces simulations by predictions in lots."""
         del connection, asked
         return planned
 

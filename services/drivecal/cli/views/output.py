@@ -167,6 +167,10 @@ def self_check_text(campaign: Campaign) -> str:
     cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
     text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than {tolerated}"
     stopped = [name for name, rate in rates.items() if rate.stopped]
+    lots, rejected = totals(rates.values(), "lots", "rejected")
+    if lots:
+        inspected = "1 lot of references was" if lots == 1 else f"{lots:,} lots of references were"
+        text = f"{text}; {inspected} inspected, {rejected:,} rejected"
     return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
 
 

@@ -19,7 +19,18 @@ def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) ->
         return
     tolerated = scale.amount(scale.tolerance)
     typer.echo(f"\nerrors of reused results, found by simulating some of them all the same (wrong: by more than {tolerated})")
-    header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)", "contradictions", "reuse"]
+    header = [
+        "scenario",
+        "audited",
+        "different",
+        "wrong",
+        "R_err",
+        "at most (95 %)",
+        "contradictions",
+        "lots",
+        "rejected",
+        "reuse",
+    ]
     print_columns(header, rows)
 
 

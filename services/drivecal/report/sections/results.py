@@ -44,7 +44,9 @@ def _errors(campaign: Campaign) -> str:
         return ""
     stopped = [name for name, error_rate in campaign.error_rate.items() if error_rate.stopped]
     text = errors_text("audited answers", audited, different, wrong, campaign.scale)
-    return text + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
+    lots, rejected = totals(campaign.error_rate.values(), "lots", "rejected")
+    inspected = f" Of {lots:,} lots of reused answers {rejected:,} were rejected and simulated." if lots else ""
+    return text + inspected + (f" Reuse was stopped in {', '.join(stopped)}." if stopped else "")
 
 
 def _predictions(campaign: Campaign) -> str:

@@ -35,15 +35,17 @@ def cells_by_stage(campaign: Campaign) -> str:
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     """Returns the results of audits, of inspected lots, of checked certificates, and of certificates of reused cells."""
-    header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "reuse"]
+    header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "lots", "rejected", "reuse"]
     tolerated = campaign.scale.amount(campaign.scale.tolerance)
-    caption = f"Self-check: reusable cells that were simulated all the same; wrong: the scores differ by more than {tolerated}"
+    wrong = f"wrong: the scores differ by more than {tolerated}"
+    lots = "a lot of references with too many wrong samples was rejected and simulated whole"
+    caption = f"Self-check: reusable cells that were simulated all the same; {wrong}; {lots}"
     rows = error_rates(campaign.error_rate)
     content = [table(header, rows, caption)] if rows else []
-    lots = lots_table(campaign)
-    if not rows and (campaign.cells.reused or not lots):
+    predicted = lots_table(campaign)
+    if not rows and (campaign.cells.reused or not predicted):
         content = [paragraph("No cell was audited, so nothing is known about errors of reuse in this campaign.")]
-    return [*content, *lots, *_proved(account), *_certified(campaign)]
+    return [*content, *predicted, *_proved(account), *_certified(campaign)]
 
 
 def lots_table(campaign: Campaign) -> list[str]:

@@ -201,7 +201,7 @@ reference_indexes = Table(  # the keys of one setup's runs under one map, of tho
     sqlite_autoincrement=True,
 )
 
-lots = Table(  # predictions of a batch in a scenario, and their inspection; size 0: none was accepted
+lots = Table(  # answers of a batch in a scenario that are inspected together; size 0: no prediction was accepted
     "lots",
     metadata,
     Column("id", Identity, primary_key=True),
@@ -218,7 +218,8 @@ lots = Table(  # predictions of a batch in a scenario, and their inspection; siz
     Column("seconds", Float, nullable=False),
     Column("verdict", Name),
     Column("errors", Integer),
-    UniqueConstraint("campaign_sequence", "iteration", "individual", "scenario"),
+    Column("kind", Name, nullable=False, server_default="predicted"),  # the outcome that its released cells have
+    UniqueConstraint("campaign_sequence", "iteration", "individual", "scenario", "kind"),
     sqlite_autoincrement=True,
 )
 
@@ -249,7 +250,7 @@ evaluations = Table(
     Column("detail", Text),
     Column("proven_by", Identity),
     Column("proof_agrees", Boolean),
-    # Of cells that the predictor was asked about; `lot` of those that it was trusted with.
+    # Of cells that the predictor was asked about; `lot` of those that it was trusted with, and of those that references are to answer.
     Column("lot", Identity),
     Column("confidence", Float),
     Column("predicted_score", Score),

@@ -104,15 +104,19 @@ def check_answers(connection: Connection) -> Iterator[str]:
 
 
 def check_lots(connection: Connection) -> Iterator[str]:
-    """Checks that predictions are released by inspected lots alone, and that lots with a verdict have their sample and no open cell."""
+    """Checks that lots' answers are released by inspected lots alone, and that lots with a verdict have their sample and no open cell."""
     cell = evaluations.c
     joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
     released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
     unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.sampled | cell.run_id.is_not(None) | ~released)
     yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
+    uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
+    yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
+    other = cell.lot.is_not(None) & cell.outcome.in_(COPIES) & (lots.c.kind != cell.outcome)
+    yield from _cells(connection, joined, other, "are copies in lots of another kind")
     members = (
         func.count(cell.id),
-        func.sum(case((cell.sampled, 1), else_=0)),
+        func.sum(case((cell.sampled | cell.audited, 1), else_=0)),
         func.sum(case((cell.outcome.is_(None), 1), else_=0)),
     )
     query = (
@@ -122,7 +126,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     )
     for identifier, size, sample, verdict, count, drawn, waiting in connection.execute(query):
         if count != size:
-            yield f"lot {identifier} of {size} predictions has {count} cells"
+            yield f"lot {identifier} of {size} answers has {count} cells"
         if verdict is not None and (drawn or 0) != sample:
             yield f"lot {identifier} was {verdict} by a sample of {drawn} cells, not {sample}"
         if verdict == LotVerdict.RELEASED and waiting:

@@ -8,7 +8,7 @@ import type { Campaign, CampaignEvent, Generation } from "./types";
 const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
 /** After these the answer of the campaign itself holds more than its progress. */
-const TELLING = new Set(["best", "baseline", "reuse_stopped", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
+const TELLING = new Set(["best", "baseline", "reuse_stopped", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
 
 export class CampaignState {
   campaign = $state.raw<Campaign | null>(null);

@@ -15,7 +15,7 @@ test("what was asked for is told with all settings that were chosen, and nothing
     ["Evaluator", "learned"],
     ["Optimizer", "genetic: population 200, iterations 15, start lhs, seed 1, mutation 0.2"],
     ["Sensitivity", "the stored influence map 01234567"],
-    ["Reduction", "influence: 2.0 % audited, stopped where more than 2.0 % are wrong, not narrow, certified, the best confirmed by simulation, at most 20 sets"],
+    ["Reduction", "influence: 2.0 % audited, a wrong answer expected in at most 2.0 % of those in lots, not narrow, certified, the best confirmed by simulation, at most 20 sets"],
   ]);
 });
 

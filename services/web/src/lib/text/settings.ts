@@ -60,7 +60,7 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
     const { mode, audit, max_error: most, confirm, tolerance, limit } = spec.reduction;
     const reuses = mode === "influence" || mode === "both";
     const lots = mode === "predicted" || mode === "both" ? `predictions right within ${tolerance === undefined || tolerance === null ? "the score's tolerance (0 if it has steps)" : number(Number(tolerance))}, an error expected in at most ${percent(Number(limit))} of those released` : "";
-    const audits = reuses ? `${percent(Number(audit))} audited, stopped where more than ${percent(Number(most))} are wrong` : "";
+    const audits = reuses ? `${percent(Number(audit))} audited, ${Number(most) < 1 ? `a wrong answer expected in at most ${percent(Number(most))} of those in lots` : "no lots"}` : "";
     const confirmed = reuses && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
     rows.push(["Reduction", named(mode, [audits, lots, list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit"]), confirmed].filter(Boolean).join(", "))]);
   }

@@ -1,0 +1,76 @@
+"""Forms lots of the cells that references are to answer, so that `reduction.max_error` bounds the wrong answers among them, and checks
+reuse.
+
+A reused answer is a prediction by the influence map: it is committed in a lot, and released after the simulation of a sample
+(`reduction.lots`, `campaigns.cells.inspection`). Lots depend on stored rows, never on the order of answers.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from sqlalchemy import Connection
+
+from drivecal.campaigns.cells.planning import View
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.events import EventKind
+from drivecal.reduction.audit import error_rates, expected_error_rate
+from drivecal.reduction.lots import best_plan
+from drivecal.storage import audits, events, lots
+from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.lots import NewLot
+
+
+def form_lots_of_references(
+    connection: Connection, view: View, cells: Sequence[NewEvaluation], limit: float, rates: Mapping[str, ErrorRate]
+) -> list[NewEvaluation]:
+    """Stores a lot for the reused cells of each scenario in a batch, and returns all cells, these with their lots. A `limit` of 1 makes no
+    lots.
+
+    An answer is wrong if it is off by more than the scale's tolerance. `rates` are the audits so far; they choose how many errors a sample
+    may hold. The sample of a very small lot is the whole lot.
+    """
+    members: dict[str, list[int]] = defaultdict(list)
+    for place, cell in enumerate(cells):
+        if cell.plan is Outcome.REUSED:
+            members[cell.scenario].append(place)
+    if not members or limit >= 1.0:
+        return list(cells)
+    first, new = cells[0], []
+    for scenario, places in members.items():
+        plan = best_plan(len(places), limit, expected_error_rate(rates.get(scenario)))
+        at = first.iteration, first.individual, scenario
+        size = plan.size, plan.sample, plan.acceptance
+        new.append(NewLot(*at, *size, view.bench.scale.tolerance, limit, known=0, seconds=0.0, kind=Outcome.REUSED))
+    planned = list(cells)
+    for places, number in zip(members.values(), lots.insert(connection, view.campaign, new), strict=True):
+        for place in places:
+            planned[place] = replace(planned[place], lot=number)
+    return planned
+
+
+def check_reuse(
+    connection: Connection, view: View, iteration: int, scenarios: Sequence[str], before: Mapping[str, ErrorRate]
+) -> dict[str, ErrorRate]:
+    """Evaluates the audits of this and all earlier iterations of the calibration, and results that contradict each other."""
+    campaign, bench = view.campaign, view.bench
+    rater, scale = bench.evaluator_id, bench.scale
+    audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
+    contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
+    inspected = lots.verdicts(connection, campaign, Outcome.REUSED)
+    rates = error_rates(audits.count(connection, campaign, rater, scale), before, scenarios, contradictions, inspected)
+    for scenario, rate in rates.items():
+        if rate.rejected and not (scenario in before and before[scenario].rejected):
+            data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
+            events.add(connection, campaign, EventKind.LOT_REJECTED, data)
+    return rates
+
+
+def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:
+    """Returns a note on the scenarios in which lots of references were rejected; None without any."""
+    rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
+    if not rejected:
+        return None
+    return f"lots of reused answers were rejected, and simulated whole, for too many of their samples were wrong: {', '.join(rejected)}"

@@ -1,0 +1,225 @@
+"""Answers by references in whole campaigns: inspected in lots, as predictions are, whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.integration.test_confirmation import DyingDatabase, at, live, new, rows_of, step_until
+from tests.support.computed import ComputedBackend
+from tests.support.runs import dispatcher, everything, influenced, post_map, run, submit
+
+from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.verification import verify
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage import lots
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.lots import LotVerdict, StoredLot
+
+ITERATIONS = 4
+STRIDE = 9
+"""Of moments to die at."""
+REST = {f"P{i}": 0.5 for i in range(5, 12)}
+NOWHERE = {"S1": ("P3", "P4"), "S2": ("P1", "P2", "P4")}
+
+
+def nearly(scenario: str, cell: Cell) -> CellResult:
+    """The map is right but for one in 25 sets in S1."""
+    told, p = influenced(scenario, cell), cell.parameters
+    if scenario == "S1" and (p["P3"], p["P4"]) == (0.25, 0.75) and told.rating is not None:
+        return replace(told, rating=told.rating + 3.0, score=round(told.rating + 3.0))
+    return replace(told, milliseconds=500.0)
+
+
+def breaking(scenario: str, cell: Cell) -> CellResult:
+    """Some of the sets that are to answer others have no result."""
+    if scenario == "S2" and cell.parameters["P3"] == 0.5 and cell.parameters["P1"] < 0.5:
+        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
+    return nearly(scenario, cell)
+
+
+def ask(database: Database, *, population: int = 100, step: float = 0.25, **changes: Any) -> StoredCampaign:
+    known = {scenario: {name: {"influential": False} for name in names} for scenario, names in NOWHERE.items()}
+    return submit(
+        database,
+        stored_map=post_map(database, known),
+        parameters=[{"name": f"P{i}", "lower": 0, "upper": 1, "step": step} for i in range(1, 5)],
+        fixed=REST,
+        catalogue=["S1", "S2"],
+        optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": 3},
+        reduction={"audit": 0.0, "max_error": 0.05, "certified": False, "confirm": 0} | changes,
+    )
+
+
+def lots_of(database: Database, campaign: StoredCampaign, kind: Outcome | None = Outcome.REUSED) -> list[StoredLot]:
+    with database.read() as connection:
+        return lots.of_campaign(connection, campaign.sequence, kind)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def same_secrets() -> Iterator[None]:
+    """The samples of every run of these tests are the same."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("drivecal.storage.lots.secrets.token_bytes", lambda size: b"s" * size)
+        yield
+
+
+@pytest.fixture(scope="module")
+def inspected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
+    database = new(tmp_path_factory.mktemp("inspected") / "1.db")
+    yield database, run(database, ask(database, population=300), ComputedBackend(answer=nearly))
+    database.dispose()
+
+
+def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = inspected
+    rows, stored = rows_of(database, campaign), lots_of(database, campaign)
+    outcomes = Counter(row.outcome for row in rows)
+    assert campaign.cells.reused == outcomes[Outcome.REUSED] == sum(lot.released for lot in stored) > 0
+    assert campaign.cells.audited == sum(row.audited for row in rows) == sum(lot.sample for lot in stored)
+    assert campaign.cells.sampled == 0, "these are drawn predictions"
+    assert {lot.verdict for lot in stored} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
+    for scenario, rate in campaign.error_rate.items():
+        here = [lot for lot in stored if lot.scenario == scenario]
+        assert rate.lots == len(here)
+        assert rate.rejected == sum(lot.verdict is LotVerdict.REJECTED for lot in here)
+        assert rate.audited == sum(lot.sample for lot in here)
+        assert rate.wrong == sum(lot.errors or 0 for lot in here)
+        assert not rate.stopped
+    assert campaign.released == {}
+    assert campaign.error_rate["S2"].rejected == 0
+    assert campaign.error_rate["S1"].rejected > 0
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simulated_whole(
+    inspected: tuple[Database, StoredCampaign],
+) -> None:
+    database, campaign = inspected
+    rows = rows_of(database, campaign)
+    by_id = {row.id: row for row in rows}
+    for lot in lots_of(database, campaign):
+        members = [row for row in rows if row.lot == lot.id]
+        sample = [row for row in members if row.audited]
+        assert (len(members), len(sample)) == (lot.size, lot.sample)
+        differences = [abs((row.score or 0) - (by_id[row.reference or 0].score or 0)) for row in sample]
+        assert lot.errors == sum(difference > lot.tolerance for difference in differences)
+        rest = [row for row in members if not row.audited]
+        if lot.verdict is LotVerdict.RELEASED:
+            assert {row.outcome for row in rest} <= {Outcome.REUSED}
+            assert all(row.score == by_id[row.reference or 0].score for row in rest)
+        else:
+            assert {row.outcome for row in rest} <= {Outcome.SIMULATED}
+            assert all(row.reference is None for row in rest)
+            assert (lot.errors or 0) > lot.acceptance
+    in_lots = {row.id for row in rows if row.lot is not None}
+    assert all(row.id in in_lots for row in rows if row.outcome is Outcome.REUSED)
+
+
+def test_without_a_limit_there_are_no_lots_and_audits_stay(database: Database) -> None:
+    campaign = run(database, ask(database, max_error=1, audit=0.2), ComputedBackend(answer=nearly))
+    assert lots_of(database, campaign, None) == []
+    assert campaign.cells.reused > campaign.cells.audited > 0
+
+
+def test_audits_that_are_asked_for_are_no_part_of_the_lots(database: Database) -> None:
+    campaign = run(database, ask(database, audit=0.2), ComputedBackend(answer=nearly))
+    rows = rows_of(database, campaign)
+    drawn, asked = ([row for row in rows if row.audited and (row.lot is None) == alone] for alone in (False, True))
+    assert len(drawn) == sum(lot.sample for lot in lots_of(database, campaign))
+    assert asked
+    assert sum(rate.audited for rate in campaign.error_rate.values()) == len(drawn) + len(asked)
+
+
+def test_a_reference_without_a_result_answers_no_cell_of_its_lot(database: Database) -> None:
+    campaign = run(database, ask(database), ComputedBackend(answer=breaking))
+    rows = rows_of(database, campaign)
+    assert campaign.cells.failed > 0
+    by_id = {row.id: row for row in rows}
+    for row in rows:
+        if row.outcome is Outcome.REUSED:
+            assert by_id[row.reference or 0].outcome is Outcome.SIMULATED
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+def test_lots_of_references_and_of_predictions_stand_beside_each_other(database: Database) -> None:
+    campaign = run(database, ask(database, population=400, step=0.05, mode="both"), ComputedBackend(answer=nearly))
+    kinds = Counter(lot.kind for lot in lots_of(database, campaign, None))
+    assert set(kinds) == {Outcome.REUSED, Outcome.PREDICTED}
+    assert sum(released.lots for released in campaign.released.values()) <= kinds[Outcome.PREDICTED]
+    assert sum(rate.lots for rate in campaign.error_rate.values()) == kinds[Outcome.REUSED]
+    rows = rows_of(database, campaign)
+    of = {lot.id: lot.kind for lot in lots_of(database, campaign, None)}
+    assert all(of[row.lot] is row.outcome for row in rows if row.lot and row.outcome in {Outcome.REUSED, Outcome.PREDICTED})
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+def mortal(database: Database, moment: int) -> Dispatcher:
+    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), at(moment))
+    ticks = iter(range(10**9))
+    return Dispatcher(
+        own, WorkPool(ComputedBackend(moment, answer=breaking), StoredLeases(own)), clock=lambda: float(next(ticks))
+    )
+
+
+def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_same_verdicts(tmp_path: Path) -> None:
+    used, kept = tmp_path / "used.db", tmp_path / "kept.db"
+    database = new(used)
+    campaign = ask(database)
+    step_until(database, campaign, 1, dispatcher(database, ComputedBackend(answer=breaking)))
+    with database.transaction() as connection:
+        lots.secret(connection, campaign.sequence)
+    database.dispose()
+    shutil.copy(used, kept)
+    ends: list[tuple[Any, ...]] = []
+    killed = True
+    while killed:
+        shutil.copy(kept, used)
+        database = new(used)
+        moment = STRIDE * len(ends)  # at 0 it lives
+        killed = live(database, campaign, mortal(database, moment))
+        if killed:
+            run(database, campaign, ComputedBackend(answer=breaking))
+        rows = [
+            (row.iteration, row.individual, row.scenario, row.lot, row.outcome, row.audited)
+            for row in rows_of(database, campaign)
+        ]
+        ends.append((everything(database, campaign), lots_of(database, campaign), rows))
+        killed = killed or len(ends) == 1
+        database.dispose()
+    assert len(ends) > 5
+    assert all(end == ends[0] for end in ends)
+    assert {lot.verdict for lot in ends[0][1]} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
+
+
+def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign]) -> None:
+    database, campaign = inspected
+    rows = rows_of(database, campaign)
+    stored = {lot.id: lot for lot in lots_of(database, campaign)}
+    rejected = [row for row in rows if row.lot and stored[row.lot].verdict is LotVerdict.REJECTED]
+    chosen = [
+        next(row for row in rows if row.outcome is Outcome.REUSED),
+        next(row for row in rejected if row.audited),
+        next(row for row in rejected if not row.audited),
+    ]
+    with database.read() as connection:
+        told = [explain(connection, row.id) for row in chosen]
+    assert [explanation.reason for explanation in told] == ["reused", "audited", "lot_rejected"]
+    for explanation, row in zip(told, chosen, strict=True):
+        lot = stored[row.lot or 0]
+        assert explanation.lot is not None
+        assert explanation.prediction is None
+        assert (explanation.lot.size, explanation.lot.errors, explanation.lot.verdict) == (lot.size, lot.errors, lot.verdict)
+    lot = stored[chosen[2].lot or 0]
+    assert all(str(number) in told[2].sentence for number in (lot.size, lot.sample, lot.errors, lot.acceptance))
