@@ -444,7 +444,7 @@ def run_turmoil(steps: int) -> int:
         pass
 
     each = 50
-    examples = steps // each * 5 // 4  # some end earlier
+    examples = steps // each * 3 // 2  # some end earlier
     run_state_machine_as_test(
         Counted,
         settings=settings(

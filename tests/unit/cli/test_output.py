@@ -102,7 +102,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         "S1 5  S2 6",
         "20 reusable cells were simulated all the same: 2 scored differently, 1 by more than 1 point; reuse was stopped in S1",
         "weight is 0: S3",
-        "1 min 30 s, of which the workers simulated 1 min 40 s",
+        "1 min 30 s; CPU time of the simulations 1 min 40 s",
     ):
         assert wanted in printed
 

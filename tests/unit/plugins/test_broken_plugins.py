@@ -26,7 +26,7 @@ import json
 from drivecal.api.routes import inventory
 from drivecal.plugins import registry
 from drivecal.domain.errors import InvalidInputError
-scenarios, spaces = inventory.scenarios(), inventory.parameters()
+scenarios, spaces = inventory.scenarios(None), inventory.parameters(None)
 def refusal(find):
     try:
         find()

@@ -200,7 +200,7 @@ def test_failed_cells_are_listed_by_cause() -> None:
         FailureCause(
             kind="no_result", cause="crash", detail="x" * 300 + "no licence", scenarios=["S1", "S2"], cells=7, example=12
         ),
-        FailureCause(kind="undefined", cause="division by zero", scenarios=["S1"], cells=2, example=3),
+        FailureCause(kind="unscored", cause="division by zero", scenarios=["S1"], cells=2, example=3),
     ]
     text = re.sub(r"(<[^>]+>\s*)+", "|", "".join(reuse.failures(causes)))
     assert "|7|no result|crash|..." in text
