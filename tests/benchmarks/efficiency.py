@@ -5,7 +5,8 @@
 A coordinator as a user starts it carries out a campaign with reduction off and without certificates. Efficiency = simulated cells x
 single-process cost of a cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a
 random sample of the campaign's own cells; a shared core or clock counts against the campaign. How much of that
-no coordinator could avoid is told by as many bare processes as there are cores, which simulate the same sample at the same time.
+no coordinator could avoid is told by as many bare processes as there are cores, which simulate the same sample at the same time. The share
+of all processor time that simulations took does not depend on what else the machine does.
 """
 
 from __future__ import annotations
@@ -200,6 +201,8 @@ def measure(population: int, iterations: int, problem: str, single: Cost, target
     beside_others = cost_beside_others(single, cells, cores)
     wall, simulated = campaign.seconds.wall, campaign.cells.simulated
     efficiency = simulated * cost / (wall * cores)
+    simulating = campaign.seconds.simulating
+    share = simulating / (sum(used.values()) + (simulating if folder is not None and problem == NAME else 0.0))
     figures = {
         "cores": cores,
         "problem": problem,
@@ -212,6 +215,7 @@ def measure(population: int, iterations: int, problem: str, single: Cost, target
         "worker_milliseconds_per_cell": 1000 * campaign.seconds.simulating / simulated,
         "cells_per_second": simulated / wall,
         "efficiency": efficiency,
+        "share_of_processor_time": share,
         "processor_seconds": used,
         "peak_megabytes": memory.peaks,
     }
@@ -222,6 +226,7 @@ def measure(population: int, iterations: int, problem: str, single: Cost, target
         f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
     )
     print(f"efficiency {efficiency:.3f} (target {AT_LEAST})")
+    print(f"simulations took {share:.3f} of all processor time")
     bare = cost / beside_others
     alike = f"{cores} bare processes at a time: {1000 * beside_others:.2f} ms"
     print(f"{alike}, efficiency {bare:.3f}; the campaign's is {efficiency / bare:.3f} of that")
