@@ -46,7 +46,7 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   rows.push(["Simulator", own ? (setup?.scenarios.find((scenario) => scenario.simulator)?.simulator ?? null) : null]);
   rows.push(["Driving function", own || function_ === undefined ? null : String(function_)]);
   rows.push(["Vehicle", own ? null : model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
-  rows.push(["Evaluator", setup?.evaluator ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
+  rows.push(["Evaluator", setup?.evaluator.replace(/\b([0-9a-f]{8})[0-9a-f]{16,}\b/, "$1") ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
   rows.push(["To compare with", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
   if (Array.isArray(spec["optimizers"])) {

@@ -13,7 +13,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
   predicted: "predicted from simulated answers, and released with its lot after a sample of the lot was simulated; never a reference, never an optimum",
   certified: "answered by a stored run that this one provably repeats, bit for bit",
-  simulated: "simulated; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
+  simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
 
