@@ -70,13 +70,20 @@ def _check(kind: str, name: str, path: Path, fmu: str | Path | None) -> None:
 
 def fmu_manifest(name: str, folder: str, file: str, description: FmuDescription) -> str:
     """Returns a `problem.yaml` for the FMU `file` in `folder`. Raises InvalidInputError if it has no usable parameter or output."""
-    parameters = [variable for variable in description.parameters if _NAME.fullmatch(variable.name) and _bounds(variable)]
+    named: dict[str, FmuVariable] = {}
+    for variable in description.parameters:
+        if _NAME.fullmatch(variable.name) and _bounds(variable):
+            named.setdefault(variable.name, variable)
+    parameters = list(named.values())
     if not parameters:
         raise InvalidInputError(
             Problem(shown(file), "the FMU has no numeric parameter with a plain name", "export one as a parameter")
         )
-    outputs = {f"{re.sub(r'[^A-Za-z0-9_]+', '_', output.name).strip('_')}_last": output for output in description.outputs}
-    outputs = {measure: output for measure, output in outputs.items() if _NAME.fullmatch(measure) and output.name.isprintable()}
+    outputs: dict[str, FmuVariable] = {}
+    for output in description.outputs:
+        measure = f"{re.sub(r'[^A-Za-z0-9_]+', '_', output.name).strip('_')}_last"
+        if _NAME.fullmatch(measure) and output.name.isprintable():
+            outputs.setdefault(measure, output)
     if not outputs:
         raise InvalidInputError(
             Problem(shown(file), "the FMU has no output", "export the signals that a score needs as outputs")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
@@ -217,6 +217,9 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=examples(50))
 @given(text=st.text(max_size=40))
+@example(text="k")
+@example(text="y")
+@example(text="\0y")
 def test_what_an_fmu_says_in_words_cannot_break_the_manifest(text: str) -> None:
     variables = [
         FmuVariable("k", "parameter", whole=False, start=1.0, unit=text, description=text),
