@@ -142,21 +142,20 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
         upper=upper,
         step=None if choices or (step == 1.0 and is_whole) else step,
         integer=not choices and is_whole and step == 1.0,
-        choices=choices,
+        choices=tuple(choices),
+        codes=tuple(choices.values()),
         line=block.line,
     )
 
 
-def _choices(method: _Block | None, described: _Described, lower: float, upper: float) -> tuple[str, ...]:
-    """Returns the texts of an enumeration's values within the limits."""
+def _choices(method: _Block | None, described: _Described, lower: float, upper: float) -> dict[str, float]:
+    """Returns the texts of an enumeration's values within the limits, with their numbers."""
     table = None if method is None else described.get("COMPU_VTAB", next(iter(method.after("COMPU_TAB_REF", 5)), ""))
-    if table is None:
-        return ()
-    pairs = zip(table.tokens[4::2], table.tokens[5::2], strict=False)
-    texts = [
-        text.text for value, text in pairs if text.is_string and _is_number(value.text) and lower <= float(value.text) <= upper
-    ]
-    return tuple(dict.fromkeys(texts))
+    texts: dict[str, float] = {}
+    for value, text in zip(table.tokens[4::2], table.tokens[5::2], strict=False) if table else ():
+        if text.is_string and _is_number(value.text) and lower <= float(value.text) <= upper:
+            texts.setdefault(text.text, float(value.text))
+    return texts
 
 
 def _resolution(method: _Block | None) -> float | None:
@@ -176,7 +175,7 @@ def _resolution(method: _Block | None) -> float | None:
 
 
 def _numbers(texts: Sequence[str]) -> list[float]:
-    """Returns numbers, none if one of them is none."""
+    """Returns the numbers of texts; an empty list if one is no number."""
     return [float(text) for text in texts] if all(map(_is_number, texts)) else []
 
 

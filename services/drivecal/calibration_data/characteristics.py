@@ -17,7 +17,7 @@ class Characteristic:
     """A scalar value of a control unit. What a file does not say is None or empty.
 
     `value`: a number, or the text of a choice, in physical units. `lower`, `upper`, `step`: limits and resolution. `choices`: texts of an
-    enumeration. `line`: where it is in its file.
+    enumeration, with their numbers in `codes`. `line`: where it is in its file.
     """
 
     name: str
@@ -29,6 +29,7 @@ class Characteristic:
     step: float | None = None
     integer: bool = False
     choices: tuple[str, ...] = ()
+    codes: tuple[float, ...] = ()
     line: int = 0
 
 
@@ -75,7 +76,7 @@ def unit_of(text: str) -> str:
 
 
 def decoded(content: bytes, file: str) -> str:
-    """Returns the text of a file: UTF-8 with or without a byte order mark, UTF-16 with one, or else Latin-1, which older tools write."""
+    """Returns the text of a file: UTF-8, UTF-16 with a byte order mark, or else Windows-1252, which older tools write."""
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(file, f"it has more than {LARGEST_FILE >> 20} MB", "give a smaller file"))
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -86,7 +87,7 @@ def decoded(content: bytes, file: str) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return content.decode("latin-1")
+        return content.decode("cp1252", errors="replace")
 
 
 def refused(file: str, line: int, message: str, remedy: str) -> InvalidInputError:

@@ -27,6 +27,7 @@ _OTHER_KINDS = frozenset(
     }
 )
 _UNUSED = frozenset({"FUNKTION", "DISPLAYNAME", "VAR", "EINHEIT_X", "EINHEIT_Y"})
+_LINE_END = re.compile(r"\r\n|\r|\n")  # other separators of Unicode may stand in a description
 _STRING = re.compile(r'"((?:[^"]|"")*)"\s*$')
 
 
@@ -95,7 +96,7 @@ def read(content: bytes, file: str) -> Content:
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
     """Yields the lines with content, stripped, with their numbers."""
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(_LINE_END.split(text), 1):
         stripped = line.strip().replace("\t", " ")
         if stripped and not stripped.startswith(_COMMENTS):
             yield number, stripped

@@ -49,6 +49,7 @@ def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
         step=new.step or known.step,
         integer=new.integer or known.integer,
         choices=new.choices or known.choices,
+        codes=new.codes or known.codes,
     )
 
 
@@ -83,19 +84,29 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
         else:
             try:
                 result.parameters[name] = _entry(characteristic, span, name, result.guessed)
+                if characteristic.value is not None:
+                    result.baseline[name] = _value(characteristic, name)
             except InvalidInputError as error:
                 problems += error.problems
-            if characteristic.value is not None:
-                result.baseline[name] = _value(characteristic)
     if problems:
         raise InvalidInputError(*problems)
     return result
 
 
-def _value(characteristic: Characteristic) -> float | str:
-    if isinstance(characteristic.value, float) and characteristic.integer:
-        return round(characteristic.value)
-    return characteristic.value if characteristic.value is not None else ""
+def _value(characteristic: Characteristic, name: str) -> float | str:
+    """Returns a value as a problem has it. Raises InvalidInputError if it is none of the parameter's values."""
+    value, choices = characteristic.value, characteristic.choices
+    if isinstance(value, float) and choices:
+        if value not in characteristic.codes:
+            raise InvalidInputError(
+                Problem(name, f"its value {value:g} is none of its enumeration", f"give {', '.join(choices)}")
+            )
+        return choices[characteristic.codes.index(value)]
+    if isinstance(value, float) and characteristic.integer:
+        if not value.is_integer():
+            raise InvalidInputError(Problem(name, f"its value {value:g} is not whole", "correct the value, or the A2L"))
+        return int(value)
+    return value if value is not None else ""
 
 
 def _entry(characteristic: Characteristic, span: float, name: str, guessed: list[str]) -> dict[str, Any]:
@@ -117,8 +128,11 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
             lower, upper = characteristic.value - reach, characteristic.value + reach
             guessed.append(name)
         entry |= {"lower": _short(lower), "upper": _short(upper)}
+        if entry["lower"] == entry["upper"]:
+            message = f"its range from {lower:g} to {upper:g} vanishes in the nine decimals of a parameter"
+            raise InvalidInputError(Problem(name, message, "give it in another unit"))
         if characteristic.integer:
-            entry |= {"lower": int(lower), "upper": int(upper), "integer": True}
+            entry |= {"lower": math.ceil(lower), "upper": math.floor(upper), "integer": True}
         elif characteristic.step is not None and name not in guessed:
             entry |= _grid(lower, upper, characteristic.step)
     if characteristic.unit != "1":

@@ -53,7 +53,7 @@ def test_limits_units_and_resolutions_are_physical() -> None:
     )
     assert (gap.lower, gap.upper, gap.unit, gap.step, gap.integer) == (0.5, 3.0, "s", 0.01, False)
     assert (n.lower, n.upper, n.unit, n.step, n.integer) == (1.0, 9.0, "1", None, True)
-    assert (mode.choices, mode.integer, mode.step) == (("eco", "normal"), False, None)
+    assert (mode.choices, mode.codes, mode.integer, mode.step) == (("eco", "normal"), (0.0, 1.0), False, None)
     assert (free.unit, free.step, free.integer) == ("ms", None, False)
     assert (bound.unit, bound.step) == ("1", 0.25)
     assert v0.line == 6

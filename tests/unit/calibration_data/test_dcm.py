@@ -93,6 +93,15 @@ END
     ]
 
 
+def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
+    text = 'KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  LANGNAME "up to\u2026 \u20ac"\n  WERT 1\nEND\nFESTWERT b\n  WERT x\nEND\n'
+    with pytest.raises(InvalidInputError) as refused:
+        dcm.read(text.encode("cp1252"), "a.dcm")
+    assert [problem.field for problem in refused.value.problems] == ["a.dcm, line 7"]
+    read = dcm.read(text.replace("WERT x", "WERT 2").encode("cp1252"), "a.dcm")
+    assert read.characteristics[0].description == "up to\u2026 \u20ac"
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -46,6 +47,18 @@ def test_ranges_of_one_file_join_values_of_another() -> None:
     assert sections.parameters == {"g": {"lower": 0.5, "upper": 3.0, "unit": "s"}, "h": {"lower": 1.8, "upper": 2.2}}
     assert sections.baseline == {"g": 1.5, "h": 2.0}
     assert sections.guessed == ["h"]
+
+
+def test_values_are_those_of_the_parameter_or_refused() -> None:
+    mode = Characteristic("mode", 1.0, choices=("off", "on"), codes=(0.0, 1.0))
+    whole = Characteristic("n", 3.0, lower=0.5, upper=9.5, integer=True)
+    sections = sections_of([mode, whole], {}, 0.5)
+    assert sections.baseline == {"mode": "on", "n": 3}
+    assert (sections.parameters["n"]["lower"], sections.parameters["n"]["upper"]) == (1, 9)
+    wrong = [replace(mode, value=7.0), replace(whole, value=2.5), Characteristic("tiny", 2e-10, lower=1e-10, upper=4e-10)]
+    with pytest.raises(InvalidInputError) as refused:
+        sections_of(wrong, {}, 0.5)
+    assert [problem.field for problem in refused.value.problems] == ["mode", "n", "tiny"]
 
 
 def test_labels_that_are_no_names_are_bound_by_a_map_or_refused() -> None:

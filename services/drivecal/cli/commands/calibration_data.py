@@ -23,7 +23,7 @@ NamesOption = Annotated[
 @app.command()
 def parameters(
     sources: Annotated[
-        list[str], typer.Argument(metavar="FILE...", help="A2L, DCM or CDFX files; later ones complete earlier ones.")
+        list[str], typer.Argument(metavar="FILE...", help="A2L, DCM or CDFX files; what several say is taken from the last.")
     ],
     match: Annotated[
         list[str] | None, typer.Option(metavar="GLOB", help="Take these only, e.g. 'ACC_*'; may be repeated.")

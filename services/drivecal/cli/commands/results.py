@@ -55,7 +55,8 @@ def export(
     form: Annotated[Format, typer.Option("--format", help="In which format.")] = "csv",
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     row: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="One set for calibration tools: that of rank N of the solutions.")
+        int | None,
+        typer.Option(min=1, max=1000, metavar="N", help="One set for calibration tools: that of rank N of the solutions."),
     ] = None,
     names: NamesOption = None,
     where: Annotated[

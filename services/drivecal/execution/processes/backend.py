@@ -2,14 +2,16 @@
 
 import itertools
 import os
+import queue
 import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, wait
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from typing import Any
 
 from drivecal.contracts.work import Batch
@@ -18,15 +20,56 @@ from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.execution.supervised import CallFailedError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 
+ENDING_SECONDS = 5.0
+"""Time limit for the threads of a process that was ended."""
 
-@dataclass(slots=True)
+
 class ConnectedProcess:
-    """A running process, the coordinator's end of its connection, and answers that were not asked for yet, by the number of their call."""
+    """A running process with its connection, and answers that were not asked for yet, by the number of their call.
 
-    process: subprocess.Popen[bytes]
-    connection: Connection
-    answers: dict[int, RemoteAnswer] = field(default_factory=dict)
-    ended: bool = False
+    Threads send and receive, so that a process that is stopped, or holds its interpreter for long, keeps nobody else waiting.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], connection: Connection, arrived: threading.Condition) -> None:
+        """`arrived` is notified of answers, and of the end of the process."""
+        self.process = process
+        self.answers: dict[int, RemoteAnswer] = {}
+        self.ended = False
+        self._connection, self._arrived = connection, arrived
+        self._calls: queue.SimpleQueue[RemoteCall | None] = queue.SimpleQueue()
+        self._threads = [threading.Thread(target=target, daemon=True) for target in (self._send_all, self._receive_all)]
+        for thread in self._threads:
+            thread.start()
+
+    def send(self, call: RemoteCall) -> None:
+        """Sends a call after those before it."""
+        self._calls.put(call)
+
+    def end(self) -> None:
+        """Ends the process, whatever it does."""
+        self.process.kill()
+        self.process.wait()
+        self._calls.put(None)
+        for thread in self._threads:
+            thread.join(ENDING_SECONDS)
+        self._connection.close()
+
+    def _send_all(self) -> None:
+        with suppress(OSError):  # the end of the process is noticed by the other thread
+            while (call := self._calls.get()) is not None:
+                self._connection.send(call)
+
+    def _receive_all(self) -> None:
+        try:
+            while True:
+                answer: RemoteAnswer = self._connection.recv()
+                with self._arrived:
+                    self.answers[answer.number] = answer
+                    self._arrived.notify_all()
+        except Exception:  # noqa: BLE001  # the end of the connection, or an answer that cannot be read: no further one can be, either
+            with self._arrived:
+                self.ended = True
+                self._arrived.notify_all()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +87,7 @@ class ProcessBackend(SupervisedBackend):
         """Starts the workers without waiting for them; each runs `trial` before it is ready."""
         super().__init__(limits)
         self._trial = trial
+        self._arrived = threading.Condition()
         self._numbers = itertools.count(1)
         for _ in range(limits.workers or _cpus()):
             self._hire(None)
@@ -55,35 +99,27 @@ class ProcessBackend(SupervisedBackend):
             arguments = [str(descriptor), worker.name, str(self._limits.certificates_mb or 0)]
             command = [sys.executable, "-m", "drivecal.execution.processes.child", *arguments]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[descriptor])  # noqa: S603  # our own module
-        worker.handle = ConnectedProcess(process, Connection(ours.detach()))
+        worker.handle = ConnectedProcess(process, Connection(ours.detach()), self._arrived)
         worker.warming = self._call(worker.handle, "warm", self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> SentCall:
         return self._call(worker.handle, "run", batch)
 
     def _store(self, worker: WorkerProcess, bundle: str, archive: bytes) -> None:
-        _send(worker.handle, RemoteCall(0, "store", (bundle, archive)))
+        worker.handle.send(RemoteCall(0, "store", (bundle, archive)))
 
     def _call(self, child: ConnectedProcess, method: str, *arguments: Any) -> SentCall:
         reference = SentCall(child, next(self._numbers))
-        _send(child, RemoteCall(reference.number, method, arguments))
+        child.send(RemoteCall(reference.number, method, arguments))
         return reference
 
     def _end(self, worker: WorkerProcess) -> None:
-        child: ConnectedProcess = worker.handle
-        child.connection.close()
-        child.process.kill()
-        child.process.wait()
+        worker.handle.end()
 
     def _answered(self, references: Sequence[SentCall], timeout: float) -> Collection[SentCall]:
-        done = [reference for reference in references if _is_done(reference)]
-        ready = wait(
-            [reference.child.connection for reference in references if reference not in done], 0.0 if done else timeout
-        )
-        for reference in references:
-            if reference.child.connection in ready:
-                _read(reference.child)
-        return [reference for reference in references if _is_done(reference)]
+        with self._arrived:
+            self._arrived.wait_for(lambda: any(map(_is_done, references)), timeout)
+            return [reference for reference in references if _is_done(reference)]
 
     def _value(self, worker: WorkerProcess) -> Any:
         reference: SentCall = worker.waited_for
@@ -100,23 +136,8 @@ def _cpus() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _send(child: ConnectedProcess, call: RemoteCall) -> None:
-    with suppress(OSError):  # a dead process is noticed when it is waited for
-        child.connection.send(call)
-
-
 def _is_done(reference: SentCall) -> bool:
     return reference.number in reference.child.answers or reference.child.ended
-
-
-def _read(child: ConnectedProcess) -> None:
-    """Reads what a process has sent; notices its end."""
-    try:
-        while child.connection.poll():
-            answer: RemoteAnswer = child.connection.recv()
-            child.answers[answer.number] = answer
-    except (EOFError, OSError):
-        child.ended = True
 
 
 def _cause(process: subprocess.Popen[bytes]) -> tuple[Breakdown, str]:

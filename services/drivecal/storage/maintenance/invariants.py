@@ -117,7 +117,10 @@ def check_lots(connection: Connection) -> Iterator[str]:
     members = (
         func.count(cell.id),
         func.sum(case((cell.sampled | cell.audited, 1), else_=0)),
-        func.sum(case((cell.outcome.is_(None), 1), else_=0)),
+        # a reused answer whose reference has no result is simulated after the verdict
+        func.sum(
+            case((cell.outcome.is_(None) & ((lots.c.kind != Outcome.REUSED) | (cell.plan == Outcome.REUSED)), 1), else_=0)
+        ),
     )
     query = (
         select(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict, *members)

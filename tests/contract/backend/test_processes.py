@@ -1,0 +1,31 @@
+"""What workers as processes of this machine promise besides."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+from tests.contract.backend.test_backend import WELL, batch, collect, send, wait_for_idle
+
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.processes.backend import ProcessBackend
+
+LARGE = 4_000
+"""Cells of a batch that fits into no buffer of a connection."""
+
+
+def test_a_stopped_process_keeps_nobody_waiting_and_is_replaced(processes_backend: ProcessBackend) -> None:
+    wait_for_idle(processes_backend)
+    stopped, other = processes_backend.workers()
+    assert stopped.pid is not None
+    os.kill(stopped.pid, signal.SIGSTOP)
+    for number in (1, 2):
+        processes_backend.submit(stopped.id, number, batch(*[WELL] * LARGE, first=number * LARGE), 0.1)
+    assert send(processes_backend, 3, batch(WELL)) == other.id
+    ends = collect(processes_backend, 3)
+    assert isinstance(ends[3], Finished)
+    lost = [end for end in (ends[1], ends[2]) if isinstance(end, Lost)]
+    assert [end.breakdown for end in lost] == [Breakdown.HANG] * 2
+    wait_for_idle(processes_backend)
+    assert stopped.pid not in {worker.pid for worker in processes_backend.workers()}
