@@ -147,10 +147,11 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     with database.transaction() as connection:
         campaigns.insert(connection, name="one", spec=single.model_dump(mode="json"), kind="evaluation")
         stored = store_posted_map(connection, resolve_map(posted))
+    no_lots = {"mode": "influence", "max_error": 1}  # so few answers would all be in the sample
     dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
     for _ in range(60):
         dispatcher.step()
-    ended = _finish(database, _submit(database, sensitivity={"map": stored.id}, baseline=middle), dispatcher)
+    ended = _finish(database, _submit(database, sensitivity={"map": stored.id}, reduction=no_lots, baseline=middle), dispatcher)
     assert ended.baseline is not None
     assert ended.baseline.scores == {"S1": 6, "S2": 6}
     assert ended.cells.reused > 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -67,27 +68,6 @@ def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str,
         assert other.cells.repeated == 0
 
 
-@pytest.mark.parametrize("name", ["python-function", "acc-highway"])
-def test_a_killed_server_resumes_a_problem_to_the_same_results(name: str, server: Server, home: Path, tmp_path: Path) -> None:
-    folder = problem(name, tmp_path)
-    spec = {**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
-    with Client(server.url) as client:
-        client.push_problem(folder)
-        expected = client.wait(client.submit(spec).id)
-        results = rows(client, expected.id)
-        begun = client.submit(spec)
-        until(lambda: client.campaign(begun.id).cells.simulated > 30, "some cells are simulated")
-    family = server.family()
-    server.process.kill()
-    for process in family:
-        process.kill()
-    server.process.wait()
-    with started(home) as resumed, Client(resumed.url) as client:
-        ended = client.wait(begun.id)
-        assert (ended.state, ended.best) == ("succeeded", expected.best)
-        assert rows(client, begun.id) == results
-
-
 def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server, tmp_path: Path) -> None:
     folder, version = problem("python-function", tmp_path), tmp_path / "version"
     manifest = yaml.safe_load((folder / "problem.yaml").read_text())
@@ -105,3 +85,30 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
             simulated.append(ended.cells.simulated)
     assert simulated[0] == simulated[2] > 0
     assert simulated[1] == simulated[3] == 0
+
+
+def simulates(client: Client, campaign: str) -> bool:
+    """Whether a campaign is in the middle of its search."""
+    return client.campaign(campaign).cells.simulated > 30
+
+
+def test_a_killed_server_resumes_problems_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
+    expected, begun = {}, {}
+    with Client(server.url) as client:
+        for name in ("python-function", "acc-highway"):
+            client.push_problem(problem(name, tmp_path))
+            spec = {**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
+            ended = client.wait(client.submit(spec).id)
+            expected[name] = ended.best, rows(client, ended.id)
+            begun[name] = client.submit(spec).id
+            until(partial(simulates, client, begun[name]), "some cells are simulated")
+    family = server.family()
+    server.process.kill()
+    for process in family:
+        process.kill()
+    server.process.wait()
+    with started(home) as resumed, Client(resumed.url) as client:
+        for name, campaign in begun.items():
+            ended = client.wait(campaign)
+            assert ended.state == "succeeded"
+            assert (ended.best, rows(client, campaign)) == expected[name]

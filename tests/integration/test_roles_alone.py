@@ -94,7 +94,9 @@ def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_
     settings = {"DRIVECAL_RAY_ADDRESS": f"127.0.0.1:{free_port()}", "RAY_AUTH_TOKEN_PATH": str(tmp_path / "ray_token")}
     process = subprocess.Popen([sys.executable, "-m", "drivecal.dispatch"], env=environment(tmp_path, **settings), cwd=tmp_path)
     try:
-        until(lambda: "waiting for Ray: RAY_AUTH_TOKEN_PATH: the cluster's token cannot be read" in problems(), "the reason")
+        until(
+            lambda: "waiting for workers: RAY_AUTH_TOKEN_PATH: the cluster's token cannot be read" in problems(), "the reason"
+        )
         (tmp_path / "ray_token").write_text(TOKEN)
         until(lambda: "does not answer: Connection refused" in problems(), "that the token is there now")
     finally:
