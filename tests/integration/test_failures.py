@@ -20,13 +20,16 @@ from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.contracts.work import Cell, CellResult
+from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.execution.backend import Finished, Lost, Slot
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
-from drivecal.storage import campaigns, events
+from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.storage import campaigns, evaluations, events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
@@ -84,15 +87,37 @@ def submit(database: Database, **changes: Any) -> StoredCampaign:
     return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
 
 
-def dispatcher(database: Database, simulated: Simulated) -> Dispatcher:
+@dataclass
+class SlowResults(ComputedBackend):
+    """Sixty workers, on which batches with a result take much longer than those without."""
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        del timeout
+        answers = [
+            (batch_id, batch, tuple(self._answer(batch.setup, cell) for cell in batch.cells))
+            for batch_id, batch in self._outstanding
+        ]
+        quick = [entry for entry in answers if all(answer.breakdown is not None for answer in entry[2])]
+        ended = {batch_id: cells for batch_id, _, cells in (quick or answers)}
+        self._outstanding = [entry for entry in self._outstanding if entry[0] not in ended]
+        return [Finished(batch_id, BatchResult(self._name, cells, 0.01)) for batch_id, cells in ended.items()]
+
+    def slots(self) -> list[Slot]:
+        return [Slot(self._name, idle=True)] * max(0, 60 - len(self._outstanding))
+
+
+def dispatcher(database: Database, simulated: Simulated, backend: ComputedBackend | None = None) -> Dispatcher:
     ticks = iter(range(10**9))
     own = database.fenced(Leadership.begin(database).fence)
-    backend = ComputedBackend(answer=simulated)
-    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+    policy = None if backend is None else BatchPolicy(largest=1)
+    pool = WorkPool(backend or ComputedBackend(answer=simulated), StoredLeases(own), policy)
+    return Dispatcher(own, pool, clock=lambda: float(next(ticks)))
 
 
-def run(database: Database, campaign: StoredCampaign, simulated: Simulated) -> StoredCampaign:
-    running = dispatcher(database, simulated)
+def run(
+    database: Database, campaign: StoredCampaign, simulated: Simulated, backend: ComputedBackend | None = None
+) -> StoredCampaign:
+    running = dispatcher(database, simulated, backend)
     for _ in range(5_000):
         running.step()
         with database.read() as connection:
@@ -166,8 +191,9 @@ def test_the_end_is_the_same_after_a_kill_between_the_results_and_the_end(
         for _ in range(2_000):
             running.step()
             with database.read() as connection:
-                if campaigns.get(connection, campaign.id).cells.failed >= ALL_FAILED:
-                    break
+                first = evaluations.first_simulated(connection, campaign.sequence, StageName.CALIBRATION, ALL_FAILED)
+            if first == [Outcome.FAILED] * ALL_FAILED:
+                break
     later = Simulated(broken=2.0)
     ended = run(database, campaign, later)
     assert ended.state is CampaignState.FAILED
@@ -179,3 +205,20 @@ def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
     ended = run(database, submit(database), Simulated(broken=0.7))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.failed > ALL_FAILED
+
+
+def test_failures_that_come_back_before_slow_results_end_nothing(database: Database) -> None:
+    simulated = Simulated(broken=0.7)
+    campaign = submit(database, optimizer={"kind": "random", "population": 200, "iterations": 1, "seed": 1})
+    ended = run(database, campaign, simulated, SlowResults(answer=simulated))
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.cells.failed > ALL_FAILED
+    assert ended.cells.simulated > 0
+
+
+def test_slow_workers_end_a_stage_without_results_all_the_same(database: Database) -> None:
+    simulated = Simulated(broken=2.0)
+    campaign = submit(database, optimizer={"kind": "random", "population": 400, "iterations": 5, "seed": 1})
+    ended = run(database, campaign, simulated, SlowResults(answer=simulated))
+    assert ended.state is CampaignState.FAILED
+    assert ended.cells.failed < 800

@@ -59,7 +59,7 @@ class WorkPool:
         return self._questions.ask(request, tag)
 
     def hopeless(self, tag: str) -> str | None:
-        """Returns the reason if all workers have other tools than the campaign `tag` began with, else None."""
+        """Returns the reasons if no worker agrees with the tools that the campaign `tag` began with, else None."""
         if not self._disputes.are_open:
             return None
         return self._disputes.hopeless(self._scheduler.setups(tag), self._ready())
@@ -145,16 +145,23 @@ class WorkPool:
     def _take_answer(self, event: Finished | Lost) -> None:
         if isinstance(event, Finished):
             self._questions.answered(event.batch_id, event.result)
+            if event.result.refusal is not None:
+                self._note_refusing(event.result.worker, event.result.refusal)
         else:
             self._questions.lost(event.batch_id, event.worker, event.detail)
+            self._note_refusing(event.worker, event.detail)  # it may live
 
     def _note_refusal(self, event: Finished) -> None:
         result: BatchResult = event.result
         if event.batch_id in self._sent:
-            self._disputes.note(self._sent[event.batch_id].batch.setup.key, result)
-        if result.refusal is not None and result.worker not in self._refusing_since:
-            log.warning("%s refuses: %s", result.worker, result.refusal)
-            self._refusing_since[result.worker] = self._clock()
+            self._disputes.note(self._sent[event.batch_id].batch.setup, result)
+        if result.refusal is not None:
+            self._note_refusing(result.worker, result.refusal)
+
+    def _note_refusing(self, worker: str, reason: str) -> None:
+        if worker not in self._refusing_since:
+            log.warning("%s refuses: %s", worker, reason)
+            self._refusing_since[worker] = self._clock()
 
     def _fill(self) -> None:
         """Fills the free slots, and replaces idle workers that nothing can be sent to."""
@@ -218,7 +225,7 @@ class WorkPool:
             self._backend.replace(worker, replacement.fault)
             return
         patience_ends = self._refusing_since.get(worker, float("inf")) + PATIENCE_WITH_REFUSALS
-        if self._clock() >= patience_ends and self._scheduler.is_kept_from(worker):
+        if self._clock() >= patience_ends and (self._scheduler.is_kept_from(worker) or self._questions.is_kept_from(worker)):
             self._backend.replace(worker, None)
 
 

@@ -3,13 +3,15 @@
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 
-from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey
+from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey, SetupRequest
 
 PATIENCE_WITH_ANSWERS = 60.0
 """Seconds without an agreeing worker after which a campaign is hopeless. A worker that refuses is replaced after half of it, and then runs
 the probe again."""
 ASK_AGAIN_SECONDS = 10.0
 """Pause after every worker failed to run a probe."""
+MOST_REASONS = 5
+"""Different reasons of refusing workers in a message."""
 
 
 @dataclass(slots=True)
@@ -19,8 +21,16 @@ class _Question:
     batch: int | None = None
     """The batch that asks, at a worker now."""
     refusals: dict[str, str] = field(default_factory=dict)
-    """Reasons of workers that gave no answer."""
+    """Reasons of workers that gave no answer in this round; kept during the pause after it."""
+    trouble: str | None = None
+    """The last of all reasons."""
     not_before: float = 0.0
+    """The end of the pause after every worker failed; 0 during a round."""
+
+    def refuse(self, worker: str, reason: str) -> None:
+        """Notes why a worker gave no answer."""
+        self.refusals[worker] = reason
+        self.trouble = f"{worker} cannot run the probe of {self.request.problem}: {reason}"
 
 
 class Questions:
@@ -47,8 +57,10 @@ class Questions:
         for question in self._open.values():
             if question.answer is not None or question.batch is not None or self._clock() < question.not_before:
                 continue
-            if not set(ready) - question.refusals.keys():  # each has failed: from the start, after a pause
+            if question.not_before:  # the pause is over
                 question.refusals.clear()
+                question.not_before = 0.0
+            if not set(ready) - question.refusals.keys():  # each has failed: from the start, after a pause
                 question.not_before = self._clock() + ASK_AGAIN_SECONDS
             elif worker not in question.refusals:
                 self._last -= 1
@@ -61,19 +73,20 @@ class Questions:
         for question in self._sent(batch_id):
             question.answer = result.tools
             if result.tools is None:
-                question.refusals[result.worker] = result.refusal or "it gave no answer"
+                question.refuse(result.worker, result.refusal or "it gave no answer")
 
     def lost(self, batch_id: int, worker: str, detail: str) -> None:
         """Notes that a worker was lost while it was asked."""
         for question in self._sent(batch_id):
-            question.refusals[worker] = detail
+            question.refuse(worker, detail)
+
+    def is_kept_from(self, worker: str) -> bool:
+        """True if a campaign waits for an answer that this worker could not give."""
+        return any(question.answer is None and worker in question.refusals for question in self._open.values())
 
     def trouble(self) -> str | None:
         """Returns why a campaign cannot start, or None."""
-        for question in self._open.values():
-            for worker, reason in question.refusals.items():
-                return f"{worker} cannot run the probe of {question.request.problem}: {reason}"
-        return None
+        return next((question.trouble for question in self._open.values() if question.trouble is not None), None)
 
     def _sent(self, batch_id: int) -> Iterator[_Question]:
         for question in self._open.values():
@@ -86,11 +99,11 @@ class Questions:
 class _Dispute:
     since: float
     refusals: dict[str, str]
-    """Reasons of the workers that answer otherwise."""
+    """Reasons of the workers that answer otherwise, or not at all."""
 
 
 class Disputes:
-    """Setups that workers refuse because their tools have other versions than the campaign began with."""
+    """Setups with a probe's answer that workers refuse: their tools have other versions than the campaign began with, or none is known."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -106,19 +119,22 @@ class Disputes:
         for setup in setups:
             self._open.pop(setup, None)
 
-    def note(self, setup: SetupKey, result: BatchResult) -> None:
-        """Takes the result of a batch: a refusal by a worker with other tools, or proof that a worker agrees."""
+    def note(self, setup: SetupRequest, result: BatchResult) -> None:
+        """Takes the result of a batch: a refusal, whatever its reason, or proof that a worker agrees."""
+        if not isinstance(setup, BundleRequest) or setup.tools is None:
+            return
         if result.refusal is None:
-            self._open.pop(setup, None)
-        elif result.tools is not None:
-            dispute = self._open.setdefault(setup, _Dispute(self._clock(), {}))
+            self._open.pop(setup.key, None)
+        else:
+            dispute = self._open.setdefault(setup.key, _Dispute(self._clock(), {}))
             dispute.refusals[result.worker] = result.refusal
 
     def hopeless(self, setups: Collection[SetupKey], ready: Collection[str]) -> str | None:
-        """Returns the reason why none of the workers will run one of these setups, or None."""
+        """Returns the reasons why none of the workers will run one of these setups, or None."""
         for setup in self._open.keys() & set(setups):
             dispute = self._open[setup]
             agreeing = set(ready) - dispute.refusals.keys()
             if ready and not agreeing and self._clock() >= dispute.since + PATIENCE_WITH_ANSWERS:
-                return next(dispute.refusals[worker] for worker in ready)
+                reasons = dict.fromkeys(dispute.refusals[worker] for worker in ready)
+                return "; ".join(list(reasons)[:MOST_REASONS])
         return None

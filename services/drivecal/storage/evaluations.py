@@ -249,6 +249,18 @@ def failed_cells(connection: Connection, campaign_sequence: int, most: int) -> l
     return [FailedCells(Outcome(row[0]), *row[1:]) for row in connection.execute(query.limit(most))]
 
 
+def first_simulated(connection: Connection, campaign_sequence: int, stage: StageName, most: int) -> list[Outcome | None]:
+    """Returns the outcomes of a stage's first cells that are to be simulated, None while they are pending: ordered by iteration,
+    individual and scenario, so that the first ones are in all scenarios."""
+    cell = evaluations.c
+    query = (
+        select(cell.outcome)
+        .where(cell.campaign_sequence == campaign_sequence, cell.stage == stage, cell.plan == Outcome.SIMULATED)
+        .order_by(cell.iteration, cell.individual, cell.scenario)
+    )
+    return [None if outcome is None else Outcome(outcome) for outcome in connection.scalars(query.limit(most))]
+
+
 @dataclass(frozen=True, slots=True)
 class ScoredRun:
     """A run that answered `cells` of a campaign with a given score. `example`: the first one's id."""

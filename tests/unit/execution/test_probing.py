@@ -6,7 +6,7 @@ import pytest
 from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.work import BundleRequest, Cell
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.probing import PATIENCE_WITH_ANSWERS
 from drivecal.execution.scheduling.in_flight import Work
 
@@ -65,6 +65,43 @@ def test_a_campaign_that_no_worker_can_answer_says_why_and_waits() -> None:
     assert pool.trouble() is None
 
 
+def test_the_reason_of_a_failing_probe_is_shown_during_the_pause() -> None:
+    backend = FakeBackend(refusing={1: "mysim is not on PATH", 2: "no licence"})
+    pool = pool_on(backend)
+    seen = []
+    while backend.now < PATIENCE_WITH_REFUSALS / 2:
+        pool.probe(setup(), "a")
+        pool.poll(0.5)
+        seen.append(pool.trouble())
+    assert None not in seen[2:], "also while it is asked again"
+    assert len(backend.sizes) >= 3, "the pause ends"
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_workers_that_cannot_answer_are_replaced_after_a_while(workers: int) -> None:
+    backend = FakeBackend(workers, refusing=dict.fromkeys(range(1, workers + 1), "the files are not on this machine"))
+    pool = pool_on(backend)
+    while backend.now < 0.9 * PATIENCE_WITH_REFUSALS:
+        pool.probe(setup(), "a")
+        pool.poll(1.0)
+    assert backend.replaced == []
+    while backend.now < 1.5 * PATIENCE_WITH_REFUSALS:
+        pool.probe(setup(), "a")
+        pool.poll(1.0)
+    assert sorted(backend.replaced) == [(f"worker-{place}", None) for place in range(1, workers + 1)]
+    backend.refusing.clear()
+    assert answer(pool) == "1.0"
+
+
+def test_a_worker_is_not_replaced_for_a_question_that_is_over() -> None:
+    backend = FakeBackend(refusing={1: "no licence"}, tools={2: "2.1"})
+    pool = pool_on(backend)
+    assert answer(pool) == "2.1"
+    while backend.now < 3 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    assert backend.replaced == []
+
+
 def test_a_withdrawn_question_is_not_answered() -> None:
     backend = FakeBackend()
     pool = pool_on(backend)
@@ -115,3 +152,24 @@ def test_tools_that_come_back_in_time_cost_nothing() -> None:
         assert pool.hopeless("a") is None
         completed += pool.poll(1.0)
     assert len(completed) == 20
+
+
+def test_workers_whose_probe_breaks_do_not_agree() -> None:
+    backend = FakeBackend(tools={1: "2.0"}, refusing={2: "the probe ended with exit code 3"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    while (reason := pool.hopeless("a")) is None:
+        assert backend.now < 3 * PATIENCE_WITH_ANSWERS
+        pool.poll(1.0)
+    assert backend.now >= PATIENCE_WITH_ANSWERS
+    assert "2.0" in reason
+    assert "exit code 3" in reason
+
+
+def test_setups_without_tools_are_waited_for() -> None:
+    backend = FakeBackend(refusing={1: "no licence", 2: "no licence"})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(1, {"value": 1.0})]), tag="a")
+    while backend.now < 3 * PATIENCE_WITH_ANSWERS:
+        pool.poll(1.0)
+        assert pool.hopeless("a") is None

@@ -18,11 +18,12 @@ from drivecal.campaigns.stages.eta import EtaEstimate
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
+from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy, RequestedCell
-from drivecal.storage import campaign_stages, campaigns, events, results
+from drivecal.storage import campaign_stages, campaigns, evaluations, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -179,7 +180,8 @@ class Stage(Job):
 
 
 ALL_FAILED = 30
-"""Cells without a result after which a stage without any result ends. Where nine of ten cells break down, one stage in 25 would end so."""
+"""First simulations of a stage, by iteration, individual and scenario, that end it if all have failed and no other cell has a result. Where
+nine of ten cells break down, at most one stage in 23 ends so, however fast failures and however slow results are."""
 
 
 class CampaignStage(Stage):
@@ -212,8 +214,14 @@ class CampaignStage(Stage):
 
     def _refuse_failures(self) -> None:
         counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
-        if counts.failed >= ALL_FAILED and counts.failed == counts.requested:
-            raise NoResultError(f"the first {counts.failed:,} cells of the {self.name} gave no result{self._causes()}")
+        if counts.failed < ALL_FAILED or counts.failed != counts.requested:
+            return
+        with self._database.read() as connection:
+            first = evaluations.first_simulated(connection, self._campaign.sequence, self.name, ALL_FAILED)
+        if len(first) == ALL_FAILED and all(outcome is Outcome.FAILED for outcome in first):
+            raise NoResultError(
+                f"all {counts.failed:,} cells of the {self.name} that were tried gave no result{self._causes()}"
+            )
 
     def _causes(self) -> str:
         """Returns the most frequent causes of failed cells, for an error message."""
