@@ -36,6 +36,8 @@ MOST_CONNECTIONS = 1_000
 """Connections from an edge, and lanes into a junction."""
 MOST_POINTS = 200_000
 """Points of a lane."""
+OTHER_FILES = ("href", "file", "output", "dest")
+"""Attributes by which SUMO reads or writes other files: of `<include>`, and of signs, detectors and events of additional files."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
 
@@ -161,7 +163,9 @@ class _Reader:
     foes: list[str] = field(default_factory=list)
 
     def start(self, attributes: Attributes) -> None:
-        """Takes an element. Whatever has no meaning for a route is left out."""
+        """Takes an element. Whatever has no meaning for a route is left out, except what would let SUMO read other files."""
+        if attributes.element == "include" or any(key in attributes.values for key in OTHER_FILES):
+            raise attributes.fault("the element names another file, which SUMO would use", "give a network in one file")
         method: Any = getattr(self, f"on_{attributes.element}", None)
         if method is not None:
             method(attributes)
