@@ -26,8 +26,8 @@ FARTHEST = 1e8
 """Largest coordinate (m)."""
 LONGEST = 1e6
 """Metres of a lane."""
-FASTEST = 150.0
-"""Largest speed limit (m/s)."""
+SLOWEST, FASTEST = 0.1, 150.0
+"""Least and largest speed limit (m/s)."""
 WIDEST = 20.0
 """Metres of a lane."""
 MOST_LANES = 32
@@ -229,7 +229,7 @@ class _Reader:
                 index=index,
                 shape=_shape(attributes),
                 length=attributes.number("length", 0.0, LONGEST),
-                limit=attributes.number("speed", 0.0, FASTEST),
+                limit=attributes.number("speed", SLOWEST, FASTEST),
                 width=attributes.number("width", 0.1, WIDEST, DEFAULT_WIDTH),
                 for_cars=_for_cars(attributes),
                 line=attributes.line,
