@@ -183,9 +183,13 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
     yield from _route(network, vehicle, field)
     if vehicle.edge is None:
         try:
-            road.piece(vehicle.s, vehicle.lane)
+            edge_there = road.piece(vehicle.s, vehicle.lane).edge
         except InvalidInputError as error:
             yield from _prefixed(error, field)
+            return
+        if vehicle.route is not None and edge_there not in vehicle.route:
+            message = f"the vehicle starts on {shown(edge_there, 80)}, which is not on its route"
+            yield Problem(f"{field}.route", message, "give a route with this edge, or another s")
         return
     edge = network.edges.get(vehicle.edge)
     yield from _place(network, edge, vehicle.edge, vehicle.lane, field)

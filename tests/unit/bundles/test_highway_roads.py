@@ -98,6 +98,7 @@ def test_a_scenario_that_fits_its_network_passes() -> None:
         ("traffic.1.s", 5000.0, "traffic[1].s"),
         ("traffic.1.route", ["ramp", "after"], "traffic[1].route[1]"),
         ("traffic.1.route", ["ramp", "besides"], "traffic[1].route[1]"),
+        ("traffic.0", {"s": 160, "speed": 25, "route": ["ramp", "beside"]}, "traffic[0].route"),
         ("flows.0.edge", "ramps", "flows[0].edge"),
         ("flows.0.lane", 1, "flows[0].lane"),
         ("flows.0.route", ["ramp", "before"], "flows[0].route[1]"),
