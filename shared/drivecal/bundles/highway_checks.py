@@ -22,6 +22,10 @@ from drivecal.domain.errors import InvalidInputError, Problem
 TICK = 0.01
 """Step of the vehicle's dynamics (s), of which all other steps are multiples."""
 NETWORKS = (".net.xml", ".xodr")
+SPLITTING = ",$"
+"""Characters of a path that SUMO takes for a list of files and for variables of the environment."""
+ABOVE_ZERO = frozenset({"accel", "decel", "emergencyDecel", "apparentDecel", "tau", "stepping"})
+"""Attributes of vehicle types that SUMO refuses at 0 and below."""
 
 
 def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
@@ -104,6 +108,9 @@ def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Pr
     if not scenario.network.endswith(NETWORKS):
         message = f"{shown(scenario.network)} is neither a SUMO network nor an OpenDRIVE file"
         yield Problem(f"{field}.network", message, f"give the path of a {' or '.join(NETWORKS)} file of the bundle")
+    elif any(character in scenario.network for character in SPLITTING):
+        message = f"{shown(scenario.network)} has a comma or a dollar sign, by which SUMO reads other files"
+        yield Problem(f"{field}.network", message, "rename the file")
     if _is_multiple(step, TICK) and not _is_multiple(scenario.duration, step):
         message = f"{scenario.duration:g} s is no multiple of the simulator's step of {step:g} s"
         yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(scenario.duration / step)) * step:g}")
@@ -129,11 +136,21 @@ def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Pr
     for index, flow in enumerate(scenario.flows):
         if flow.end is not None and flow.end <= flow.begin:
             yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {flow.begin:g}")
+        if flow.begin >= scenario.duration:
+            message = f"the flow begins after the scenario's duration of {scenario.duration:g} s"
+            yield Problem(f"{field}.flows[{index}].begin", message, f"give less than {scenario.duration:g}")
+        if flow.speed is not None and flow.desired_speed is not None and flow.speed > flow.desired_speed:
+            message = f"the vehicles would enter faster than their desired speed of {flow.desired_speed:g} m/s"
+            yield Problem(f"{field}.flows[{index}].speed", message, f"give at most {flow.desired_speed:g}")
 
 
 def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Problem]:
     for name, driver in drivers:
-        for key in driver.parameters:
+        for key, value in driver.parameters.items():
+            if key in ABOVE_ZERO and value <= 0.0:
+                yield Problem(f"{field}.{name}.parameters.{key}", f"{value:g} is not above 0", "give a number above 0")
+            if key == "minGap" and value < 0.0:
+                yield Problem(f"{field}.{name}.parameters.{key}", f"{value:g} is below 0", "give 0 or more")
             if key not in TYPE_PARAMETERS:
                 message = "SUMO's vehicle types have no such numeric attribute"
                 yield Problem(f"{field}.{name}.parameters.{key}", message, nearest(key, sorted(TYPE_PARAMETERS)))

@@ -7,6 +7,7 @@ file does: what is driven is the network. It names the digest of its source, so 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, islice
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, Placed, TrafficEntry
@@ -21,6 +22,10 @@ from drivecal.roads.network import Edge, Network, network_file, read_network, so
 
 SHORTEST_DRIVE = 0.5
 """Share of the way at start speed that a route must have at least."""
+MOST_ROUTES = 100
+"""Different routes of a bundle's scenarios, each of which takes up to a second to check."""
+MOST_EDGES = 20_000
+"""Edges of these routes together."""
 
 
 def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -54,33 +59,50 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
 
 def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> None:
     """Raises InvalidInputError if a scenario's network, route or positions do not fit each other, with the fields of the manifest."""
+    _check_effort(manifest)
     roads = _Roads(files)
-    problems = [problem for field, scenario in _scenarios(manifest) for problem in _problems(roads, field, scenario)]
-    if problems:
-        raise InvalidInputError(*dict.fromkeys(problems))
+    problems: dict[str, list[Problem]] = {field: [] for field, _ in _scenarios(manifest)}
+    for field, scenario in _by_road(manifest):
+        problems[field] += _problems(roads, field, scenario)
+    if any(problems.values()):
+        raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
 
 
 def route_notes(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
     """Returns a note on each checked scenario whose route ends before its duration, at the ego vehicle's start speed."""
-    roads, notes = _Roads(files), []
-    for field, scenario in _scenarios(manifest):
+    roads = _Roads(files)
+    notes = dict.fromkeys((field for field, _ in _scenarios(manifest)), "")
+    for field, scenario in _by_road(manifest):
         road = roads.corridor(scenario)
         ahead = road.length - _start(road, scenario)
         if ahead < scenario.ego.speed * scenario.duration:
             seconds = ahead / scenario.ego.speed
-            notes.append(
+            notes[field] = (
                 f"{field}: at {scenario.ego.speed:g} m/s the route ends after {seconds:.1f} of {scenario.duration:g} s"
             )
-    return tuple(notes)
+    return tuple(note for note in notes.values() if note)
+
+
+def _check_effort(manifest: Manifest) -> None:
+    """Raises InvalidInputError if checking the routes would take minutes."""
+    routes = {_road(scenario) for _, scenario in _scenarios(manifest)}
+    edges = sum(len(route) for _, route in routes)
+    remedy = "give more scenarios the same route, or push several problems"
+    if len(routes) > MOST_ROUTES:
+        message = f"they have {len(routes):,} different routes, more than {MOST_ROUTES}"
+        raise InvalidInputError(Problem("scenarios", message, remedy))
+    if edges > MOST_EDGES:
+        message = f"their routes have {edges:,} edges, more than {MOST_EDGES:,}"
+        raise InvalidInputError(Problem("scenarios", message, remedy))
 
 
 class _Roads:
-    """Networks and corridors of a bundle, each read once."""
+    """Networks of a bundle, each read once, and the corridor of the last scenario: those of all might not fit into the memory."""
 
     def __init__(self, files: Mapping[str, BundleFile]) -> None:
         self._files = files
         self._networks: dict[str, Network | InvalidInputError] = {}
-        self._corridors: dict[tuple[str, tuple[str, ...]], Corridor | InvalidInputError] = {}
+        self._last: tuple[tuple[str, tuple[str, ...]], Corridor | InvalidInputError] | None = None
 
     def network(self, name: str) -> Network:
         """Returns the network of a scenario. Raises InvalidInputError with the field `network`."""
@@ -96,13 +118,14 @@ class _Roads:
 
     def corridor(self, scenario: HighwayScenario) -> Corridor:
         """Returns the corridor of a scenario. Raises InvalidInputError."""
-        key = (scenario.network, tuple(scenario.route))
-        if key not in self._corridors:
+        key = _road(scenario)
+        if self._last is None or self._last[0] != key:
+            self._last = None  # before the next is made
             try:
-                self._corridors[key] = corridor(self.network(scenario.network), scenario.route, scenario.network)
+                self._last = key, corridor(self.network(scenario.network), scenario.route, scenario.network)
             except InvalidInputError as error:
-                self._corridors[key] = error
-        road = self._corridors[key]
+                self._last = key, error
+        road = self._last[1]
         if isinstance(road, InvalidInputError):
             raise road
         return road
@@ -160,9 +183,13 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
     yield from _route(network, vehicle, field)
     if vehicle.edge is None:
         try:
-            road.piece(vehicle.s, vehicle.lane)
+            edge_there = road.piece(vehicle.s, vehicle.lane).edge
         except InvalidInputError as error:
             yield from _prefixed(error, field)
+            return
+        if vehicle.route is not None and edge_there not in vehicle.route:
+            message = f"the vehicle starts on {shown(edge_there, 80)}, which is not on its route"
+            yield Problem(f"{field}.route", message, "give a route with this edge, or another s")
         return
     edge = network.edges.get(vehicle.edge)
     yield from _place(network, edge, vehicle.edge, vehicle.lane, field)
@@ -205,8 +232,8 @@ def _route(network: Network, driver: Driver, field: str) -> Iterator[Problem]:
 
 
 def _unknown(network: Network, name: str, field: str) -> Problem:
-    roads = [edge.id for edge in network.edges.values() if edge.function == ""][:1000]
-    remedy = nearest(name, roads[:20])
+    roads = islice((edge.id for edge in network.edges.values() if edge.function == ""), 20)
+    remedy = nearest(name, list(roads))
     return Problem(field, f"{network.name}: there is no edge {shown(name, 80)}", remedy)
 
 
@@ -215,6 +242,15 @@ def _scenarios(manifest: Manifest) -> Iterator[tuple[str, HighwayScenario]]:
         scenario = scenario_of(name, data)
         if isinstance(scenario, HighwayScenario):
             yield f"scenarios.{name}", scenario
+
+
+def _by_road(manifest: Manifest) -> list[tuple[str, HighwayScenario]]:
+    """Returns the scenarios, those of one network and route after each other."""
+    return sorted(_scenarios(manifest), key=lambda entry: _road(entry[1]))
+
+
+def _road(scenario: HighwayScenario) -> tuple[str, tuple[str, ...]]:
+    return scenario.network, tuple(scenario.route)
 
 
 def _prefixed(error: InvalidInputError, field: str) -> Iterator[Problem]:

@@ -16,7 +16,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.roads.direct import connect_directly
 from drivecal.roads.network import read_network, source_comment
-from drivecal.roads.opendrive import DRIVEN, IGNORED, RoadFile, read_opendrive
+from drivecal.roads.opendrive import DRIVEN, IGNORED, NO_LIMIT, OPEN_LIMIT, RoadFile, read_opendrive
 from drivecal.roads.placement import place
 
 DEFAULT_WIDTH = 3.65
@@ -96,6 +96,9 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
                 side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
     for lane in document.iter("lane"):
         lane.attrib.setdefault("type", "none")
+        for speed in lane.findall("speed"):
+            if speed.get("max") in {NO_LIMIT, OPEN_LIMIT}:  # netconvert reads them as numbers, and gives up
+                lane.remove(speed)
     connect_directly(document, file)
     return tostring(document)
 

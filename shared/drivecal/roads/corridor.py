@@ -15,7 +15,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.roads.guide import Guide, guide_of
-from drivecal.roads.lines import lengths, nodes_of, project
+from drivecal.roads.lines import SPACING, lengths, nodes_of, project
 from drivecal.roads.network import Lane, Network
 from drivecal.roads.route import Chain, Lanes, lanes_of, refusal
 
@@ -31,6 +31,10 @@ LARGEST_DIFFERENCE = 0.3
 """Share by which a lane's length may differ from its shape's: SUMO averages over the lanes of an edge."""
 SHORT = 30.0
 """Metres of a lane; shorter ones may differ by as much as lanes of this length."""
+MOST_TRACKS = 128
+"""Tracks of a corridor: a motorway with some dozens of interchanges."""
+MOST_CELLS = 2_000_000
+"""Stations times tracks of a corridor, which has three numbers for each: 100 km of ten tracks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +128,17 @@ def corridor(network: Network, route: Sequence[str], name: str) -> Corridor:
     Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven.
     """
     lanes = lanes_of(network, route)
+    _check_size(lanes, 0, name)
     _check_units(network, lanes)
     guide = guide_of(network, lanes)
+    _check_size(lanes, len(guide.line), name)
     places = _Places(network, guide)
-    tracks, columns = zip(*(_track(chain, lanes, places, guide.line) for chain in lanes.chains), strict=True)
-    centres, widths, limits = (np.column_stack([column[part] for column in columns]) for part in range(3))
-    result = Corridor(guide.line, tracks, guide.line[:, 0].copy(), centres, widths, limits, name, places.table)
+    centres, widths, limits = np.empty((3, len(guide.line), len(lanes.chains)))
+    tracks = []
+    for number, chain in enumerate(lanes.chains):
+        track, (centres[:, number], widths[:, number], limits[:, number]) = _track(chain, lanes, places, guide.line)
+        tracks.append(track)
+    result = Corridor(guide.line, tuple(tracks), guide.line[:, 0].copy(), centres, widths, limits, name, places.table)
     _check(result, network, lanes, places)
     return result
 
@@ -218,6 +227,18 @@ def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floa
         if number < len(chain.inside):
             for inner in chain.inside[number]:
                 yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
+
+
+def _check_size(lanes: Lanes, stations: int, name: str) -> None:
+    """Raises InvalidInputError if a route has too many tracks, or too many of them for its stations."""
+    tracks = len(lanes.chains)
+    if tracks > MOST_TRACKS:
+        message = f"{name}: the route has {tracks:,} chains of connected lanes, more than {MOST_TRACKS}"
+        raise InvalidInputError(Problem("route", message, "connect the lanes of its edges, or give a shorter route"))
+    if stations * tracks > MOST_CELLS:
+        longest = MOST_CELLS // tracks * SPACING / 1000.0
+        message = f"{name}: the route has {tracks:,} chains of connected lanes, and is longer than {longest:.0f} km"
+        raise InvalidInputError(Problem("route", message, "give a shorter route, or one with fewer ramps"))
 
 
 def _check_units(network: Network, lanes: Lanes) -> None:

@@ -117,6 +117,8 @@ def read_elements(
         message = f"line {error.lineno}: no well-formed XML: {expat.ErrorString(error.code)}"
         raise InvalidInputError(Problem(name, message, "write the file again with the program that made it")) from error
     except (LookupError, ValueError) as error:
+        if elements:  # a fault of the caller: the encoding is known before the first element
+            raise
         raise InvalidInputError(Problem(name, "the file's encoding cannot be read", "save it as UTF-8")) from error
 
 

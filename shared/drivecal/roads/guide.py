@@ -47,11 +47,11 @@ def guide_of(network: Network, lanes: Lanes) -> Guide:
     joined = _Joined(network)
     borders: list[tuple[int, int]] = []
     for index, (begin, end) in enumerate(lanes.guide):
-        first = joined.append(begin.shape if begin is end else _blended(begin, end), begin.limit, index)
+        first = joined.append(begin, begin.shape if begin is end else _blended(begin, end), index)
         borders.append((first, joined.count - 1))
         if index < len(lanes.passages):
             for lane in lanes.passages[index]:
-                joined.append(lane.shape, lane.limit, index)
+                joined.append(lane, lane.shape, index)
     points, limits = joined.result()
     length = lengths(points)
     if not SHORTEST <= length[-1] <= LONGEST:
@@ -77,13 +77,14 @@ class _Joined:
         self._last: Floats | None = None
         self.count = 0
 
-    def append(self, shape: Floats, limit: float, index: int) -> int:
-        """Adds a lane's points; returns the index of its first."""
+    def append(self, lane: Lane, shape: Floats, index: int) -> int:
+        """Adds the points of a lane, or of a change from it; returns the index of the first."""
         kept = shape
         if self._last is not None:
             gap = float(np.hypot(*(shape[0] - self._last)))
             if gap > LARGEST_GAP:
-                message = f"the lanes before and after {shown(str(index), 10)} are {gap:.1f} m apart"
+                where = f"line {lane.line}, the lane {shown(f'{lane.edge}_{lane.index}', 90)}"
+                message = f"{where} begins {gap:.1f} m away from the end of the one before it"
                 raise refusal(index, self._network, message, "build the network again")
             direction = _direction(shape)
             ahead = (shape - self._last) @ direction > 0.05
@@ -93,7 +94,7 @@ class _Joined:
         first = self.count if len(kept) else max(0, self.count - 1)
         if len(kept):
             self._points.append(kept)
-            self._limits.append(np.full(len(kept), limit))
+            self._limits.append(np.full(len(kept), lane.limit))
             self._last = kept[-1]
             self.count += len(kept)
         return first

@@ -26,8 +26,8 @@ FARTHEST = 1e8
 """Largest coordinate (m)."""
 LONGEST = 1e6
 """Metres of a lane."""
-FASTEST = 150.0
-"""Largest speed limit (m/s)."""
+SLOWEST, FASTEST = 0.1, 150.0
+"""Least and largest speed limit (m/s)."""
 WIDEST = 20.0
 """Metres of a lane."""
 MOST_LANES = 32
@@ -36,6 +36,8 @@ MOST_CONNECTIONS = 1_000
 """Connections from an edge, and lanes into a junction."""
 MOST_POINTS = 200_000
 """Points of a lane."""
+OTHER_FILES = ("href", "file", "output", "dest")
+"""Attributes by which SUMO reads or writes other files: of `<include>`, and of signs, detectors and events of additional files."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
 
@@ -161,7 +163,9 @@ class _Reader:
     foes: list[str] = field(default_factory=list)
 
     def start(self, attributes: Attributes) -> None:
-        """Takes an element. Whatever has no meaning for a route is left out."""
+        """Takes an element. Whatever has no meaning for a route is left out, except what would let SUMO read other files."""
+        if attributes.element == "include" or any(key in attributes.values for key in OTHER_FILES):
+            raise attributes.fault("the element names another file, which SUMO would use", "give a network in one file")
         method: Any = getattr(self, f"on_{attributes.element}", None)
         if method is not None:
             method(attributes)
@@ -225,7 +229,7 @@ class _Reader:
                 index=index,
                 shape=_shape(attributes),
                 length=attributes.number("length", 0.0, LONGEST),
-                limit=attributes.number("speed", 0.0, FASTEST),
+                limit=attributes.number("speed", SLOWEST, FASTEST),
                 width=attributes.number("width", 0.1, WIDEST, DEFAULT_WIDTH),
                 for_cars=_for_cars(attributes),
                 line=attributes.line,

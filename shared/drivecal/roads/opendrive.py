@@ -4,6 +4,7 @@ Reference lines are integrated from the file's geometries; a lane's centre follo
 and banking do not move a lane.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,14 +21,20 @@ REVISION = 1
 LONGEST = 1e6
 """Metres of a road."""
 UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
-NO_LIMIT = {"no limit", "undefined"}
+NO_LIMIT, OPEN_LIMIT = "no limit", "undefined"
+"""Words for a speed limit."""
+SLOWEST, FASTEST = 0.5, 600.0
+"""Least and largest speed limit, in any unit."""
 DRIVEN = frozenset({"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "mwyEntry", "mwyExit", "slipLane"})
 """Types of lanes on which cars drive."""
 
 
 @dataclass(slots=True)
 class FileLane:
-    """A lane of a section: its type, widths over the section, limits (begin in the section, m/s), and linked lanes."""
+    """A lane of a section: its type, widths over the section, limits (begin in the section, m/s), and linked lanes.
+
+    A limit is infinite if the file says that there is none, and None if the road's holds.
+    """
 
     id: int
     kind: str
@@ -94,7 +101,8 @@ class FileRoad:
         """Returns the speed limit (m/s) of a lane at s, None if the file has none."""
         section = self.sections[index]
         own = _last(section.lanes[lane].limits, s - section.begin)
-        return own if own is not None else _last(self.limits, s)
+        limit = own if own is not None else _last(self.limits, s)
+        return None if limit == math.inf else limit
 
 
 @dataclass(slots=True)
@@ -253,7 +261,10 @@ class _Reader:
 
     def on_type_speed(self, attributes: Attributes) -> None:
         """Takes a road's speed limit."""
-        self._open_road(attributes).limits[-1] = (self.kind_begin, _speed(attributes))
+        road = self._open_road(attributes)
+        if self.path[-3:-1] != ["road", "type"]:
+            raise attributes.fault("the speed limit stands outside of a road's type", "move it into its type")
+        road.limits[-1] = (self.kind_begin, _speed(attributes))
 
     def _open_road(self, attributes: Attributes) -> FileRoad:
         if self.road is None:
@@ -282,13 +293,15 @@ class _Reader:
 
 
 def _speed(attributes: Attributes) -> float | None:
-    """Returns a speed limit in m/s, None if there is none."""
-    if attributes.text("max") in NO_LIMIT:
+    """Returns a speed limit in m/s: infinite if there is none, None if the file leaves it open."""
+    if attributes.text("max") == NO_LIMIT:
+        return math.inf
+    if attributes.text("max") == OPEN_LIMIT:
         return None
     unit = attributes.text("unit", "")
     if unit not in UNITS:
         raise attributes.fault(f"the unit {shown(unit, 20)} is unknown", "give m/s, km/h or mph")
-    return attributes.number("max", 0.0, 600.0) * UNITS[unit]
+    return attributes.number("max", SLOWEST, FASTEST) * UNITS[unit]
 
 
 def _last(limits: list[tuple[float, float | None]], s: float) -> float | None:

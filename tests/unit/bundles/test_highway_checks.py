@@ -46,7 +46,7 @@ VALID: dict[str, Any] = {
     "series": {"gap_m": "m"},
     "scores": {"cost": {"formula": "energy_kwh", "direction": "minimise", "range": [0, 1]}},
 }
-FILES = {"acc.py": False, "acc.fmu": False, "acc": True, "road.net.xml": False}
+FILES = {name: name == "acc" for name in ("acc.py", "acc.fmu", "acc", "road.net.xml", "a,b.net.xml", "${HOME}.net.xml")}
 FMU = {
     "kind": "fmu",
     "file": "acc.fmu",
@@ -117,6 +117,8 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("scenarios/merge/network", None, "scenarios.merge.network"),
         ("scenarios/merge/network", "other.net.xml", "scenarios.merge.network"),
         ("scenarios/merge/network", "acc.py", "scenarios.merge.network"),
+        ("scenarios/merge/network", "a,b.net.xml", "scenarios.merge.network"),
+        ("scenarios/merge/network", "${HOME}.net.xml", "scenarios.merge.network"),
         ("scenarios/merge/route", [], "scenarios.merge.route"),
         ("scenarios/merge/route", ["e1 e2"], "scenarios.merge.route[0]"),
         ("scenarios/merge/duration", 20.05, "scenarios.merge.duration"),
@@ -133,6 +135,12 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("scenarios/busy/traffic/0/actions/0/time", None, "scenarios.busy.traffic[0].actions[0]"),
         ("scenarios/busy/traffic/0/actions/0/do", "explode", "scenarios.busy.traffic[0].actions[0].do"),
         ("scenarios/busy/traffic/2/parameters", {"lcAssertiv": 2}, "scenarios.busy.traffic[2].parameters.lcAssertiv"),
+        ("scenarios/busy/traffic/2/parameters", {"accel": -5}, "scenarios.busy.traffic[2].parameters.accel"),
+        ("scenarios/busy/traffic/2/parameters", {"tau": 0}, "scenarios.busy.traffic[2].parameters.tau"),
+        ("scenarios/busy/flows/0/parameters", {"decel": 0}, "scenarios.busy.flows[0].parameters.decel"),
+        ("scenarios/busy/flows/0/parameters", {"minGap": -1, "sigma": 0}, "scenarios.busy.flows[0].parameters.minGap"),
+        ("scenarios/busy/flows/0/begin", 20, "scenarios.busy.flows[0].begin"),
+        ("scenarios/busy/flows/0", {"per_hour": 60, "speed": 30, "desired_speed": 25}, "scenarios.busy.flows[0].speed"),
         ("scenarios/busy/flows/0/per_hour", 0, "scenarios.busy.flows[0].per_hour"),
         ("scenarios/busy/flows/0/end", 0, "scenarios.busy.flows[0].end"),
         ("measures/min_ttc", "s", "measures.min_ttc"),

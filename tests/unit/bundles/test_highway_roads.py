@@ -18,6 +18,8 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads, conversions, route_notes
 from drivecal.client.problems import manifest_of, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.roads.corridor import Corridor, corridor
+from drivecal.roads.network import Network
 
 CODE = "def control(observation, parameters):\n    return {'acceleration': 0.0}\n"
 MANIFEST: dict[str, Any] = {
@@ -96,6 +98,7 @@ def test_a_scenario_that_fits_its_network_passes() -> None:
         ("traffic.1.s", 5000.0, "traffic[1].s"),
         ("traffic.1.route", ["ramp", "after"], "traffic[1].route[1]"),
         ("traffic.1.route", ["ramp", "besides"], "traffic[1].route[1]"),
+        ("traffic.0", {"s": 160, "speed": 25, "route": ["ramp", "beside"]}, "traffic[0].route"),
         ("flows.0.edge", "ramps", "flows[0].edge"),
         ("flows.0.lane", 1, "flows[0].lane"),
         ("flows.0.route", ["ramp", "before"], "flows[0].route[1]"),
@@ -116,6 +119,32 @@ def test_all_faults_of_all_scenarios_are_told_at_once() -> None:
     document["scenarios"]["merge"]["traffic"][0]["lane"] = 3
     document["scenarios"]["other"] = changed("route", ["nowhere"])["scenarios"]["merge"]
     assert fields(document) == ["scenarios.merge.ego.lane", "scenarios.merge.traffic[0].lane", "scenarios.other.route[0]"]
+
+
+@pytest.mark.parametrize(("routes", "edges"), [(101, 1), (11, 2_000)])
+def test_more_routes_than_can_be_checked_in_a_push_are_refused_before_any(routes: int, edges: int) -> None:
+    document = changed("traffic", [])
+    scenario = document["scenarios"]["merge"] | {"flows": []}
+    document["scenarios"] = {
+        f"s{number}": scenario | {"route": [f"e{number}_{edge}" for edge in range(edges)]} for number in range(routes)
+    }
+    assert fields(document) == ["scenarios"]
+
+
+def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = copy.deepcopy(MANIFEST)
+    scenario = document["scenarios"]["merge"]
+    others = changed("route", ["ramp", "beside", "after"])["scenarios"]["merge"] | {"traffic": [], "flows": []}
+    document["scenarios"] = {f"s{number}": others if number % 2 else scenario for number in range(6)}
+    routes: list[list[str]] = []
+
+    def counted(network: Network, route: list[str], name: str) -> Corridor:
+        routes.append(route)
+        return corridor(network, route, name)
+
+    monkeypatch.setattr(highway_roads, "corridor", counted)
+    check_roads(checked(document), networks())
+    assert len(routes) == 2
 
 
 def test_a_route_that_ends_before_the_drive_is_noted() -> None:

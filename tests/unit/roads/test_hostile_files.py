@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import random
 import re
+import tracemalloc
 import warnings
 from collections.abc import Callable
 
@@ -141,3 +142,42 @@ def test_damaged_opendrive_files_are_read_or_refused(file: str) -> None:
         results.append(outcome(attempt))
     assert any(results)
     assert not all(results)
+
+
+def unconnected(edges: int, lanes: int, length: float = 20.0) -> bytes:
+    """A straight road, of whose edges only the right lanes are connected."""
+    parts = ['<net version="1.20">']
+    for number in range(edges):
+        places = np.linspace(number * length, (number + 1) * length, 41)
+        shapes = [" ".join(f"{x},{3.2 * lane}" for x in places) for lane in range(lanes)]
+        parts.append(f'<edge id="e{number}" from="n{number}" to="n{number + 1}">')
+        parts += [
+            f'<lane id="e{number}_{lane}" index="{lane}" speed="30" length="{length}" shape="{shape}"/>'
+            for lane, shape in enumerate(shapes)
+        ]
+        parts.append("</edge>")
+    parts += [f'<junction id="n{number}" type="priority" incLanes=""/>' for number in range(edges + 1)]
+    parts += [
+        f'<connection from="e{number}" to="e{number + 1}" fromLane="0" toLane="0" dir="s" state="M"/>'
+        for number in range(edges - 1)
+    ]
+    return "".join([*parts, "</net>"]).encode()
+
+
+@pytest.mark.parametrize(
+    ("edges", "lanes", "length"), [(40, 32, 20.0), (10, 4, 9_000.0)], ids=["many lanes", "long and many lanes"]
+)
+def test_routes_with_more_tracks_than_memory_should_hold_are_refused_before_they_are_measured(
+    edges: int, lanes: int, length: float
+) -> None:
+    network = read_network(unconnected(edges, lanes, length), "road.net.xml")
+    tracemalloc.start()
+    try:
+        with pytest.raises(InvalidInputError) as error:
+            corridor(network, [f"e{number}" for number in range(edges)], "road.net.xml")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert [problem.field for problem in error.value.problems] == ["route"]
+    assert all(problem.remedy for problem in error.value.problems)
+    assert peak < 100e6

@@ -46,7 +46,13 @@ BILLION = '<!DOCTYPE net [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
         (r"<net ", f"{BILLION}<net "),
         (r"<net ", '<!DOCTYPE net SYSTEM "http://127.0.0.1:1/net.dtd"><net '),
         (r"<net (.*)</net>", r"<routes \1</routes>"),
+        (r"</net>", '<include href="other.xml"/></net>'),
+        (r"</net>", '<INCLUDE href="other.xml"/></net>'),
+        (r"</net>", '<variableSpeedSign id="v" lanes="before_0" file="speeds.xml"/></net>'),
+        (r"</net>", '<inductionLoop id="i" lane="before_0" pos="1" period="1" file="out.xml"/></net>'),
         (r'speed="33.33"', 'speed="nan"'),
+        (r'speed="33.33"', 'speed="0"'),
+        (r'speed="33.33"', 'speed="1e-9"'),
         (r'speed="33.33"', 'speed="-1"'),
         (r'speed="33.33"', 'speed="1e400"'),
         (r'speed="33.33"', 'speed="3_3"'),
@@ -110,6 +116,14 @@ def test_strange_encodings_are_refused_or_read(encoding: str) -> None:
     text = entrance().decode().replace('encoding="UTF-8"', f'encoding="{encoding}"')
     with suppress(InvalidInputError):
         read_network(text.encode(), NAME)
+
+
+def test_faults_of_handlers_are_no_faults_of_the_encoding() -> None:
+    def start(attributes: documents.Attributes) -> None:
+        raise KeyError(attributes.element)
+
+    with pytest.raises(KeyError):
+        documents.read_elements(b"<net/>", NAME, "net", start)
 
 
 def test_lanes_keep_what_the_file_says() -> None:

@@ -148,6 +148,33 @@ def test_limits_of_lanes_stand_above_those_of_roads() -> None:
     assert any("no speed limit" in note for note in converted(free, NAME).notes)
 
 
+def test_lanes_without_a_limit_do_not_take_that_of_the_road() -> None:
+    def notes(word: str) -> list[str]:
+        free = f'<speed sOffset="0" max="{word}"/>'
+        content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{free}</lane>", count=0)
+        return [note for note in converted(content, NAME).notes if "no speed limit" in note]
+
+    assert [note.startswith("road 5:") for note in notes("no limit")] == [True]
+    assert notes("undefined") == []
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement"),
+    [
+        (r"<type.*?</type>(.*?)<lanes>", r'\1<lanes><type><speed max="20"/></type>'),
+        (r"<lanes>", r'<lanes><type><speed max="20"/></type>'),
+        (r'max="33.5"', 'max="0"'),
+        (r'max="33.5"', 'max="1e-9"'),
+    ],
+)
+def test_misplaced_and_absurd_limits_are_refused_by_their_line(pattern: str, replacement: str) -> None:
+    with pytest.raises(InvalidInputError) as error:
+        read_opendrive(edited("two_way", pattern, replacement), NAME)
+    (problem,) = error.value.problems
+    assert (problem.field, bool(problem.remedy)) == (NAME, True)
+    assert re.search(r"line \d+, <speed>", problem.message)
+
+
 def test_what_netconvert_assumes_is_noted() -> None:
     (note,) = [note for note in conversion_of("entrance").notes if "no speed limit" in note]
     assert note.startswith("road 3:")

@@ -209,3 +209,11 @@ def test_lanes_that_are_ordered_from_the_left_are_refused() -> None:
 def test_a_route_of_a_few_metres_is_refused() -> None:
     content = built([node("a", 0, 0), node("b", 5, 0)], [edge("first", "a", "b", 1)])
     assert refused(content, "first")[0] == "route"
+
+
+def test_lanes_that_lie_apart_are_named() -> None:
+    content = entrance("--no-internal-links").decode()
+    shifted = re.sub(r'(id="after_\d"[^>]*shape=")[^"]*"', r'\g<1>1000,0 1500,60"', content)
+    field, message = refused(shifted.encode(), "before", "beside", "after")
+    assert field == "route[2]"
+    assert re.search(r"line \d+, the lane after_\d", message.replace("'", "").replace('"', ""))

@@ -74,7 +74,7 @@ class Traffic:
             ]
             self._places.append((EGO, *_front(road, ego, ego.length, f"{field}.ego"), ego.speed))
         except SUMO_ERRORS as error:
-            raise TrafficError(f"{field}: SUMO does not take the network {scenario.network}: {error}") from error
+            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles)
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
