@@ -123,6 +123,21 @@ def test_gaps_are_between_bumpers_and_per_lane() -> None:
     assert (signals["right_gap"], signals["right_leader_speed"]) == (1000, 20)
 
 
+def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_line() -> None:
+    d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
+    lanes = lanes_of(d)
+    x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
+    raw, others, outlines = np.array([[x, y, 30.0]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    geometry.locate(LINE, raw, others, outlines, 0.0)
+    signals = observed(others, 300.0, d, lanes, speed=30.0)
+    assert signals["leader_speed"] == pytest.approx(30.0)
+    assert signals["gap"] == pytest.approx(40 * stretch - 5 - 2.5)
+    _, place, _ = placed(300.0, d, lanes, speed=30.0)
+    seen = np.zeros(geometry.SIGNALS)
+    geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
+    assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+
+
 def test_a_vehicle_between_two_lanes_is_in_both() -> None:
     for offset, seen in ((2.2, True), (2.5, False), (1.75, True)):
         signals = observed([[150.0, offset, 20.0, 0.0, 4.0, 2.0]])

@@ -4,9 +4,9 @@ Functions that call each other share this module, because numba's cache does not
 
 `line`, shape (n, 7): the corridor's reference line (s, x, y, heading, curvature) with cosine and sine of the heading. `lanes`, shape
 (n, m, 5): centre, width, limit and slope of the centre of each of m tracks at these rows, NaN if the track does not exist, and the position
-along its lanes as SUMO counts. `pose`: as from `drivecal.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s, d and
-speed along the line, acceleration, length and width of other vehicles' centres. `outlines`, shape (k, 6): their x, y, heading, half length,
-half width, and speed.
+along its lanes as SUMO counts. `pose`: as from `drivecal.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of
+other vehicles' centres, their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6):
+their x, y, heading, half length, half width, and speed.
 """
 
 from math import atan, cos, inf, isnan, pi, sin
@@ -181,7 +181,7 @@ def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: fl
         heading -= half * curvature / stretch
         others[i, 0] = s - half / stretch
         others[i, 1] = d
-        others[i, 2] = speed / stretch
+        others[i, 2] = speed
         outlines[i, 0] = x - half * cos(heading)
         outlines[i, 1] = y - half * sin(heading)
         outlines[i, 2] = heading
@@ -233,7 +233,9 @@ def _neighbours(
     if track < 0:
         return
     for i in range(len(others)):
-        s = others[i, 0] + others[i, 2] * lead
+        s = others[i, 0]
+        if lead > 0.0:
+            s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
         if not 0.0 <= s <= line[-1, 0]:
             continue
         row, share = _row(line, s)
