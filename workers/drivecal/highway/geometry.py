@@ -140,7 +140,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     front[0] = pose[0] + size[0] * cos(pose[2])
     front[1] = pose[1] + size[0] * sin(pose[2])
     front[2] = 90.0 - pose[2] * (180.0 / pi)
-    if track < 0 or not 0.0 <= s <= line[-1, 0]:
+    if track < 0:
         return False
     stretch = 1.0 - curvature * d
     slope = atan(_lane(lanes, row, share, track, 3) / stretch)
@@ -159,7 +159,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
         if centre + half > left:
             left = centre + half
     reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
-    return bool(d - reach >= right - VERGE and d + reach <= left + VERGE)
+    return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
 
 
 @njit(cache=True)
@@ -312,14 +312,18 @@ def record(
     steering: float,
     half: float,
     time: float,
+    lead: float,
     row: Floats,
 ) -> None:
-    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.measures.COLUMNS`."""
+    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.measures.COLUMNS`.
+
+    `lead`: as in `_neighbours`.
+    """
     row[0], row[1], row[2], row[3] = time, pose[0], pose[1], pose[2]
     row[4], row[5], row[6] = motion[S], motion[OFFSET], motion[TRACK]
     row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], steering, motion[LIMIT]
     seen = np.empty(6)
-    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], 0.0, seen)
+    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], lead, seen)
     row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
 
 
@@ -330,7 +334,7 @@ def settle(
 ) -> int:  # fmt: skip
     """Combines `locate`, `record` and `hit` in one call."""
     locate(line, raw, others, outlines, step)
-    record(line, lanes, others, motion, pose, steering, size[0], time, row)
+    record(line, lanes, others, motion, pose, steering, size[0], time, 0.0, row)
     return hit(outlines, pose, size)
 
 
