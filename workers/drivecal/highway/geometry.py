@@ -344,7 +344,10 @@ def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, pat
 
     `path`, shape (n, 7), has its times. Where the track does not exist, the path goes on at the last offset.
     """
-    offset = 0.0
+    last = _row(line, s)[0]
+    while last > 0 and isnan(lanes[last, track, 0]):
+        last -= 1
+    offset = 0.0 if isnan(lanes[last, track, 0]) else lanes[last, track, 0]
     before = 0.0
     stretch = 1.0
     for i in range(len(path)):
@@ -353,12 +356,13 @@ def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, pat
         x, y, heading, curvature = point(line, s)
         row, share = _row(line, s)
         centre, slope = _lane(lanes, row, share, track, 0), _lane(lanes, row, share, track, 3)
-        if isnan(centre):
+        exists = not isnan(centre)
+        if not exists:
             centre, slope = offset, 0.0
         offset = centre
         stretch = max(1.0 - curvature * centre, 0.1)
         path[i, 1], path[i, 2] = x - centre * sin(heading), y + centre * cos(heading)
         path[i, 3] = heading + atan(slope / stretch)
-        path[i, 4] = _curvature(line, lanes, track, s)
+        path[i, 4] = _curvature(line, lanes, track, s) if exists else curvature / stretch
         path[i, 5] = speed
         path[i, 6] = 0.0

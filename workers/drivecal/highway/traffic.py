@@ -60,7 +60,10 @@ class Traffic:
         ego = scenario.ego
         self.start_s, self.start_d = _centre(road, ego, f"{field}.ego")
         route_file = folder / "traffic.rou.xml"
-        route_file.write_bytes(routes_file(scenario))
+        try:
+            route_file.write_bytes(routes_file(scenario))
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
         self._options = options(scenario, str(network), str(route_file), step)
         self._is_exact = is_exact(scenario)
         try:
@@ -214,14 +217,11 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
     if edge is None:
         try:
-            piece = road.corridor.piece(position, lane)
-            edge, position = piece.edge, _along(road, piece, position)
-        except InvalidInputError:  # the front is in a junction, or beyond the lane's end
-            try:
-                piece = road.corridor.piece(placed.s, lane)
-            except InvalidInputError as error:
-                raise _prefixed(error, field) from error
-            edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+            piece = road.corridor.piece(placed.s, lane)
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
+        edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+    edge, lane, position = road.sumo.ahead(edge, lane, position)
     name = f"{edge}_{lane}"
     try:
         return name, min(position, libsumo.lane.getLength(name))
