@@ -112,6 +112,8 @@ def test_steering_leaves_the_road_and_a_blind_driver_hits_the_leader(tmp_path: P
     off = result(bundle, drive(), controller | {"output": ["acceleration", "steering"]})
     assert off.failure == "off_road"
     assert off.measures["duration_s"] < 10
+    assert series(off, "time_s")[-1] == pytest.approx(off.measures["duration_s"])
+    assert off.measures["max_lane_offset_m"] == abs(series(off, "offset_m")).max()
     blind = motorway(tmp_path / "blind", "def control(observation, parameters):\n    return 0.0\n")
     hit = result(blind, drive([BRAKING], 30.0))
     assert hit.failure == "collision"
@@ -148,6 +150,16 @@ def control(o, p):
     assert series(outcome, "rear_gap_m")[0] == 1000
     assert series(outcome, "follower_speed_mps")[-1] < 28
     assert 5 < series(outcome, "rear_gap_m")[-1] < 60
+
+
+def test_a_gap_triggers_in_the_first_step_that_begins_with_it(tmp_path: Path) -> None:
+    bundle, controller = python(tmp_path, "def control(o, p):\n    return 0.0\n")
+    brake = {"do": "brake", "gap": 20, "speed": 20, "rate": 2}
+    leader = {"s": 160, "speed": 25, "model": "constant", "actions": [brake]}
+    outcome = result(bundle, drive([leader], 6.0, ego={"speed": 35}), controller)
+    begin = int(np.argmax(series(outcome, "leader_speed_mps") < 24.99)) - 1  # the row after it is the first that is slower
+    gaps = series(outcome, "gap_m")
+    assert gaps[begin] <= 20 < gaps[begin - 1]
 
 
 def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
@@ -322,4 +334,11 @@ def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
     outcome = result(folder, drive([LEADER | {"s": 2900}], 30.0, ego={"s": 2700}))
     assert outcome.failure is None
     assert 8 < outcome.measures["duration_s"] < 12
-    assert series(outcome, "position_m")[-1] > 2990
+    assert 3000 - 2.35 <= series(outcome, "position_m")[-1] < 3003
+    assert series(outcome, "time_s")[-1] == pytest.approx(outcome.measures["duration_s"])
+
+
+def test_a_perfect_drive_to_the_end_of_the_route_is_whole_progress_and_its_last_moment_is_recorded(tmp_path: Path) -> None:
+    bundle, controller = python(tmp_path, "def control(o, p):\n    return 0.0\n")
+    whole = result(bundle, drive(duration=30.0, ego={"s": 2900, "speed": 36.11}), controller)
+    assert whole.measures["progress"] == pytest.approx(1.0, abs=0.005)

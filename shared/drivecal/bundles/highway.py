@@ -144,7 +144,9 @@ class Driver(Model):
 
 
 class Trigger(Model):
-    """Begin of an action: at a `time` (s), or when the ego vehicle is within `gap` (m, between bumpers), or at `s` (m) of its route."""
+    """Begin of an action: at a `time` (s), or when the ego vehicle is within `gap` (m, between bumpers), or at `s` (m) of the
+    scenario's route.
+    """
 
     time: Seconds | None = None
     gap: Annotated[float, Field(ge=0, le=1000)] | None = None

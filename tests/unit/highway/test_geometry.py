@@ -15,6 +15,7 @@ from drivecal.domain.roads import project, reference_line, to_cartesian
 from drivecal.domain.scenarios import CurvatureKnot, Road
 from drivecal.highway import geometry, measures
 from drivecal.highway.observation import NAMES, keeper_acceleration
+from drivecal.highway.road import slopes
 
 CURVE = Road(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)), limits=())
 SIZE = np.array([2.5, 1.0])
@@ -123,6 +124,21 @@ def test_gaps_are_between_bumpers_and_per_lane() -> None:
     assert (signals["right_gap"], signals["right_leader_speed"]) == (1000, 20)
 
 
+def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_line() -> None:
+    d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
+    lanes = lanes_of(d)
+    x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
+    raw, others, outlines = np.array([[x, y, 30.0]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    geometry.locate(LINE, raw, others, outlines, 0.0)
+    signals = observed(others, 300.0, d, lanes, speed=30.0)
+    assert signals["leader_speed"] == pytest.approx(30.0)
+    assert signals["gap"] == pytest.approx(40 * stretch - 5 - 2.5)
+    _, place, _ = placed(300.0, d, lanes, speed=30.0)
+    seen = np.zeros(geometry.SIGNALS)
+    geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
+    assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+
+
 def test_a_vehicle_between_two_lanes_is_in_both() -> None:
     for offset, seen in ((2.2, True), (2.5, False), (1.75, True)):
         signals = observed([[150.0, offset, 20.0, 0.0, 4.0, 2.0]])
@@ -165,6 +181,38 @@ def test_the_path_runs_along_the_lane() -> None:
         assert row[3] == pytest.approx(np.interp(s, LINE[:, 0], LINE[:, 3]), abs=1e-6)
     assert np.hypot(*np.diff(path[:, 1:3], axis=0).T) == pytest.approx(np.full(12, 25 * 0.05), rel=1e-4)
     assert path[:, 4] == pytest.approx(np.full(13, 0.004 / (1 - 0.004 * 3.5)), rel=1e-6)
+
+
+def test_the_path_goes_on_beside_the_line_after_the_lane_s_end() -> None:
+    lanes = LANES.copy()
+    lanes[LINE[:, 0] > 305, 1] = np.nan
+    path = np.zeros((13, 7))
+    path[:, 0] = np.arange(13) * 0.05
+    for begin in (300.0, 306.0, 320.0):
+        geometry.path_of(LINE, lanes, 1, begin, 25.0, path)
+        offsets = [project(LINE[:, :5], row[1], row[2], begin + 25 * row[0])[1] for row in path]
+        assert offsets == pytest.approx([3.5] * 13, abs=1e-9)
+        assert path[:, 4] == pytest.approx(np.full(13, 0.004 / (1 - 0.004 * 3.5)), rel=1e-6)
+
+
+def test_slopes_do_not_jump_where_lanes_begin_and_end() -> None:
+    s = LINE[:, 0]
+    centres = np.column_stack(
+        [0.01 * s, np.where((s >= 200) & (s <= 250), 3.5 + 0.02 * s, np.nan), np.where(s == 300, 7.0, np.nan)]
+    )
+    taken = slopes(LINE, centres)
+    assert taken[:, 0] == pytest.approx(np.full(len(s), 0.01))
+    there = ~np.isnan(centres[:, 1])
+    assert taken[there, 1] == pytest.approx(np.full(there.sum(), 0.02))
+    assert np.isnan(taken[~there, 1]).all()
+    assert taken[s == 300, 2] == pytest.approx(0)
+    lanes = lanes_of(0.0, 0.0, 0.0)
+    lanes[:, :, 0], lanes[:, :, 3] = centres, taken
+    for place in (200.2, 203.0, 204.9, 245.2, 249.8):
+        offset = 3.5 + 0.02 * place
+        bend = 0.004 if place > 200 else 0.0
+        signals = observed([], place, offset, lanes)
+        assert signals["road_curvature"] == pytest.approx(bend / (1 - bend * offset), abs=1e-6)
 
 
 def test_the_speed_keeper_brakes_for_a_leader_and_reaches_the_limit() -> None:

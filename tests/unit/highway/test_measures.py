@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivecal.bundles.highway_catalogue import FAR, LONGEST, MEASURES
-from drivecal.highway.measures import COLUMNS, Record, energy, jerks, measures, series, times_to_collision
+from drivecal.highway.measures import COLUMNS, Record, energy, jerks, measures, series, times_to_collision, way
 
 STEP = 0.1
 
@@ -34,7 +34,7 @@ def record(columns: dict[str, Any] | None = None, dynamics: dict[int, Any] | Non
     samples[:, 0] = 20.0
     for column, values in (dynamics or {}).items():
         samples[:, column] = values
-    return Record(rows, samples, 30.0, 2000.0, 2.0)
+    return Record(rows, samples, 30.0, 1000.0, 2000.0, 2.0)
 
 
 def test_every_measure_of_the_catalogue_is_there_and_finite() -> None:
@@ -85,6 +85,24 @@ def test_way_speed_and_progress() -> None:
     assert values["mean_speed_mps"] == pytest.approx(20)
     assert values["progress"] == pytest.approx(20 / 30)
     assert values["max_speed_excess_mps"] == pytest.approx(1)
+
+
+def test_the_way_at_the_limit_begins_at_the_start_and_ends_at_the_end_of_the_route() -> None:
+    s, limits = np.array([0.0, 100.0, 200.0]), np.array([10.0, 20.0, 20.0])
+    assert way(s, limits, 50.0, 190.0, 4.0) == pytest.approx(40)
+    assert way(s, limits, 50.0, 190.0, 7.0) == pytest.approx(50 + 40)
+    assert way(s, limits, 50.0, 190.0, 60.0) == pytest.approx(140)
+
+
+def test_a_drive_beyond_the_end_of_the_route_makes_no_further_progress() -> None:
+    whole = record({"position_m": 980 + np.arange(11) * 2.1})
+    assert measures(whole)["progress"] == pytest.approx(20 / 30)
+
+
+def test_a_last_step_that_is_cut_short_counts_as_long_as_it_took() -> None:
+    times = np.append(np.arange(10) * STEP, 0.93)
+    values = measures(record({"time_s": times, "gap_m": 20.0, "leader_speed_mps": 10.0}))
+    assert values["time_exposed_ttc_s"] == pytest.approx(0.93)
 
 
 def test_percentiles_and_jerks_of_accelerations() -> None:

@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element, fromstring
 import pytest
 
 from drivecal.bundles.highway import HighwayScenario
+from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.routes import drivers, is_exact, options, routes_file
 
 
@@ -25,6 +26,16 @@ def test_each_vehicle_has_a_type_and_a_route() -> None:
     routes = {route.get("id"): route.get("edges") for route in root.iter("route")}
     assert routes == {"route-ego": "a b", "route-vehicle0": "c b", "route-vehicle1": "b"}
     assert {kind.get("id") for kind in root.iter("vType")} == {"ego", "vehicle0", "vehicle1"}
+
+
+def test_drivers_with_a_route_of_their_own_begin_at_their_edge_on_it() -> None:
+    own = {"route": ["c", "d", "b"]}
+    root = written(scenario(traffic=[{"s": 1, "speed": 20, "edge": "d"} | own], flows=[{"per_hour": 60, "edge": "b"} | own]))
+    routes = {route.get("id"): route.get("edges") for route in root.iter("route")}
+    assert routes == {"route-ego": "a b", "route-vehicle0": "d b", "route-flow0": "b"}
+    with pytest.raises(InvalidInputError) as refused:
+        routes_file(scenario(flows=[{"per_hour": 60}, {"per_hour": 60, "edge": "a"} | own]))
+    assert [problem.field for problem in refused.value.problems] == ["flows[1].edge"]
 
 
 def test_ids_are_the_user_s_or_the_next_free_one() -> None:

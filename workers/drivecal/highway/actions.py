@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from drivecal.bundles.highway import Brake, CutIn, Drift, TrafficEntry
 from drivecal.domain.errors import DrivecalError, UnavailableError
@@ -12,17 +13,27 @@ try:
 except ImportError as error:
     raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
 
-FREE_BUT_SAFE, MODEL = 1, 31
-"""SUMO's speed modes: the speed that is set, but no collision with a leader; the model's speed."""
+FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
+"""SUMO's speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
 
 
 class ActionError(DrivecalError):
     """A vehicle cannot do what the scenario says, e.g. cut into a lane that does not exist."""
 
 
+class EgoPlace(NamedTuple):
+    """Where the ego vehicle is: s of its centre (m), and metres of its way per metre of s."""
+
+    s: float
+    stretch: float
+
+
 @dataclass(slots=True)
 class _Speeding:
-    """A running `brake`: the speed now, and the time at which it is given back to the model, if it is known."""
+    """A running `brake`: the speed now, and the time at which it is given back to the model, if it is known.
+
+    A `constant` vehicle has no model: it comes back to its own speed at the rate of the brake.
+    """
 
     brake: Brake
     speed: float
@@ -52,44 +63,50 @@ class Actions:
     def __init__(self, vehicles: Mapping[str, TrafficEntry]) -> None:
         """`vehicles`: by id."""
         self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
-        self._lengths = {name: vehicle.length for name, vehicle in vehicles.items()}
+        self._vehicles = vehicles
         self.reset()
 
     def reset(self) -> None:
         """Forgets what has happened, for another run."""
         self._waiting = list(self._entries)
+        self._late: list[tuple[str, CutIn]] = []
         self._speeding: dict[str, _Speeding] = {}
         self._shifts: dict[str, _Shift] = {}
 
     @property
     def pending(self) -> bool:
         """Whether something is still to be done."""
-        return bool(self._waiting or self._speeding or self._shifts)
+        return bool(self._waiting or self._late or self._speeding or self._shifts)
 
-    def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: float, length: float) -> None:
-        """Begins and continues actions for the step from `time` on. `ego`: s of the ego vehicle's centre; `length`: its length.
+    def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
+        """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
 
-        Vehicles that have left the network do nothing.
+        Vehicles that have left the network do nothing. Those that are due to cut in inside of a junction do so behind it, on the edge whose
+        lanes the scenario numbers.
         """
         rows = {name: row for row, name in enumerate(names)}
-        waiting = []
+        waiting: list[tuple[str, Brake | CutIn | Drift]] = []
+        due: list[tuple[str, Brake | CutIn | Drift]] = [*self._late]
         for name, action in self._waiting:
-            if name in rows and self._is_due(name, action, time, others.item(rows[name], 0), ego, length):
-                self._begin(name, action, time)
+            is_due = name in rows and self._is_due(name, action, time, others.item(rows[name], 0), ego, length)
+            (due if is_due else waiting).append((name, action))
+        self._waiting, self._late = waiting, []
+        for name, action in due:
+            if isinstance(action, CutIn) and (name not in rows or libsumo.vehicle.getRoadID(name).startswith(":")):
+                self._late.append((name, action))
             else:
-                waiting.append((name, action))
-        self._waiting = waiting
+                self._begin(name, action, time)
         for name in [name for name in self._speeding if name in rows]:
             self._speed(name, time, step)
         for name in [name for name in self._shifts if name in rows]:
             self._shift(name, time + step)
 
-    def _is_due(self, name: str, action: Brake | CutIn | Drift, time: float, s: float, ego: float, length: float) -> bool:
+    def _is_due(self, name: str, action: Brake | CutIn | Drift, time: float, s: float, ego: EgoPlace, length: float) -> bool:
         if action.time is not None:
             return time >= action.time - 1e-9
         if action.s is not None:
             return s >= action.s
-        return abs(s - ego) - 0.5 * (length + self._lengths[name]) <= (action.gap or 0.0)
+        return abs(s - ego.s) * ego.stretch - 0.5 * (length + self._vehicles[name].length) <= (action.gap or 0.0)
 
     def _begin(self, name: str, action: Brake | CutIn | Drift, time: float) -> None:
         vehicle = libsumo.vehicle
@@ -116,10 +133,14 @@ class Actions:
     def _speed(self, name: str, time: float, step: float) -> None:
         running = self._speeding[name]
         if running.until is not None and time >= running.until - 1e-9:
-            libsumo.vehicle.setSpeedMode(name, MODEL)
-            libsumo.vehicle.setSpeed(name, -1)
-            del self._speeding[name]
-            return
+            vehicle = self._vehicles[name]
+            if vehicle.model != "constant":
+                libsumo.vehicle.setSpeedMode(name, MODEL)
+                libsumo.vehicle.setSpeed(name, -1)
+                del self._speeding[name]
+                return
+            libsumo.vehicle.setSpeedMode(name, FREE)
+            running.brake, running.until = Brake(do="brake", speed=vehicle.speed, rate=running.brake.rate), None
         change, target = running.brake.rate * step, running.brake.speed
         speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
         running.speed = speed

@@ -4,9 +4,9 @@ Functions that call each other share this module, because numba's cache does not
 
 `line`, shape (n, 7): the corridor's reference line (s, x, y, heading, curvature) with cosine and sine of the heading. `lanes`, shape
 (n, m, 5): centre, width, limit and slope of the centre of each of m tracks at these rows, NaN if the track does not exist, and the position
-along its lanes as SUMO counts. `pose`: as from `drivecal.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s, d and
-speed along the line, acceleration, length and width of other vehicles' centres. `outlines`, shape (k, 6): their x, y, heading, half length,
-half width, and speed.
+along its lanes as SUMO counts. `pose`: as from `drivecal.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of
+other vehicles' centres, their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6):
+their x, y, heading, half length, half width, and speed.
 """
 
 from math import atan, cos, inf, isnan, pi, sin
@@ -140,7 +140,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     front[0] = pose[0] + size[0] * cos(pose[2])
     front[1] = pose[1] + size[0] * sin(pose[2])
     front[2] = 90.0 - pose[2] * (180.0 / pi)
-    if track < 0 or not 0.0 <= s <= line[-1, 0]:
+    if track < 0:
         return False
     stretch = 1.0 - curvature * d
     slope = atan(_lane(lanes, row, share, track, 3) / stretch)
@@ -159,7 +159,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
         if centre + half > left:
             left = centre + half
     reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
-    return bool(d - reach >= right - VERGE and d + reach <= left + VERGE)
+    return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
 
 
 @njit(cache=True)
@@ -181,7 +181,7 @@ def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: fl
         heading -= half * curvature / stretch
         others[i, 0] = s - half / stretch
         others[i, 1] = d
-        others[i, 2] = speed / stretch
+        others[i, 2] = speed
         outlines[i, 0] = x - half * cos(heading)
         outlines[i, 1] = y - half * sin(heading)
         outlines[i, 2] = heading
@@ -233,7 +233,9 @@ def _neighbours(
     if track < 0:
         return
     for i in range(len(others)):
-        s = others[i, 0] + others[i, 2] * lead
+        s = others[i, 0]
+        if lead > 0.0:
+            s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
         if not 0.0 <= s <= line[-1, 0]:
             continue
         row, share = _row(line, s)
@@ -310,14 +312,18 @@ def record(
     steering: float,
     half: float,
     time: float,
+    lead: float,
     row: Floats,
 ) -> None:
-    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.measures.COLUMNS`."""
+    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.measures.COLUMNS`.
+
+    `lead`: as in `_neighbours`.
+    """
     row[0], row[1], row[2], row[3] = time, pose[0], pose[1], pose[2]
     row[4], row[5], row[6] = motion[S], motion[OFFSET], motion[TRACK]
     row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], steering, motion[LIMIT]
     seen = np.empty(6)
-    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], 0.0, seen)
+    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], lead, seen)
     row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
 
 
@@ -328,7 +334,7 @@ def settle(
 ) -> int:  # fmt: skip
     """Combines `locate`, `record` and `hit` in one call."""
     locate(line, raw, others, outlines, step)
-    record(line, lanes, others, motion, pose, steering, size[0], time, row)
+    record(line, lanes, others, motion, pose, steering, size[0], time, 0.0, row)
     return hit(outlines, pose, size)
 
 
@@ -338,7 +344,10 @@ def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, pat
 
     `path`, shape (n, 7), has its times. Where the track does not exist, the path goes on at the last offset.
     """
-    offset = 0.0
+    last = _row(line, s)[0]
+    while last > 0 and isnan(lanes[last, track, 0]):
+        last -= 1
+    offset = 0.0 if isnan(lanes[last, track, 0]) else lanes[last, track, 0]
     before = 0.0
     stretch = 1.0
     for i in range(len(path)):
@@ -347,12 +356,13 @@ def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, pat
         x, y, heading, curvature = point(line, s)
         row, share = _row(line, s)
         centre, slope = _lane(lanes, row, share, track, 0), _lane(lanes, row, share, track, 3)
-        if isnan(centre):
+        exists = not isnan(centre)
+        if not exists:
             centre, slope = offset, 0.0
         offset = centre
         stretch = max(1.0 - curvature * centre, 0.1)
         path[i, 1], path[i, 2] = x - centre * sin(heading), y + centre * cos(heading)
         path[i, 3] = heading + atan(slope / stretch)
-        path[i, 4] = _curvature(line, lanes, track, s)
+        path[i, 4] = _curvature(line, lanes, track, s) if exists else curvature / stretch
         path[i, 5] = speed
         path[i, 6] = 0.0

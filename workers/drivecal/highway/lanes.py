@@ -41,6 +41,17 @@ class SumoLanes:
             columns.append(np.interp(corridor.line[:, 0], np.maximum.accumulate(np.concatenate(s)), np.concatenate(positions)))
         self.totals: Floats = np.column_stack(columns)
 
+    def ahead(self, edge: str, lane: int, position: float) -> LanePlace:
+        """Returns the same place if a lane's `position` is beyond its end: on the lane that follows along its track.
+
+        Positions in junctions, and beyond lanes that are on no track, stay.
+        """
+        for track, names in enumerate(self._names):
+            if (edge, lane) in names:
+                there = self.place(track, self._bases[track][names.index((edge, lane))] + position)
+                return LanePlace(edge, lane, position) if there.edge.startswith(":") else there
+        return LanePlace(edge, lane, position)
+
     def place(self, track: int, total: float) -> LanePlace:
         """Returns the place at a position along all lanes of a track."""
         bases = self._bases[track]

@@ -11,7 +11,7 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
 from drivecal.highway.controllers import Checked
-from drivecal.highway.measures import TICK, Record
+from drivecal.highway.measures import TICK, Record, way
 from drivecal.highway.observation import keeper_acceleration
 from drivecal.highway.road import HighwayRoad
 from drivecal.highway.traffic import Traffic
@@ -73,7 +73,8 @@ class Loop:
         self._motion, self._front, self._signals = np.zeros(9), np.zeros(3), np.zeros(geometry.SIGNALS)
         self._start = (*road.start(traffic.start_s, traffic.start_d), scenario.ego.speed)
         limits = np.nanmax(road.lanes[:, :, 2], axis=1)
-        self._wanted = max(_way(road.line[:, 0], limits, traffic.start_s, scenario.duration), 1e-9)
+        self._finish = road.length - 0.5 * scenario.ego.length
+        self._wanted = max(way(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
         """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError."""
@@ -127,9 +128,9 @@ class Loop:
         vehicle.start(*self._start)
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
-        geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, self._row_views[0])
+        geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, 0.0, self._row_views[0])
         controller.begin(parameters)
-        failure, rows, ticks = None, 1, 0
+        failure, rows, ticks, recorded = None, 1, 0, 0
         acceleration = lateral = 0.0
         for index, dynamics in enumerate(self._samples):
             if index % per_period == 0:
@@ -150,7 +151,7 @@ class Loop:
                 stable = vehicle.step(lateral, acceleration, dynamics)
             ticks = index + 1
             on_road = geometry.place(line, lanes, pose, motion.item(geometry.S), size, motion, front)
-            if motion.item(geometry.S) + half >= road.length:
+            if motion.item(geometry.S) >= self._finish:
                 break  # the end of the route
             if not stable or not on_road:
                 failure = "off_road" if stable else "unstable"
@@ -163,22 +164,23 @@ class Loop:
                     ticks * tick, self._row_views[rows],
                 )  # fmt: skip
                 rows += 1
+                recorded = ticks
                 if hit >= 0:
                     failure = "collision"
                     break
+        if recorded < ticks:  # the run ended within a step of the traffic
+            lead = (ticks - recorded) * tick
+            geometry.record(
+                line, lanes, traffic.others, motion, pose, vehicle.steering, half, ticks * tick, lead, self._row_views[rows]
+            )
+            rows += 1
         samples = len(self._samples[0])
         record = Record(
             self._rows[:rows],
             self._dynamics[: ticks * samples],
             self._wanted,
+            self._finish,
             vehicle.parameters.mass,
             self._scenario.ego.width,
         )
         return FinishedRun(record, failure)
-
-
-def _way(s: Floats, limits: Floats, start: float, duration: float) -> float:
-    """Returns the way (m) from `start` of a drive at the limit, at most to the end of the road."""
-    first = min(int(start / s[1]), len(s) - 2)
-    times = np.concatenate([[0.0], np.cumsum(np.diff(s[first:]) / limits[first:-1])])
-    return float(np.interp(duration, times, s[first:])) - start

@@ -45,14 +45,15 @@ ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9
 class Record:
     """What a run leaves behind.
 
-    `rows`: at the start and after each step of the traffic, shape (n + 1, 17), `COLUMNS`. `dynamics`: after each 0.01 s, shape (m, 5):
-    speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: way (m) of a drive at the limit for the scenario's
-    duration.
+    `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 17), `COLUMNS`. `dynamics`: after each 0.01 s,
+    shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: way (m) of a drive at the limit for
+    the scenario's duration. `finish`: position (m) at which the route ends for the vehicle's centre.
     """
 
     rows: Floats
     dynamics: Floats
     wanted: float
+    finish: float
     mass: float
     width: float
 
@@ -66,20 +67,28 @@ def measures(record: Record) -> dict[str, float]:
     """Returns all measures by name."""
     duration = len(record.dynamics) * TICK
     distance = float(record.dynamics[:, 0].sum() * TICK)
+    position = record.column("position_m")
     values = {
         "duration_s": duration,
         "distance_m": distance,
         "mean_speed_mps": distance / duration,
-        "progress": float(record.column("position_m")[-1] - record.column("position_m")[0]) / record.wanted,
+        "progress": float(min(position[-1], record.finish) - position[0]) / record.wanted,
         "max_speed_excess_mps": max(0.0, float(np.max(record.column("speed_mps") - record.column("limit_mps")))),
         "energy_kwh": energy(record.dynamics, record.mass),
     }
     return values | _of_gaps(record) | _of_accelerations(record.dynamics) | _of_lanes(record)
 
 
+def way(s: Floats, limits: Floats, start: float, finish: float, duration: float) -> float:
+    """Returns the way (m) from `start` of a drive at the limit, at most to `finish`. `limits`: from each row of `s` to the next."""
+    times = np.concatenate([[0.0], np.cumsum(np.diff(s) / limits[:-1])])
+    end = float(np.interp(np.interp(start, s, times) + duration, times, s))
+    return min(end, finish) - start
+
+
 def _of_gaps(record: Record) -> dict[str, float]:
     speed, gap = record.column("speed_mps"), record.column("gap_m")
-    step = float(record.rows[1, 0]) if len(record.rows) > 1 else 0.0
+    steps = np.diff(record.column("time_s"))  # the last one may be shorter
     times = times_to_collision(gap, speed - record.column("leader_speed_mps"))
     led = gap < FAR
     moving = led & (speed > STANDSTILL)
@@ -88,7 +97,7 @@ def _of_gaps(record: Record) -> dict[str, float]:
     rear = times_to_collision(record.column("rear_gap_m"), record.column("follower_speed_mps") - speed)
     return {
         "min_ttc_s": float(times.min()),
-        "time_exposed_ttc_s": float(np.count_nonzero(times[1:] < CRITICAL) * step),
+        "time_exposed_ttc_s": float(steps[times[1:] < CRITICAL].sum()),
         "min_headway_s": float(headways.min(initial=LONGEST)),
         "mean_headway_s": float(headways.mean()) if headways.size else LONGEST,
         "min_gap_m": float(gap.min()),

@@ -22,7 +22,7 @@ class HighwayRoad:
         self.sumo = SumoLanes(corridor)
         self.lanes: Floats = np.ascontiguousarray(
             np.stack(
-                [corridor.centres, corridor.widths, corridor.limits, _slopes(line, corridor.centres), self.sumo.totals], axis=-1
+                [corridor.centres, corridor.widths, corridor.limits, slopes(line, corridor.centres), self.sumo.totals], axis=-1
             )
         )
         self.ends: Floats = np.array([track.end for track in corridor.tracks])
@@ -37,10 +37,15 @@ class HighwayRoad:
         return x - d * sin(heading), y + d * cos(heading), heading + atan(slope / (1.0 - curvature * d))
 
 
-def _slopes(line: Floats, centres: Floats) -> Floats:
-    """Returns the change of each centre per metre, 0 at rows that have no neighbours."""
-    reach = max(1, round(SMOOTHING / line[1, 0]))
-    padded = np.pad(centres, ((reach, reach), (0, 0)), mode="edge")
-    rise = padded[2 * reach :] - padded[: -2 * reach]
-    slopes: Floats = np.where(np.isnan(centres), np.nan, np.nan_to_num(rise / (2 * reach * line[1, 0])))
-    return slopes
+def slopes(line: Floats, centres: Floats) -> Floats:
+    """Returns the change of each centre per metre, over the rows to both sides that exist; 0 at a row without neighbours."""
+    spacing = line[1, 0]
+    reach = max(1, round(SMOOTHING / spacing))
+    result: Floats = np.full(centres.shape, np.nan)
+    for track, centre in enumerate(centres.T):
+        rows = np.flatnonzero(~np.isnan(centre))
+        if not len(rows):
+            continue
+        before, after = np.maximum(rows - reach, rows[0]), np.minimum(rows + reach, rows[-1])
+        result[rows, track] = (centre[after] - centre[before]) / (np.maximum(after - before, 1) * spacing)
+    return result

@@ -3,6 +3,7 @@
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
+from drivecal.domain.errors import InvalidInputError, Problem
 
 EGO = "ego"
 """Id, type and route of the ego vehicle in SUMO."""
@@ -49,7 +50,10 @@ def route_id(name: str) -> str:
 
 
 def routes_file(scenario: HighwayScenario) -> bytes:
-    """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself."""
+    """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself.
+
+    Raises InvalidInputError with fields `traffic[i].edge` or `flows[i].edge`.
+    """
     vehicles, flows = drivers(scenario)
     unmoved = "SL2015" if _is_sublane(scenario) else "LC2013"
     root = Element("routes")
@@ -58,9 +62,10 @@ def routes_file(scenario: HighwayScenario) -> bytes:
         root, "vType", {"id": EGO, "length": repr(ego.length), "width": repr(ego.width), **_FREE} | _model(_NOBODY, unmoved)
     )
     SubElement(root, "route", id=route_id(EGO), edges=" ".join(scenario.route))
-    for name, entry in (vehicles | flows).items():
+    fields = [f"traffic[{index}]" for index in range(len(vehicles))] + [f"flows[{index}]" for index in range(len(flows))]
+    for field, (name, entry) in zip(fields, (vehicles | flows).items(), strict=True):
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
-        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, entry.edge)))
+        SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, field)))
     for name, flow in sorted(flows.items(), key=lambda entry: entry[1].begin):
         SubElement(root, "flow", _flow(name, flow, scenario.duration))
     return tostring(root)
@@ -71,11 +76,17 @@ _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
 _NOBODY = Driver.model_validate({})
 
 
-def _route(scenario: HighwayScenario, driver: Driver, edge: str | None) -> list[str]:
+def _route(scenario: HighwayScenario, driver: TrafficEntry | FlowEntry, field: str) -> list[str]:
+    """Returns the edges from the driver's `edge` on, which is its whole route if it is beside the scenario's."""
+    edge, own = driver.edge, driver.route is not None
     route = scenario.route if driver.route is None else driver.route
-    if driver.route is None and edge is not None:
-        return route[route.index(edge) :] if edge in route else [edge]
-    return route
+    if edge is None:
+        return route
+    if edge in route:
+        return route[route.index(edge) :]
+    if own:
+        raise InvalidInputError(Problem(f"{field}.edge", f"the edge {edge} is not on the own route", "give one of `route`"))
+    return [edge]
 
 
 def _is_sublane(scenario: HighwayScenario) -> bool:

@@ -14,7 +14,7 @@ from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEnt
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
-from drivecal.highway.actions import Actions
+from drivecal.highway.actions import FREE, Actions, EgoPlace
 from drivecal.highway.road import HighwayRoad
 from drivecal.highway.routes import EGO, drivers, is_exact, options, route_id, routes_file
 from drivecal.roads.corridor import LanePiece
@@ -36,8 +36,6 @@ MAPPED_WITHIN = 10.0
 """moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
 CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
-FREE = 0
-"""SUMO's speed mode of vehicles that drive at the speed that is set, whatever happens."""
 
 
 class TrafficError(DrivecalError):
@@ -62,7 +60,10 @@ class Traffic:
         ego = scenario.ego
         self.start_s, self.start_d = _centre(road, ego, f"{field}.ego")
         route_file = folder / "traffic.rou.xml"
-        route_file.write_bytes(routes_file(scenario))
+        try:
+            route_file.write_bytes(routes_file(scenario))
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
         self._options = options(scenario, str(network), str(route_file), step)
         self._is_exact = is_exact(scenario)
         try:
@@ -76,6 +77,9 @@ class Traffic:
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles)
+        curvature = geometry.point(road.line, self.start_s)[3]
+        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
+        """Where the ego vehicle was when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
@@ -112,7 +116,7 @@ class Traffic:
             names = ", ".join(sorted(missing))
             raise TrafficError(f"scenarios.{self._name}: SUMO does not take the vehicles {names}; place them farther apart")
         self._actions.reset()
-        self._track = -1
+        self._track, self._ego = -1, self._ego_start
         self._read()
         geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
 
@@ -125,7 +129,8 @@ class Traffic:
         time = index * self._step
         try:
             if self._actions.pending:
-                self._actions.act(time, self._step, self.names, self.others, motion.item(0), self._scenario.ego.length)
+                self._actions.act(time, self._step, self.names, self.others, self._ego, self._scenario.ego.length)
+            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH))
             self._guide(index, motion, front, speed)
             STEP()
             if DEPARTED() or ARRIVED():
@@ -212,14 +217,11 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
     if edge is None:
         try:
-            piece = road.corridor.piece(position, lane)
-            edge, position = piece.edge, _along(road, piece, position)
-        except InvalidInputError:  # the front is in a junction, or beyond the lane's end
-            try:
-                piece = road.corridor.piece(placed.s, lane)
-            except InvalidInputError as error:
-                raise _prefixed(error, field) from error
-            edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+            piece = road.corridor.piece(placed.s, lane)
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
+        edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+    edge, lane, position = road.sumo.ahead(edge, lane, position)
     name = f"{edge}_{lane}"
     try:
         return name, min(position, libsumo.lane.getLength(name))
