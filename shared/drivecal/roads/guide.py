@@ -91,7 +91,8 @@ class _Joined:
             kept = shape[int(np.argmax(ahead)) :] if ahead.any() else shape[:0]
         steps = np.hypot(*np.diff(kept, axis=0).T) if len(kept) > 1 else np.zeros(0)
         kept = kept[np.concatenate([[True], steps > 1e-3])] if len(kept) else kept
-        first = self.count if len(kept) else max(0, self.count - 1)
+        # a lane whose first point is the last of the lane before begins there
+        first = self.count if len(kept) == len(shape) else max(0, self.count - 1)
         if len(kept):
             self._points.append(kept)
             self._limits.append(np.full(len(kept), lane.limit))
