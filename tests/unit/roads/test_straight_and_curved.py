@@ -78,4 +78,5 @@ def test_lanes_of_two_points_follow_one_another_at_any_length(length: int) -> No
     network = read_network(f'<net version="1.20">{edges}{junctions}{connection}</net>'.encode(), "long.net.xml")
     road = corridor(network, ["e0", "e1"], "long.net.xml")
     assert road.length == pytest.approx(2 * length, abs=0.01)
-    assert [(track.begin, track.end) for track in road.tracks] == [(0.0, pytest.approx(road.length))]
+    [track] = road.tracks
+    assert (track.begin, track.end) == pytest.approx((0.0, road.length))
