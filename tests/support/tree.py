@@ -11,7 +11,7 @@ ROOTS = tuple(PROJECT / name / "drivecal" for name in ("shared", "services", "wo
 
 
 def packages(root: Path) -> set[str]:
-    """The import names of a root's packages, e.g. `drivecal.planner`."""
+    """The import names of a root's packages, e.g. `drivecal.runtime`."""
     return {f"drivecal.{folder.name}" for folder in root.iterdir() if folder.is_dir() and folder.name != "__pycache__"}
 
 
