@@ -7,10 +7,9 @@ from typing import Any, Generic, TypeVar
 
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, Study, StudyName
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import Study, StudyName
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000

@@ -18,7 +18,7 @@ def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) ->
     if not rows:
         return
     tolerated = scale.amount(scale.tolerance)
-    typer.echo(f"\nerrors of reused results, found by simulating some of them all the same (wrong: by more than {tolerated})")
+    typer.echo(f"\nerrors of reused results, by simulating a sample of them (wrong: by more than {tolerated})")
     header = [
         "scenario",
         "audited",
@@ -58,7 +58,7 @@ def print_failures(causes: Sequence[FailureCause]) -> None:
 def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
     clock = "CPU time" if accounting.clock == "cpu" else "wall-clock time"
-    typer.echo(f"\nwhat was saved, in {clock} of the workers")
+    typer.echo(f"\nsavings, in {clock} of the workers")
     lines = [
         *((f"{outcome} cells", seconds) for outcome, seconds in accounting.savings.items()),
         *((DEDUCTIONS.get(name, name), -seconds) for name, seconds in accounting.deductions.items()),
