@@ -10,7 +10,7 @@ from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import Study, StudyName
+from drivecal.contracts.studies import Study, StudyName, TrustAnswer
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000
@@ -53,6 +53,8 @@ class ReportData:
     """Causes of failed cells."""
     predictions: Sequence[Studied[ValidationRow]] = ()
     """Validations of released predictions."""
+    trust: TrustAnswer | None = None
+    """None from a server of an earlier release."""
 
     @property
     def recommended(self) -> RobustnessRow | None:
@@ -77,6 +79,7 @@ def collect(client: Client, identifier: str) -> ReportData:
         basis=None if used is None else used.basis,
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
+        trust=client.trust(identifier) if "trust" in campaign.links else None,
         failures=client.failures(identifier).items if answered else (),
         robustness=_studied(studies, "robustness", client.robustness),
         validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),

@@ -1,4 +1,4 @@
-"""Answers about studies of a campaign's results: robustness and validation."""
+"""Answers about studies of a campaign's results, and about the trust that the result deserves."""
 
 from datetime import datetime
 from typing import Any, Literal, get_args
@@ -24,3 +24,23 @@ class Study(Answer):
 
 class StudyPage(Page[Study]):
     """The studies of a campaign's best sets and of its influence map, newest first."""
+
+
+Light = Literal["green", "amber", "red"]
+
+
+class Reason(Answer):
+    """A reason for a light. `about`: end, confirmation, baseline, map, references, predictions, noise, failures or robustness."""
+
+    light: Light
+    about: str
+    scenario: str | None = None
+    text: str
+
+
+class TrustAnswer(Answer):
+    """The trust that a campaign's result deserves. `light`: that of the gravest of the `reasons`, which comes first; null before the end,
+    unless it is red already, and without a search."""
+
+    light: Light | None
+    reasons: list[Reason]
