@@ -19,7 +19,7 @@ LONGER = {"workers/drivecal/highway/planner/kernel.py": 700, "workers/drivecal/h
 """Numba's cache does not notice edits in imported modules, so jitted functions that call each other stay in one."""
 TOP_LEVEL = {
     "services", "workers", "shared", "deploy", "tests", "docker-compose.yml", "pyproject.toml", "README.md", "Makefile", "LICENSE",
-    "CHANGELOG.md",
+    "CHANGELOG.md", "docs",
 }  # fmt: skip
 HOOKS = {"pause_reading", "process_bind_param", "process_result_value", "resume_reading"}
 """Methods that a library calls and documents."""

@@ -1,4 +1,4 @@
-"""What the documentation shows can be typed: every command exists with its options, every example file is a campaign that can run."""
+"""What the documentation shows can be typed: commands exist with their options, files are valid, Python compiles."""
 
 from __future__ import annotations
 
@@ -10,22 +10,27 @@ from typing import Any
 
 import pytest
 import typer
+from pydantic import TypeAdapter, ValidationError
+from tests.support.documentation import DOCS, PAGES, Block, blocks, program
 
 from drivecal.bundles.archives import content_digest, files_digest
+from drivecal.bundles.checks import checked
+from drivecal.bundles.highway import HighwayScenario
+from drivecal.bundles.manifest import AnySimulator
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
 from drivecal.campaigns.resolve.bundle_bench import Bundle
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.main import app
-from drivecal.client.documents import read_document
+from drivecal.client.documents import located_yaml, read_document
 from drivecal.client.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.planner.spaces import RANGES
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/README.md")])
 EXAMPLES = sorted(
     [*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/commands/demo/expert_map.yaml"]
 )
@@ -34,8 +39,8 @@ EXAMPLES = sorted(
 def shown_commands() -> Iterator[tuple[Path, list[str]]]:
     """The words of every command line in the code blocks of the pages."""
     for page in PAGES:
-        for block in re.findall(r"^```[a-z]*\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL):
-            for line in block.replace("\\\n", " ").splitlines():
+        for block in (one for one in blocks(page) if one.language != "text"):
+            for line in block.text.replace("\\\n", " ").splitlines():
                 try:
                     words = shlex.split(line.removeprefix("$ "), comments=True)
                 except ValueError:  # prose or output with an apostrophe
@@ -108,7 +113,49 @@ def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
 
 
 def test_the_built_in_parameters_are_told_as_they_are() -> None:
-    shown = re.findall(
-        r"^\| (P\d+) \| (\S+) to (\S+)(?: dB)? in steps of (\S+) \| (.+) \|$", (ROOT / "README.md").read_text(), re.MULTILINE
-    )
+    page = DOCS / "pages" / "reference" / "motorway.md"
+    shown = re.findall(r"^\| (P\d+) \| (\S+) to (\S+)(?: dB)? in steps of (\S+) \| (.+) \|$", page.read_text(), re.MULTILINE)
     assert shown == [(name, *texts[:3], texts[-1]) for name, *texts in RANGES]
+
+
+def test_the_readme_is_read_in_a_minute() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    assert len(text.encode()) <= 9_000
+
+
+def test_the_reference_is_that_of_the_code() -> None:
+    made = program("reference").pages()
+    written = {path.name: path.read_text() for path in (DOCS / "pages" / "reference").glob("*.md") if path.name != "index.md"}
+    assert written == made, "type: make docs"
+
+
+def shown_in(language: str) -> list[Block]:
+    """The blocks of a language on all pages."""
+    return [block for page in PAGES for block in blocks(page) if block.language == language and "--8<--" not in block.text]
+
+
+@pytest.mark.parametrize("block", shown_in("python"), ids=str)
+def test_python_in_the_documentation_compiles(block: Block) -> None:
+    compile(block.text, str(block), "exec")
+
+
+@pytest.mark.parametrize("block", shown_in("yaml"), ids=str)
+def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
+    document, _ = located_yaml(block.text.encode())
+    assert isinstance(document, dict)
+    if "scores" in document:
+        checked(document)
+    elif "simulator" in document:
+        TypeAdapter(AnySimulator).validate_python(document["simulator"])
+    elif "scenarios" in document:
+        for scenario in document["scenarios"].values():
+            HighwayScenario.model_validate(scenario)
+    elif "scrape_configs" not in document:  # a file of Prometheus
+        validated(CampaignSpecification, document)
+
+
+def test_wrong_yaml_would_be_noticed() -> None:
+    for text in ("name: x\noptimiser: {}\n", "simulator: {kind: python}\n", "scores: {}\nproblem: x\n"):
+        with pytest.raises((InvalidInputError, ValidationError)):
+            test_yaml_in_the_documentation_is_valid(Block(ROOT, "yaml", "", text))
