@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +12,8 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
 from drivecal.client.documents import LARGEST_FILE, located_yaml
+from drivecal.configuration.pushing import HEADER, read_secret, sign
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -103,3 +106,27 @@ def _located(field: str, lines: Mapping[str, int]) -> str:
         owner = re.sub(r"(?:\.?[^.\[]*|\[\d*\]?)$", "", owner)
     line = f"line {lines[owner]}" if owner else ""
     return ": ".join(filter(None, (MANIFEST, line, field)))
+
+
+Pushed = bytes | str | PathLike[str]
+"""A problem: its archive, or the path of its folder or of an archive."""
+
+
+def archive_of(problem: Pushed) -> bytes:
+    """Returns the archive of a problem. Raises InvalidInputError with all faults of a folder."""
+    if isinstance(problem, bytes):
+        return problem
+    path = Path(problem)
+    if not path.is_file():
+        return read_bundle(path)[1]
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError(Problem(str(path), f"it cannot be read: {error.strerror}", "give a folder")) from error
+
+
+def push_headers(archive: bytes, *, signed: bool) -> dict[str, str]:
+    """Returns the headers of a push. `signed`: by the secret of the server with this home folder, if this user can read it."""
+    headers = {"Content-Type": "application/zip"}
+    secret = read_secret(load_settings().home) if signed else None
+    return headers if secret is None else headers | {HEADER: sign(secret, archive)}

@@ -216,7 +216,7 @@ class WorkPool:
 
     def _drop(self, dispatch: Dispatch, granted: Mapping[int, int]) -> Dispatch | None:
         refused = dispatch.breakdowns.keys() - granted.keys()
-        log.warning("cells that are answered or at work elsewhere are not simulated again: %s", sorted(refused))
+        log.warning("cells that are answered or simulated elsewhere are not simulated again: %s", sorted(refused))
         return self._scheduler.drop(dispatch.batch_id, refused)
 
     def _replace_if_needed(self, worker: str) -> None:

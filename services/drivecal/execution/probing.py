@@ -114,7 +114,7 @@ class Disputes:
 
     @property
     def are_open(self) -> bool:
-        """Whether there is any."""
+        """Whether there are disputes."""
         return bool(self._open)
 
     def forget(self, setups: Collection[SetupKey]) -> None:

@@ -230,7 +230,7 @@ class _Reader:
     def _on_lane(self, attributes: Attributes) -> None:
         road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
         if not road.sections or index in road.sections[-1].lanes:
-            raise attributes.fault(f"road {shown(road.id, 60)}: the lane is there twice, or outside of a section", "rename it")
+            raise attributes.fault(f"road {shown(road.id, 60)}: the lane appears twice, or outside of a section", "rename it")
         self.lane = FileLane(index, attributes.text("type", "none"), attributes.line)
         road.sections[-1].lanes[index] = self.lane
 
