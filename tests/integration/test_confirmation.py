@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, get, post_map, run, submit
 
@@ -76,9 +77,7 @@ def told(database: Database, campaign: StoredCampaign, kind: str) -> list[Any]:
 
 
 def new(path: Path) -> Database:
-    opened = Database.open(f"sqlite:///{path}")
-    opened.upgrade()
-    return opened
+    return migrated(f"sqlite:///{path}")
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import make_url
+from tests.support.databases import migrated
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import metadata
@@ -53,8 +54,7 @@ def clean_postgres(migrated_postgres: str) -> str:
 
 
 def _migrate(url: str) -> None:
-    database = Database.open(url)
-    database.upgrade()
+    database = migrated(url)
     database.dispose()
 
 
