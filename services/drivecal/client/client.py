@@ -35,6 +35,7 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
@@ -62,8 +63,7 @@ class Client:
     """
 
     def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
-        """Connects to the `url` with the `token`. Omitted, each comes from `DRIVECAL_URL`, `DRIVECAL_TOKEN` or the config file, as on
-        the command line; an empty token sends none."""
+        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none."""
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
@@ -259,6 +259,10 @@ class Client:
         """Returns the savings and costs of a campaign."""
         return self._get(Accounting, "campaigns", identifier, "accounting")
 
+    def trust(self, identifier: str) -> TrustAnswer:
+        """Returns the light of a campaign's result, and the reasons for it."""
+        return self._get(TrustAnswer, "campaigns", identifier, "trust")
+
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
         return self._get(Explanation, "evaluations", evaluation, "explain")
@@ -376,9 +380,7 @@ class Client:
             raise self._strange() from error
 
     def _strange(self) -> UnavailableError:
-        return UnavailableError(
-            f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
-        )
+        return UnavailableError(f"{self.url} answers in a form that this drivecal does not know; are both of one version?")
 
 
 def _path(*parts: str) -> str:

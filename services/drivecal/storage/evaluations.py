@@ -110,8 +110,8 @@ def reused(
 
 
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
-    """Stores the evaluations whose runs reused cells would repeat, by cell id."""
-    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome == Outcome.REUSED)
+    """Stores the evaluations whose runs reused cells would repeat, by cell id. A cell may still wait for its answer."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.plan == Outcome.REUSED)
     rows = [{"evaluation": evaluation, "proof": proof} for evaluation, proof in proofs.items()]
     if rows:
         connection.execute(statement.values(proven_by=bindparam("proof")), rows)

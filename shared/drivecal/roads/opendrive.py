@@ -160,8 +160,10 @@ class _Reader:
         self.kind_begin = 0.0
 
     def start(self, attributes: Attributes) -> None:
-        """Takes an element of a known place."""
+        """Takes an element of a known place. Refuses what would let netconvert read other files."""
         element = attributes.element
+        if element == "include":
+            raise attributes.fault("the element names another file, which netconvert would read", "give the roads in one file")
         inside = self.path[-1] if self.path else ""
         self.path.append(element)
         if element in IGNORED and PATHS.get(element, inside) == inside:

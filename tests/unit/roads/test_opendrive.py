@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -267,6 +268,17 @@ def test_what_cannot_be_driven_is_refused(pattern: str, replacement: str) -> Non
     (problem,) = error.value.problems
     assert problem.remedy
     assert NAME in problem.field + problem.message
+
+
+@pytest.mark.parametrize("place", ["</OpenDRIVE>", "</lanes>"])
+def test_a_file_that_includes_another_is_refused_even_if_that_one_is_there(place: str, tmp_path: Path) -> None:
+    (tmp_path / "other.xml").write_text("<userData/>")
+    content = edited("two_way", place, f'<include file="{tmp_path / "other.xml"}"/>{place}')
+    with pytest.raises(InvalidInputError) as error:
+        converted(content, NAME)
+    (problem,) = error.value.problems
+    assert problem.field == NAME
+    assert "<include>" in problem.message
 
 
 def test_a_crossing_of_roads_is_refused() -> None:
