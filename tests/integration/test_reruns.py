@@ -73,8 +73,8 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second evaluator is installed."""
     usual = registry.evaluator
 
-    def find(name: str, field: str = "evaluator") -> Evaluator:
-        return Strict() if name == "strict" else usual(name, field)
+    def find(name: str) -> Evaluator:
+        return Strict() if name == "strict" else usual(name)
 
     monkeypatch.setattr(registry, "evaluator", find)
 

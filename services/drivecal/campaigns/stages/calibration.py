@@ -4,8 +4,6 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -45,17 +43,10 @@ class Calibration(CampaignStage):
     name = StageName.CALIBRATION
     uses_map = True
 
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
-        super().__init__(database, campaign, problem, view, clock)
+        super().__init__(database, campaign, problem, view)
         self._optimization = problem.optimization
         self._sign = view.bench.scale.sign
         self._ranking = Ranking(problem.weights, self._sign)
