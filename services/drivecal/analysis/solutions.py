@@ -22,7 +22,7 @@ class EvaluatedSet:
     iteration: int
     individual: int
     sign: int = 1
-    """Of the scale: -1 if lower objectives are better."""
+    """-1 if lower objectives are better."""
 
     @property
     def order(self) -> tuple[int, float, int, int]:
@@ -31,7 +31,7 @@ class EvaluatedSet:
 
 
 class Ranking:
-    """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
+    """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
     def __init__(self, weights: Mapping[str, float], sign: int = 1) -> None:
         """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's."""

@@ -9,10 +9,11 @@ from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, res
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.domain.errors import Problem, TooLargeError
-from drivecal.storage import admission, costs, processes
+from drivecal.storage import admission, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.references import runs
 
 ASSUMED_MILLISECONDS = 8.0
 """CPU time of one simulation in the built-in scenarios, on a machine of today."""
@@ -35,7 +36,7 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
     with database.read() as connection:
         _map(connection, problem)
         setups = problem.problems[0].bench.setups.values()  # all runs share them
-        milliseconds = costs.recent_milliseconds(connection, [setup.fingerprint for setup in setups])
+        milliseconds = runs.recent_milliseconds(connection, [setup.fingerprint for setup in setups])
         dispatcher = processes.read(connection, processes.DISPATCHER)
     workers = None
     if dispatcher is not None and not judge(dispatcher, now()).silent:

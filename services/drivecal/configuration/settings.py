@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     @classmethod
     def _web_address(cls, value: str) -> str:
         if not value.startswith(("http://", "https://")):
-            raise ValueError("it is no web address; give e.g. http://127.0.0.1:8000")
+            raise ValueError("it is not a web address; give e.g. http://127.0.0.1:8000")
         return value
 
     @classmethod

@@ -19,7 +19,7 @@ from drivecal.storage.engine.tables import processes
 from drivecal.storage.engine.types import now
 
 DISPATCHER = "dispatcher"
-"""Under which the dispatcher reports itself, and whose terms are counted."""
+"""Name of the dispatcher's row, whose terms are counted."""
 
 
 @dataclass(frozen=True, slots=True)

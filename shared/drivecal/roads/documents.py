@@ -89,7 +89,7 @@ def read_elements(
         attributes = Attributes(name, tag, values, parser.CurrentLineNumber)
         depth, elements = depth + 1, elements + 1
         if depth == 1 and tag != root:
-            raise attributes.fault(f"the document is no <{root}>", _REMEDIES.get(root, "give another file"))
+            raise attributes.fault(f"the document is not a <{root}>", _REMEDIES.get(root, "give another file"))
         if depth > DEEPEST or elements > MOST_ELEMENTS:
             limit = f"nested deeper than {DEEPEST} levels" if depth > DEEPEST else f"of more than {MOST_ELEMENTS:,} elements"
             raise attributes.fault(f"the document is {limit}", "cut the part out that is driven")

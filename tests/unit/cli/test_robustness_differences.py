@@ -90,8 +90,8 @@ def test_what_changes_is_printed_and_given_to_programs(capsys: pytest.CaptureFix
     assert "recommended: another set" in printed
     assert "settings that differ: vehicle single_track 1 -> hybrid 1\n" in printed
     assert "do not mean the same" not in printed
-    found = document(made(PLAIN), made(HYBRID, "hybrid"))
-    assert len(found["here"]) == 3  # type: ignore[arg-type]
+    found: dict[str, Any] = document(made(PLAIN), made(HYBRID, "hybrid"))
+    assert len(found["here"]) == 3
     assert found["settings"] == {"vehicle": ["single_track 1", "hybrid 1"]}
 
 

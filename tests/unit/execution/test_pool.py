@@ -197,6 +197,27 @@ def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest
     assert backend.now < 7 * PATIENCE_WITH_REFUSALS
 
 
+def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(1, refusing={1: "it has version 2"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL])), tag="a")
+    while pool.trouble() is None:
+        pool.poll(1.0)
+    pool.withdraw("a")
+    while backend.now < 3 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    backend.refusing[1] = "it has no model"
+    begin = backend.now
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="b")
+    while backend.now < begin + 0.9 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    assert backend.replaced == []
+    assert "worker-1 refuses: it has no model" in caplog.text
+    while not backend.replaced:
+        assert backend.now < begin + 2 * PATIENCE_WITH_REFUSALS
+        pool.poll(1.0)
+
+
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
     pool = WorkPool(backend)

@@ -45,7 +45,7 @@ GUARD = {
     "X-Content-Type-Options": "nosniff",
 }
 FOREVER = "public, max-age=31536000, immutable"
-"""For files whose names change with their content."""
+"""`Cache-Control` of files whose names change with their content."""
 
 AcceptEncoding = Annotated[str, Header()]
 IfNoneMatch = Annotated[str, Header()]
@@ -100,7 +100,7 @@ def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: 
 def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
     """A file of the page."""
     if name not in _names(FILES):
-        raise HTTPException(404, "the page has no such file; it may have been built anew since: load it again")
+        raise HTTPException(404, "the page has no such file; the page may have changed since: load it again")
     return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)
 
 

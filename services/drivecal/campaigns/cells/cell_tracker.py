@@ -47,7 +47,7 @@ class CellTracker:
         self._copies: dict[int, list[StoredEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._proofs: dict[int, int] = {}
-        """Certificate probes for reused cells without an answer, see `_probes`."""
+        """Evaluations whose runs reused cells without an answer would repeat: the answers of `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
         self._inspection = Inspection(view.campaign, view.bench.evaluator_id, view.bench.scale)
         self._refuted: str | None = None
@@ -97,7 +97,9 @@ class CellTracker:
         self._exclusive = not share_runs
         self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
         self._pending |= self._inspection.load(connection, self._pending)
-        self._copies, self._proofs = {}, {}
+        self._copies = {}
+        reused = (cell for cell in self._pending.values() if cell.plan is Outcome.REUSED)
+        self._proofs = {cell.id: cell.proven_by for cell in reused if cell.proven_by is not None}
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
@@ -174,7 +176,8 @@ class CellTracker:
             return {}
         probes: dict[int, list[Probe]] = {}
         place = simulated[0].stage, simulated[0].iteration
-        waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in self._pending.values() if cell.plan is Outcome.REUSED]
+        reused = (cell for cell in self._pending.values() if cell.plan is Outcome.REUSED and cell.id not in self._proofs)
+        waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in reused]
         for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
             probes.setdefault(setup_id, []).append(Probe(number, parameters.floats))
         carriers: dict[int, list[int]] = {}

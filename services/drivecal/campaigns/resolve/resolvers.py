@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
+from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -16,7 +17,6 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
-from drivecal.contracts.studies import STUDIES
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting

@@ -16,7 +16,7 @@ class Parameterised(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the function or problem."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
@@ -212,7 +212,7 @@ def _check_free(function: Parameterised, usual: Parameter, value: Value, field: 
     except ValueError as error:
         diagnostics.add(field, str(error), "round it")
     if usual.kind == "integer" and value != value.to_integral_value():
-        diagnostics.add(field, f"{value} is no whole number", f"give e.g. {value.to_integral_value()}")
+        diagnostics.add(field, f"{value} is not a whole number", f"give e.g. {value.to_integral_value()}")
     _within_limits(function, usual.name, value, field, diagnostics)
 
 

@@ -158,7 +158,7 @@ class Calibration(CampaignStage):
 
     def _propose(self) -> Round:
         if self._optimizer is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         self._proposal = self._optimizer.ask()
         self._iteration = 0 if self._iteration is None else self._iteration + 1
         self._batches = self._split(self._iteration, self._proposal)
@@ -173,7 +173,7 @@ class Calibration(CampaignStage):
 
     def _next_batch(self) -> Round:
         if self._proposal is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         batch, problem = self._batches.pop(0), self._problem
         sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
         wanted = [
@@ -264,7 +264,7 @@ class Calibration(CampaignStage):
     def _close(self) -> None:
         """Closes an iteration: every cell has its answer."""
         if self._optimizer is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         with self._database.transaction() as connection:
             self._take_in(connection, iterations=[self._iteration])
             objectives = self._weighted(self._scores)

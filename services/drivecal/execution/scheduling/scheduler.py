@@ -177,9 +177,9 @@ class Scheduler:
         fault = self._worker_health.fault(worker)
         return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
 
-    def is_kept_from(self, worker: str) -> bool:
-        """True if something waits that this worker refuses."""
-        return any(self._worker_health.refuses(worker, setup) for setup in self._queue.setups())
+    def kept_from(self, worker: str) -> list[SetupKey]:
+        """Returns the waiting setups that this worker refuses."""
+        return [setup for setup in self._queue.setups() if self._worker_health.refuses(worker, setup)]
 
     def trouble(self) -> str | None:
         """Returns a message about workers that refuse waiting setups, or None."""
