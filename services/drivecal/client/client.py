@@ -168,9 +168,11 @@ class Client:
         """Queues a new campaign on the references and the influence map of an ended one."""
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
-    def solutions(self, identifier: str, weights: str | None = None, limit: int | None = None) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others (`S1=2,S2=1`)."""
-        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=weights, limit=limit)
+    def solutions(
+        self, identifier: str, weights: str | None = None, limit: int | None = None, score: str | None = None
+    ) -> SolutionPage:
+        """Returns the best parameter sets, under its weights or others (`S1=2,S2=1`), and its score or another of the problem."""
+        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=weights, limit=limit, score=score)
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
         """Returns every requested cell of a campaign. `query` filters as in the REST API, e.g. `scenario="S1"`."""
