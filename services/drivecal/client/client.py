@@ -42,7 +42,7 @@ Action = Literal["pause", "resume", "cancel"]
 Answer = TypeVar("Answer", bound=BaseModel)
 
 KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
-"""Names of what the collections hold, for messages."""
+"""Names of the collections' items in messages."""
 ATTEMPTS_TO_CONNECT = 3
 BROKEN_ANSWERS = 2
 """Broken connections in a call before the server counts as unreachable; a restart breaks some."""

@@ -231,7 +231,7 @@ class CampaignSpecification(ProblemSpecification):
     """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions and certificates, without an analysis."""
 
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
-    """Null where only other stages are wanted."""
+    """Null if only other stages are requested."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     robustness: RobustnessSpecification | None = None
     validation: ValidationSpecification | None = None

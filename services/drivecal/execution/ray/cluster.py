@@ -133,7 +133,7 @@ class Cluster:
             self._folder = None
 
     def _ask(self) -> None:
-        """Asks the store of the cluster's state who is there, a local one anything. To be called by the watching thread."""
+        """Asks the store of the cluster's state who is there, a local one anything. The watching thread calls it."""
         client = self.ray._private.worker.global_worker.gcs_client  # noqa: SLF001  # all public ways wait without end
         try:
             if self._folder is None:

@@ -24,7 +24,7 @@ STEP = 0.01
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
 """Results of `follow`."""
 STEERING, CURVATURE, PATH = 0, 1, 2
-"""What `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps."""
+"""Inputs that `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps."""
 
 KINEMATIC_BELOW = 3.0
 DYNAMIC_ABOVE = 5.0
