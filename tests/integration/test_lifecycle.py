@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -208,8 +209,7 @@ class _Unreliable:
 def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tmp_path: Path) -> None:
     found = []
     for name in ("calm", "unreliable"):
-        database = Database.open(f"sqlite:///{tmp_path / name}.db")
-        database.upgrade()
+        database = migrated(f"sqlite:///{tmp_path / name}.db")
         campaign = _submit(database)
         used: Any = database if name == "calm" else _Unreliable(database)
         dispatcher = _dispatcher(used, ComputedBackend())

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.runs import WITH_ANALYSIS, dispatcher, everything, get, influenced, run
 
 from drivecal.api import submission
@@ -69,8 +70,7 @@ def rerun(database: Database, first: StoredCampaign, evaluator: str, backend: Co
 
 def fresh(path: Path) -> tuple[Database, StoredCampaign]:
     """A database with a campaign by the reference scale."""
-    opened = Database.open(f"sqlite:///{path}")
-    opened.upgrade()
+    opened = migrated(f"sqlite:///{path}")
     specification = CampaignSpecification.model_validate(MAPPED)
     return opened, run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=influenced))
 

@@ -218,6 +218,25 @@ def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: 
         pool.poll(1.0)
 
 
+@pytest.mark.parametrize("behaviour", [Behaviour.ERROR, Behaviour.CRASH])
+@pytest.mark.parametrize("workers", [1, 2, 12])
+def test_where_everything_fails_the_first_sets_fail_first_in_all_scenarios(workers: int, behaviour: Behaviour) -> None:
+    backend = FakeBackend(workers)
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    work = [
+        Work(
+            setup(f"S{scenario}"),
+            [Cell(100 * scenario + number, {"behaviour": behaviour, "x": number}) for number in range(50)],
+        )
+        for scenario in range(1, 7)
+    ]
+    pool.submit(*work, tag="a")
+    completed: list[int] = []
+    while len(completed) < 60:
+        completed += [entry.result.id for entry in pool.poll(0.002)]
+    assert {100 * scenario + number for scenario in range(1, 7) for number in range(5)} <= set(completed)
+
+
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
     pool = WorkPool(backend)
