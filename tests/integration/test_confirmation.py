@@ -156,12 +156,12 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
 def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: Database) -> None:
     cut = run(database, ask(database, 1), ComputedBackend(answer=spoiled))
     assert {row.iteration for row in rows_of(database, cut) if row.iteration >= ITERATIONS} == {ITERATIONS}
-    assert cut.notes[-1].endswith("is still a reference's; no more than 1 set (reduction.confirm) were tried")
+    assert "1 set (reduction.confirm)" in cut.notes[-1]
     failing = run(database, ask(database, 50, seed=5), ComputedBackend(answer=unreliable))
     tried = [row for row in rows_of(database, failing) if row.iteration >= ITERATIONS]
     assert Outcome.FAILED in {row.outcome for row in tried}
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
-    assert "for its simulation failed" in failing.notes[-1]
+    assert "failed" in failing.notes[-1]
     assert [one for one in verify(database, full=True) if one.problems] == []
 
 

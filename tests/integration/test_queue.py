@@ -264,7 +264,9 @@ def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated
     assert leased(database) == 0
 
 
-def test_a_cell_that_somebody_else_answered_is_taken_from_the_rows(database: Database) -> None:
+def test_a_cell_that_another_process_answered_is_taken_from_the_rows(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
     campaign = submit(database, **TINY)
     held = Silent()
     working = dispatcher(database, held)
@@ -275,11 +277,8 @@ def test_a_cell_that_somebody_else_answered_is_taken_from_the_rows(database: Dat
             "UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)"
         )
         connection.execute(waiting)
-    type(held).wait = ComputedBackend.wait  # type: ignore[method-assign]
-    try:
-        ended = finish(database, campaign, working)
-    finally:
-        del type(held).wait
+    monkeypatch.setattr(Silent, "wait", ComputedBackend.wait)
+    ended = finish(database, campaign, working)
     assert ended.state is CampaignState.SUCCEEDED
 
 

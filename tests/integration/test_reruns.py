@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import random
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,13 +13,12 @@ import yaml
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import tries
+from tests.support.problems import store
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 from tests.support.values import numbers
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
@@ -42,7 +39,6 @@ from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
 from drivecal.storage.references import influence_maps
 
 LIMITS = Limits.of(load_settings())
@@ -77,8 +73,8 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second evaluator is installed."""
     usual = registry.evaluator
 
-    def find(name: str, field: str = "evaluator") -> Evaluator:
-        return Strict() if name == "strict" else usual(name, field)
+    def find(name: str) -> Evaluator:
+        return Strict() if name == "strict" else usual(name)
 
     monkeypatch.setattr(registry, "evaluator", find)
 
@@ -326,20 +322,7 @@ def _ended_with_a_map(database: Database) -> StoredCampaign:
 def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:
     """Stores a problem; gives its digest."""
     document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text()) | {"scores": dict(scores)}
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(document))
-        archive.writestr("braking.py", file)
-    digest = content_digest(content.getvalue())
-    with database.transaction() as connection:
-        bundles.add(
-            connection,
-            digest=digest,
-            name="python-function",
-            manifest=checked(document).model_dump(mode="json"),
-            archive=content.getvalue(),
-        )
-    return digest
+    return store(database, document, {"braking.py": file})
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
-from drivecal.client.pushing import Pushed, archive_of, push_headers
+from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -27,7 +27,6 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import StudyPage
 from drivecal.contracts.tables import (
     InfluenceRow,
     OptimumRow,
@@ -36,6 +35,7 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
@@ -63,8 +63,7 @@ class Client:
     """
 
     def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
-        """Connects to the `url` with the `token`. Omitted, each comes from `DRIVECAL_URL`, `DRIVECAL_TOKEN` or the config file, as on
-        the command line; an empty token sends none."""
+        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none."""
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
@@ -115,7 +114,7 @@ class Client:
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
-        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign goes on."""
+        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign continues."""
         deadline = None if timeout is None else time.monotonic() + timeout
         *_, campaign = self.watch(identifier, deadline, from_beginning=False)
         return campaign
@@ -260,6 +259,10 @@ class Client:
         """Returns the savings and costs of a campaign."""
         return self._get(Accounting, "campaigns", identifier, "accounting")
 
+    def trust(self, identifier: str) -> TrustAnswer:
+        """Returns the light of a campaign's result, and the reasons for it."""
+        return self._get(TrustAnswer, "campaigns", identifier, "trust")
+
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
         return self._get(Explanation, "evaluations", evaluation, "explain")
@@ -377,9 +380,7 @@ class Client:
             raise self._strange() from error
 
     def _strange(self) -> UnavailableError:
-        return UnavailableError(
-            f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
-        )
+        return UnavailableError(f"{self.url} answers in a form that this drivecal does not know; are both of one version?")
 
 
 def _path(*parts: str) -> str:

@@ -13,7 +13,7 @@ from tests.support import effort
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
-from tests.support.storage import PROCESSES
+from tests.support.storage import PROCESSES, migrate
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
@@ -267,14 +267,8 @@ def test_two_processes_may_upgrade_an_old_database_at_once(empty_url: str) -> No
     database = Database.open(empty_url)
     load.create(database, "0001")
     with PROCESSES.Pool(2) as pool:
-        pool.map(_upgrade, [empty_url] * 2)
+        pool.map(migrate, [empty_url] * 2)
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
-    database.dispose()
-
-
-def _upgrade(url: str) -> None:
-    database = Database.open(url)
-    database.upgrade()
     database.dispose()
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from httpx import Response
 from tests.support.databases import migrated
@@ -261,7 +262,8 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
     client = serve(tokens=True)
     client.headers.update(bearer("author"))
     push(client)
-    limits: Limits = client.app.state.limits  # type: ignore[attr-defined]  # it is a FastAPI application
+    assert isinstance(client.app, FastAPI)
+    limits: Limits = client.app.state.limits
     with ExitStack() as stack:
         for _ in range(OPEN_ARCHIVES):
             stack.enter_context(limits.archives.take())
