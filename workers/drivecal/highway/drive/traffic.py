@@ -27,7 +27,7 @@ except ImportError as error:
 
 GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
 STEP, DEPARTED, ARRIVED = compiled.simulation_step, compiled.simulation_getDepartedNumber, compiled.simulation_getArrivedNumber
-SET_SPEED = compiled.vehicle_setSpeed
+SET_SPEED, GET_ROAD, GET_LANE_POSITION = compiled.vehicle_setSpeed, compiled.vehicle_getRoadID, compiled.vehicle_getLanePosition
 """Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call."""
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 MAPPED_ANYWHERE = 2
@@ -199,6 +199,15 @@ class Traffic:
             cells[cell], cells[cell + 1] = position(name)
             cells[cell + 2] = speed(name)
             cell += 3
+        if self._road.levels:
+            self._leave_out_other_levels()
+
+    def _leave_out_other_levels(self) -> None:
+        """Gives vehicles above or below the road no place on it."""
+        for row, name in enumerate(self.names):
+            stretch = self._road.levels.get(GET_ROAD(name))
+            if stretch is not None and stretch[0] <= GET_LANE_POSITION(name) <= stretch[1]:
+                self.raw[row, :2] = np.nan
 
 
 def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
