@@ -18,6 +18,7 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file
+from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
     DEPARTED,
@@ -78,7 +79,7 @@ class Traffic:
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles)
-        curvature = geometry.point(road.line, self.start_s)[3]
+        curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
         """Where the ego vehicle was when `others` were read."""
         self._track, self._placed = -1, 0.0

@@ -17,6 +17,7 @@ from drivecal.domain.errors import DrivecalError, InvalidInputError
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway import sumo
+from drivecal.highway.geometry import with_directions
 from drivecal.highway.sumo import (
     EGO,
     GET_POSITION,
@@ -28,7 +29,7 @@ from drivecal.highway.sumo import (
     SUMO_ERRORS,
 )
 from drivecal.highway.traffic.configuration import ROUTE, drift_offsets, routes
-from drivecal.highway.traffic.geometry import locate, settle, with_directions
+from drivecal.highway.traffic.geometry import locate, settle
 
 PLACE_TOLERANCE = 0.5
 """Largest distance (m) between the start of a vehicle and the nearest position on a lane."""
