@@ -16,7 +16,7 @@ FEATURES = None
 class BaggedTrees:
     """Trees on bootstrap samples of scored parameter sets."""
 
-    def __init__(self, tolerance: float = 0.0, seed: int = 0) -> None:
+    def __init__(self, tolerance: float, seed: int) -> None:
         self._tolerance, self._seed = tolerance, seed
         self._forest: Any = None
         self._scores: Floats = np.empty(0)
