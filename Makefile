@@ -5,6 +5,8 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+# In a new clone every process of the tests and of their servers would compile the same functions at once: half a minute each.
+COMPILE_KERNELS := $(BIN)/python -m drivecal.runtime
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -19,6 +21,7 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
 	@$(BIN)/python -m tests.support.web
+	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.problems import store
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
@@ -72,8 +73,8 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second evaluator is installed."""
     usual = registry.evaluator
 
-    def find(name: str, field: str = "evaluator") -> Evaluator:
-        return Strict() if name == "strict" else usual(name, field)
+    def find(name: str) -> Evaluator:
+        return Strict() if name == "strict" else usual(name)
 
     monkeypatch.setattr(registry, "evaluator", find)
 
@@ -125,8 +126,7 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(
         "baseline": dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2),
     }
     for killed in (False, True):
-        opened = Database.open(f"sqlite:///{tmp_path / str(killed)}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / str(killed)}.db")
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
         campaign = submission.submit(opened, LIMITS, specification, None)
         while not get(opened, campaign).state.ended:
@@ -245,8 +245,7 @@ def forgetful(scenario: str, cell: Cell) -> CellResult:
 def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of_stored_runs(tmp_path: Path) -> None:
     found = []
     for accompanied in (False, True):
-        opened = Database.open(f"sqlite:///{tmp_path / str(accompanied)}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / str(accompanied)}.db")
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS)
         first = run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=forgetful))
         changes = RerunSpecification(weights={}, evaluator="strict")

@@ -98,9 +98,9 @@ def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
     return bool(within.all())  # a comparison with NaN is false
 
 
-def undetected_share(samples: int, confidence: float = 0.95) -> float:
-    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible."""
-    return float(1.0 - (1.0 - confidence) ** (1.0 / samples))
+def undetected_share(samples: int) -> float:
+    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %)."""
+    return float(1.0 - (1.0 - 0.95) ** (1.0 / samples))
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,10 +113,9 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
             text = f"The influence map is wrong for {rate:.1%} of the compared variants in {row.scenario} (validation {study[:SHORT]})."
             yield Reason(light=light, about="map", scenario=row.scenario, text=f"{text} {then}")
     if compared and all((row.error_rate or 0.0) <= limit for _, row in compared):
-        worst = max(row.error_rate or 0.0 for _, row in compared)
-        yield Reason(
-            light="green", about="map", text=f"The influence map was validated: wrong for at most {worst:.1%} in a scenario."
-        )
+        worst, variants = max(row.error_rate or 0.0 for _, row in compared), sum(row.compared for _, row in compared)
+        wrong = f"at most {worst:.1%} of the variants in a scenario are" if worst else f"none of {variants:,} variants is"
+        yield Reason(light="green", about="map", text=f"The influence map was validated: {wrong} wrong.")
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         text = "The influence map answered cells without lots (max_error is 1), and was not validated."
         yield Reason(light="amber", about="map", text=text)
@@ -134,7 +133,8 @@ def _references(campaign: Campaign) -> Iterator[Reason]:
             light: Light = "red" if share > _DEFAULT.max_error else "amber"
             yield Reason(light=light, about="references", scenario=scenario, text=f"{seen}, and no lots were inspected.")
         if rate.contradictions:
-            text = f"Under {rate.contradictions:,} keys of the influence map simulated results in {scenario} differ."
+            keys = "1 key" if rate.contradictions == 1 else f"{rate.contradictions:,} keys"
+            text = f"Under {keys} of the influence map simulated results in {scenario} differ."
             yield Reason(light="amber", about="references", scenario=scenario, text=text)
     yield from _lots("references", "reused answers", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
+from drivecal.api.pace import pace
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
@@ -51,9 +52,15 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         check_source(connection, problem)
         check_predictions(connection, problem)
         reduction = specification.reduction
+        known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
     runs = problem.expected_runs()
-    return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
+    at_most = runs.sensitivity_at_most + runs.calibration_at_most + runs.robustness + runs.validation
+    guessed = not known.measured and problem.specification.problem != HIGHWAY  # nothing is known of a simulator that never ran
+    time = (
+        {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
+    )
+    return runs.model_copy(update={"notes": [*warnings, *runs.notes], "workers": known.workers, **time})
 
 
 def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:

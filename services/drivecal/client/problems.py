@@ -54,11 +54,6 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
     return manifest, archive, (*notes, *road_notes)
 
 
-def manifest_of(archive: bytes) -> Manifest:
-    """Returns the checked manifest in an archive. Raises InvalidInputError with the lines of all faults."""
-    return read_archived(files_of(archive))
-
-
 def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
     """Returns the manifest among the files of an archive, checked with their content. Raises InvalidInputError as `read_manifest`."""
     return _read_archived(files)[0]

@@ -139,10 +139,10 @@ def draw(members: Sequence[bytes], sample: int, secret: bytes) -> list[int]:
     return sorted(sorted(range(len(members)), key=ranks.__getitem__)[:sample])
 
 
-def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 0.95) -> float:
+def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
 
-    Time-uniform: with probability `confidence` it holds after every lot at once, for every number of errors in each of them, which may
+    Time-uniform: with probability 0.95 it holds after every lot at once, for every number of errors in each of them, which may
     depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones, of which at
     most c + 1 count, has an expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a
     mixture over growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
@@ -155,7 +155,7 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
             paid = sum(cost * min(errors, plan.acceptance + 1) for cost, (plan, errors) in zip(costs, inspected, strict=True))
             offsets.append((growth, -paid))
     unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
-    evidence = math.log(len(GROWTH) / (1.0 - confidence))
+    evidence = math.log(len(GROWTH) / (1.0 - 0.95))
 
     def excess(released: float) -> float:
         exponents = np.array([growth * released + offset for growth, offset in offsets])

@@ -55,9 +55,9 @@ def confirm(connection: Connection, name: str, term: int) -> None:
         raise SupersededError(f"another {name} was elected (term {current}, this one had {term}); this one writes nothing more")
 
 
-def term_in_office(connection: Connection, name: str = DISPATCHER) -> int:
-    """The current term; 0 before the first election."""
-    return connection.scalar(_term(name)) or 0
+def term_in_office(connection: Connection) -> int:
+    """Returns the dispatcher's current term; 0 before the first election."""
+    return connection.scalar(_term(DISPATCHER)) or 0
 
 
 def _term(name: str) -> Select[int]:

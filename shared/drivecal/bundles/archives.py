@@ -151,9 +151,9 @@ def content_digest(archive: bytes) -> str:
     return _digest(files_of(archive))
 
 
-def folder_digest(folder: Path, largest: int = LARGEST, most_files: int = MOST_FILES) -> str:
+def folder_digest(folder: Path) -> str:
     """Returns the digest of a folder's content. Raises InvalidInputError as `pack` does."""
-    return _digest(_read(folder, largest, most_files))
+    return _digest(_read(folder, LARGEST, MOST_FILES))
 
 
 def files_digest(archive: bytes) -> str:

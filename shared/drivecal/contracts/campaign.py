@@ -277,6 +277,14 @@ class ExpectedRuns(Answer):
     break_even_share: float | None = None
     """The share of requested cells that would have to be reused for all runs of the interval analysis to pay within this campaign, all
     counted alike: above 1 they cannot. Null without both stages. How many will be reused cannot be known before."""
+    milliseconds: float | None = None
+    """Time for which one simulation occupies a worker; null if none of a user's own simulator was made in these setups yet."""
+    measured: bool = False
+    """Whether that was measured in these setups; else it is assumed."""
+    workers: int | None = None
+    """Workers at this moment; null if the dispatcher is silent."""
+    seconds: float | None = None
+    """All simulations at most, on the `workers`; null if their time or the workers are not known."""
     notes: list[str] = []
 
 

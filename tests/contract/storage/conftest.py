@@ -11,7 +11,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import make_url
-from tests.support.storage import migrate
+from tests.support.databases import migrated
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import metadata
@@ -30,7 +30,7 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 def migrated_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An SQLite database at the newest revision, to be copied."""
     path = tmp_path_factory.mktemp("migrated") / "drivecal.db"
-    migrate(f"sqlite:///{path}")
+    migrated(f"sqlite:///{path}").dispose()
     return path
 
 
@@ -40,7 +40,7 @@ def migrated_postgres(postgres_server: str) -> str:
     with psycopg.connect(postgres_server, autocommit=True) as connection:
         connection.execute("CREATE DATABASE migrated")
     url = make_url(postgres_server).set(database="migrated").render_as_string(hide_password=False)
-    migrate(url)
+    migrated(url).dispose()
     return url
 
 

@@ -13,13 +13,13 @@ import pytest
 from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from httpx import Response
+from tests.support.databases import migrated
 from tests.support.networks import entrance
 
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
 from drivecal.configuration.pushing import HEADER, Pushing, read_secret, sign
 from drivecal.configuration.settings import load_settings
-from drivecal.storage.engine.database import Database
 
 PROBLEMS = "/api/v1/problems"
 TOKENS = {"author": "author-0123456789abcdef", "writer": "writer-0123456789abcdef", "reader": "reader-0123456789abcdef"}
@@ -58,8 +58,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
             url, home = f"sqlite:///{tmp_path / 'drivecal.db'}", tmp_path / "home"
             file = tmp_path / "tokens"
             file.write_text("".join(f"{name} {ROLES[name]} {token}\n" for name, token in TOKENS.items()))
-            database = Database.open(url)
-            database.upgrade()
+            database = migrated(url)
             database.dispose()
             loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens else None, **settings)
             app = create_app(loaded, Pushing.of(loaded, address))

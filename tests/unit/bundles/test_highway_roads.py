@@ -16,7 +16,7 @@ from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads, conversions
-from drivecal.client.problems import manifest_of, read_bundle, read_bundle_with_notes
+from drivecal.client.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Network, read_network
@@ -195,7 +195,7 @@ def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path
     manifest, archive = read_bundle(path)
     assert set(files_of(archive)) == {"problem.yaml", "acc.py", "maps/road.xodr", "maps/road.xodr.net.xml"}
     assert {file.name for file in (path / "maps").iterdir()} == {"road.xodr"}
-    assert manifest_of(archive) == manifest
+    assert read_archived(files_of(archive)) == manifest
     assert content_digest(archive) == content_digest(read_bundle(path)[1])
 
 
@@ -225,7 +225,7 @@ def test_a_network_of_another_file_is_refused(tmp_path: Path) -> None:
     _, archive = read_bundle(path)
     other = two_way()
     with pytest.raises(InvalidInputError) as pushed:
-        manifest_of(with_files(archive, {"maps/road.xodr": other}))
+        read_archived(files_of(with_files(archive, {"maps/road.xodr": other})))
     (path / "maps" / "road.xodr.net.xml").write_bytes(entrance())
     with pytest.raises(InvalidInputError) as packed:
         read_bundle(path)

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.goals import check_reuse, find_goals
 from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, given_set, search_space, space_to_document
 from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
@@ -48,6 +50,8 @@ class CalibrationProblem:
     notes: tuple[str, ...]
     constraints: Constraints
     """Constraints over the parameters; none for a plug-in without."""
+    goals: Goals | None = None
+    """Objectives and constraints; None for the weighted mean of the bench's score."""
 
     def analysis(self) -> SensitivityAnalysis | None:
         """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
@@ -120,7 +124,8 @@ class CalibrationProblem:
         `resolved_spec.ResolvedSpec` is what it means once the campaign has been taken up.
         """
         fixed = fixed_to_document(self.space.fixed)
-        return _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+        resolution = _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+        return resolution if self.goals is None else resolution | {"goals": self.goals.to_json()}
 
 
 @dataclass(frozen=True)
@@ -159,7 +164,11 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     notes += workbench.notes
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
-    resolvers.check_abilities(optimization, constraints, diagnostics)
+    goals = find_goals(specification, workbench.known, weights, diagnostics) if workbench.known.scores and weights else None
+    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
+    specification = specification.model_copy(update={"reduction": reduction})
+    notes += more
+    resolvers.check_abilities(optimization, constraints, goals, diagnostics)
     notes += resolvers.note_search(optimization, constraints)
     if specification.baseline is None:
         baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
@@ -193,7 +202,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
     return CalibrationProblem(
-        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
+        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )
 
 

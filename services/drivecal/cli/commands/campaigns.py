@@ -16,7 +16,7 @@ from drivecal.cli.application import (
     tell,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import dumped, print_answer, print_campaign, print_json, print_page, saved, when
+from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import (
     pays_text,
@@ -199,6 +199,11 @@ def _print_expected(expected: ExpectedRuns) -> None:
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
+    if expected.seconds is not None:
+        how = "measured" if expected.measured else "assumed"
+        typer.echo(
+            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms each, {how})"
+        )
     if expected.break_even_share is not None:
         typer.echo(pays_text(expected.break_even_share))
     for note in expected.notes:

@@ -88,17 +88,17 @@ def bounds_text(row: InfluenceRow) -> str:
     return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
 
 
-def picture(row: InfluenceRow, width: int = WIDTH) -> str:
+def picture(row: InfluenceRow) -> str:
     """Returns the parameter's range from left to right: `#` if influential, `.` if not; empty for an unknown range."""
     if row.space_lower is None or row.space_upper is None:
         return ""
     ends = segment(row)
     if ends is None:
-        return "." * width
+        return "." * WIDTH
     lower, upper = ends
-    start = min(width - 1, int(lower * width + 1e-9))
-    end = max(start + 1, width - int((1 - upper) * width + 1e-9))
-    return "." * start + "#" * (end - start) + "." * (width - end)
+    start = min(WIDTH - 1, int(lower * WIDTH + 1e-9))
+    end = max(start + 1, WIDTH - int((1 - upper) * WIDTH + 1e-9))
+    return "." * start + "#" * (end - start) + "." * (WIDTH - end)
 
 
 def _line(row: InfluenceRow, measured: bool) -> list[object]:
