@@ -71,7 +71,12 @@ def test_without_a_generator_the_reason_is_kept_for_the_server(build: ModuleType
 
 def test_an_unchanged_documentation_is_not_built_again(build: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[Path] = []
-    monkeypatch.setattr(build, "build_into", lambda target: (target.mkdir(), built.append(target)))
+
+    def build_into(target: Path) -> None:
+        target.mkdir()
+        built.append(target)
+
+    monkeypatch.setattr(build, "build_into", build_into)
     assert build.build() is None
     assert build.build() is None
     assert built == [build.TARGET]
