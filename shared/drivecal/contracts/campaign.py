@@ -5,6 +5,7 @@ from typing import Any, Generic, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
+from drivecal.contracts.notebooks import html_facts, html_table
 from drivecal.domain.scales import COMFORT, Scale
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
@@ -24,6 +25,10 @@ class Page(Answer, Generic[RowModel]):
 
     items: list[RowModel]
     next_cursor: str | None = None
+
+    def _repr_html_(self) -> str:
+        """Returns the rows as a notebook shows them."""
+        return html_table([row.model_dump(mode="json") for row in self.items])
 
 
 class Progress(Answer):
@@ -239,6 +244,20 @@ class Campaign(CellsByStage):
     spec: dict[str, Any] = {}
     """The specification with its defaults. Empty in a list if longer than 20,000 characters: read the campaign by its id."""
     links: dict[str, str] = {}
+
+    def _repr_html_(self) -> str:
+        """Returns the campaign as a notebook shows it."""
+        done = f"{self.progress.done:,} of {self.progress.total:,} cells"
+        facts = {
+            "campaign": self.name,
+            "id": self.id,
+            "state": self.state,
+            "stage": self.stage,
+            "progress": done,
+            "error": self.error,
+        }
+        best = {} if self.best is None else {"best objective": self.best.objective, **self.best.parameters}
+        return html_facts({name: value for name, value in (facts | best).items() if value is not None})
 
 
 class CampaignPage(Page[Campaign]):
