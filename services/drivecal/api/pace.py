@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from sqlalchemy import Connection
 
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.storage import costs, processes
+from drivecal.storage import processes
 from drivecal.storage.engine.types import now
+from drivecal.storage.references import runs
 
 ASSUMED_MILLISECONDS = 8.0
 """CPU time of one simulation in the built-in scenarios, on a machine of today."""
@@ -29,7 +30,7 @@ class Pace:
 
 def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
     """Returns the pace of simulations in the setups with these fingerprints."""
-    measured = costs.recent_milliseconds(connection, fingerprints)
+    measured = runs.recent_milliseconds(connection, fingerprints)
     dispatcher = processes.read(connection, processes.DISPATCHER)
     workers = None
     if dispatcher is not None and not judge(dispatcher, now()).silent:

@@ -1,4 +1,4 @@
-"""Answers made of stored rows."""
+"""Builds answers from stored rows."""
 
 import zlib
 from collections.abc import Mapping, Sequence

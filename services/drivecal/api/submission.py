@@ -15,7 +15,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationPro
 from drivecal.campaigns.resolve.resolved_spec import stored_document
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
-from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
@@ -27,7 +27,6 @@ from drivecal.contracts.specification import (
     RerunSpecification,
     SensitivitySpecification,
 )
-from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns

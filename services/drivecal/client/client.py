@@ -16,10 +16,10 @@ from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
-from drivecal.client.pushing import Pushed, archive_of, push_headers
+from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -27,7 +27,6 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import StudyPage, TrustAnswer
 from drivecal.contracts.tables import (
     InfluenceRow,
     OptimumRow,
@@ -36,6 +35,7 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
@@ -114,7 +114,7 @@ class Client:
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
-        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign goes on."""
+        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign continues."""
         deadline = None if timeout is None else time.monotonic() + timeout
         *_, campaign = self.watch(identifier, deadline, from_beginning=False)
         return campaign

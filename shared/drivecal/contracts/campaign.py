@@ -1,7 +1,7 @@
 """Answers about campaigns."""
 
 from datetime import datetime
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
@@ -52,7 +52,7 @@ class CellCounts(Answer):
     sampled: int = 0
     """Predicted cells that were drawn as the sample of their lot; among `simulated` and `certified`."""
     checked: int = 0
-    """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
+    """Certified cells that were simulated to check the certificate; among `simulated`. A different result ends the campaign."""
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
@@ -215,12 +215,12 @@ class Campaign(CellsByStage):
     requested_action: str | None = None
     """`pause`, `resume` or `cancel`, where that was asked for and is not done yet."""
     degraded: str | None = None
-    """Why it goes on more slowly, or not at all, for now."""
+    """Why it is slow or stands still for now."""
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
     scale: Scale = COMFORT
-    """What the numbers of scores mean: direction, usual range, tolerance, unit. That of the comfort score before a campaign starts."""
+    """Scale of the scores: direction, usual range, tolerance, unit. Before a campaign starts, the scale of the comfort score."""
     error_rate: dict[str, ErrorRate] = {}
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""
@@ -267,3 +267,24 @@ class ExpectedRuns(Answer):
     seconds: float | None = None
     """All simulations at most, on the `workers`; null if their time or the workers are not known."""
     notes: list[str] = []
+
+
+StudyName = Literal["robustness", "validation"]
+STUDIES: tuple[StudyName, ...] = get_args(StudyName)
+
+
+class Study(Answer):
+    """A study of what a campaign found, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
+    the model that was driven."""
+
+    campaign: str
+    name: str
+    stage: StudyName
+    state: str
+    settings: dict[str, Any]
+    vehicle: str | None = None
+    ended_at: datetime | None
+
+
+class StudyPage(Page[Study]):
+    """The studies of a campaign's best sets and of its influence map, newest first."""

@@ -57,7 +57,7 @@ class CertifiablePlanner(Planner, Protocol):
 
     It chooses the candidate of lowest cost. Costs are linear in weights that depend on the parameters alone, over features that do not
     depend on the parameters. Nothing else in the planner may depend on them. A run is then determined by its decisions, and
-    `drivecal.certification` proves from stored decisions how another parameter set would drive.
+    `drivecal.highway.certification` proves from stored decisions how another parameter set would drive.
     """
 
     @property
@@ -90,7 +90,7 @@ class CertifiablePlanner(Planner, Protocol):
 
         Candidates: shape (n,), ascending. Values, from which costs are computed: shape (n, n_values), without negative zeros. `infeasible`,
         shape (n_candidates,): candidates known to be infeasible, which exclude no other candidate.
-        `drivecal.certification.kernels.contenders` implements this for linear costs.
+        `drivecal.highway.certification.kernels.contenders` implements this for linear costs.
         """
 
     @property
@@ -102,7 +102,7 @@ class CertifiablePlanner(Planner, Protocol):
         """Candidate that the last plan or decision chose."""
 
     def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
-        """Repeats the decisions of `plan` with these parameters along `drivecal.certification.nodes.Nodes`, beginning at `node`.
+        """Repeats the decisions of `plan` with these parameters along `drivecal.highway.certification.nodes.Nodes`, beginning at `node`.
 
         Each decision takes the cheapest candidate that is not known to be infeasible, or the cheapest of all if all are. Returns the last
         node: it has a leaf, is not described, or its choice was never driven. Returns -1 for parameters outside the range of `contenders`.
@@ -253,6 +253,10 @@ class Optimizer(Protocol):
         """Receives the objectives of the last population, shape (n,): higher is better, NaN for individuals without a result (ranked last).
 
         `tie_breakers` rank equal objectives (the weighted continuous rating).
+
+        An optimizer that declares `objectives` gets those of a campaign with several, or with constraints on results, in shape (n, m), and
+        in the place of tie breakers the sums of violations, shape (n,): 0 for individuals that keep all constraints, which are better than
+        all that do not. NaN in both for individuals without a result.
         """
 
     def state(self) -> dict[str, Any]:
@@ -279,8 +283,9 @@ class OptimizerPlugin(Named, Protocol):
         """Creates an optimizer that continues from `state`."""
 
 
-Ability = Literal["grid", "continuous", "integer", "choice", "constraints"]
-"""Kinds of parameters that an optimizer searches, and `constraints`: repaired individuals."""
+Ability = Literal["grid", "continuous", "integer", "choice", "constraints", "objectives"]
+"""Kinds of parameters that an optimizer searches, `constraints`: repaired individuals, and `objectives`: several, and constraints on
+results."""
 UNDECLARED: frozenset[Ability] = frozenset({"grid", "integer"})
 """Abilities of an optimizer that declares none."""
 

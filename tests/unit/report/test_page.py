@@ -15,7 +15,7 @@ from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, 
 
 from drivecal.contracts.campaign import Campaign, Released
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.studies import Reason, TrustAnswer
+from drivecal.contracts.trust import Reason, TrustAnswer
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import ReportData, Studied
 from drivecal.report.page import page
@@ -147,7 +147,7 @@ def test_the_page_says_what_the_self_check_found_and_what_it_cost(whole: Whole) 
     ):
         assert wanted in whole.text
     assert "3 parameter sets share it" in whole.text
-    assert "The best set's score in S2 is a reference's; a search prefers those that are too good." in whole.text
+    assert "The best set's score in S2 is a reference's" in whole.text
 
 
 def test_the_page_says_what_certificates_answered_and_what_they_say_of_reused_cells() -> None:
@@ -296,7 +296,7 @@ def test_a_campaign_that_has_just_begun_has_a_report_too(tmp_path: Path) -> None
     nothing = dict.fromkeys(("generations", "solutions", "optima", "influence", "robustness", "validation"), ())
     page, files = written(findings(campaign=campaign, accounting=None, basis=None, **nothing), tmp_path)
     assert files == {"tables/generations.csv", "tables/solutions.csv", "campaign.json", "index.html"}
-    assert "No parameter set has a result in every scenario." in page.text
+    assert any(part.startswith("No parameter set") for part in page.text)
 
 
 def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:

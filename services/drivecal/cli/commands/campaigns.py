@@ -32,8 +32,7 @@ from drivecal.cli.views.savings import (
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import Campaign, CellCounts, ExpectedRuns
-from drivecal.contracts.studies import STUDIES
+from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -136,7 +135,7 @@ def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpti
 
 @app.command()
 def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a paused campaign go on."""
+    """Resume a paused campaign."""
     _act(identifier, "resume", url, as_json)
 
 
