@@ -7,6 +7,7 @@ import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
 from drivecal.highway.drive.lanes import SumoLanes
+from drivecal.highway.geometry import with_directions
 from drivecal.roads.corridor import Corridor
 
 SMOOTHING = 5.0
@@ -20,7 +21,7 @@ class HighwayRoad:
         """`levels`: stretches of edges above or below the corridor (`roads.levels`)."""
         self.corridor, self.levels = corridor, levels
         line = corridor.line
-        self.line: Floats = np.ascontiguousarray(np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])]))
+        self.line: Floats = with_directions(line)
         self.sumo = SumoLanes(corridor)
         self.lanes: Floats = np.ascontiguousarray(
             np.stack(
