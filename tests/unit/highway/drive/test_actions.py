@@ -1,5 +1,6 @@
 """Triggered actions against a recorded SUMO: when they begin, and what they give back."""
 
+# ruff: noqa: N802  # the fake has SUMO's names
 from __future__ import annotations
 
 from typing import Any
@@ -23,37 +24,37 @@ class Sumo:
         self.road, self.speeds, self.modes, self.offsets = "e0", list[float](), list[int](), list[float]()
         self.vehicle = self.edge = self.lane = self
 
-    def getSpeed(self, _: str) -> float:  # noqa: N802  # SUMO's names
+    def getSpeed(self, _: str) -> float:
         return 30.0
 
-    def getRoadID(self, _: str) -> str:  # noqa: N802
+    def getRoadID(self, _: str) -> str:
         return self.road
 
-    def getLaneIndex(self, _: str) -> int:  # noqa: N802
+    def getLaneIndex(self, _: str) -> int:
         return 0
 
-    def getLaneNumber(self, edge: str) -> int:  # noqa: N802
+    def getLaneNumber(self, edge: str) -> int:
         return 1 if edge.startswith(":") else 2
 
-    def getWidth(self, _: str) -> float:  # noqa: N802
+    def getWidth(self, _: str) -> float:
         return 3.5
 
-    def getLateralLanePosition(self, _: str) -> float:  # noqa: N802
+    def getLateralLanePosition(self, _: str) -> float:
         return 0.0
 
-    def setLateralLanePosition(self, _: str, offset: float) -> None:  # noqa: N802
+    def setLateralLanePosition(self, _: str, offset: float) -> None:
         self.offsets.append(offset)
 
-    def moveTo(self, *_: object) -> None:  # noqa: N802
+    def moveTo(self, *_: object) -> None:
         return
 
-    def getLanePosition(self, _: str) -> float:  # noqa: N802
+    def getLanePosition(self, _: str) -> float:
         return 0.0
 
-    def setSpeedMode(self, _: str, mode: int) -> None:  # noqa: N802
+    def setSpeedMode(self, _: str, mode: int) -> None:
         self.modes.append(mode)
 
-    def setSpeed(self, _: str, speed: float) -> None:  # noqa: N802
+    def setSpeed(self, _: str, speed: float) -> None:
         self.speeds.append(speed)
 
 

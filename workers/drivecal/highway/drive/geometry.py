@@ -4,12 +4,12 @@ Arrays:
 
 `line`, shape (n, 7): the corridor's reference line, as from `with_directions`. `lanes`, shape (n, m, 5): centre, width, limit and slope of
 the centre of each of m tracks at these rows, NaN if the track does not exist, and the position along its lanes as SUMO counts. `pose`: as
-from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of other vehicles' centres, their speed (along
-their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6): their x, y, heading, half length, half
-width, and speed.
+from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of other vehicles' centres, NaN on other levels,
+their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6): their x, y, heading, half
+length, half width, and speed.
 """
 
-from math import atan, cos, inf, isnan, pi, sin
+from math import atan, cos, inf, isnan, nan, pi, sin
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from drivecal.highway.geometry import foot, hit, point
 compiled = compiled_with(shared)
 
 FARTHEST = 25.0
-"""Distance (m) from the line beyond which the foot point is searched anew: the vehicle drives elsewhere, or the iteration went astray."""
+"""Distance (m) from the line beyond which the foot point is searched again: the vehicle drives elsewhere, or the iteration went astray."""
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 VERGE = 0.5
@@ -131,17 +131,21 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
 def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
     """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3).
 
-    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0.
+    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
+    on another level has x = NaN, and no place.
     """
     for i in range(len(raw)):
         half = 0.5 * others[i, 4]
         x, y, speed = raw[i, 0], raw[i, 1], raw[i, 2]
-        if step > 0.0:
+        others[i, 3] = (speed - outlines[i, 5]) / step if step > 0.0 else 0.0
+        if isnan(x):
+            others[i, 0] = others[i, 1] = outlines[i, 0] = outlines[i, 1] = nan
+            others[i, 2] = outlines[i, 5] = speed
+            continue
+        if step > 0.0 and not isnan(others[i, 0]):
             s, d, heading, curvature = searched(line, x, y, others[i, 0] + half + others[i, 2] * step)
-            others[i, 3] = (speed - outlines[i, 5]) / step
         else:
             s, d, heading, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
-            others[i, 3] = 0.0
         stretch = max(1.0 - curvature * d, 0.1)
         heading -= half * curvature / stretch
         others[i, 0] = s - half / stretch
@@ -177,6 +181,8 @@ def _neighbours(
         return
     for i in range(len(others)):
         s = others[i, 0]
+        if isnan(s):
+            continue
         if lead > 0.0:
             s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
         if not 0.0 <= s <= line[-1, 0]:

@@ -1,5 +1,6 @@
 """The corridor of a scenario as the arrays of `geometry`, and places on it."""
 
+from collections.abc import Mapping
 from math import atan, cos, sin
 
 import numpy as np
@@ -16,8 +17,9 @@ SMOOTHING = 5.0
 class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
-    def __init__(self, corridor: Corridor) -> None:
-        self.corridor = corridor
+    def __init__(self, corridor: Corridor, levels: Mapping[str, tuple[float, float]]) -> None:
+        """`levels`: stretches of edges above or below the corridor (`roads.levels`)."""
+        self.corridor, self.levels = corridor, levels
         line = corridor.line
         self.line: Floats = with_directions(line)
         self.sumo = SumoLanes(corridor)

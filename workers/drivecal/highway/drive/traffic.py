@@ -24,7 +24,9 @@ from drivecal.highway.sumo import (
     DEPARTED,
     EGO,
     FREE,
+    GET_LANE_POSITION,
     GET_POSITION,
+    GET_ROAD,
     GET_SPEED,
     MAPPED_ANYWHERE,
     MAPPED_WITHIN,
@@ -81,7 +83,7 @@ class Traffic:
         self._actions = Actions(vehicles)
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
-        """Where the ego vehicle was when `others` were read."""
+        """Place of the ego vehicle when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
@@ -201,6 +203,15 @@ class Traffic:
             cells[cell], cells[cell + 1] = position(name)
             cells[cell + 2] = speed(name)
             cell += 3
+        if self._road.levels:
+            self._leave_out_other_levels()
+
+    def _leave_out_other_levels(self) -> None:
+        """Gives vehicles above or below the road no place on it."""
+        for row, name in enumerate(self.names):
+            stretch = self._road.levels.get(GET_ROAD(name))
+            if stretch is not None and stretch[0] <= GET_LANE_POSITION(name) <= stretch[1]:
+                self.raw[row, :2] = np.nan
 
 
 def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
