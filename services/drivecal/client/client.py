@@ -5,11 +5,11 @@ import time
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 from urllib.parse import quote
 
 import httpx
-from pydantic import BaseModel, RootModel, ValidationError
+from pydantic import RootModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
 from drivecal.client.documents import Document, plain
@@ -17,10 +17,11 @@ from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
 from drivecal.client.pushing import Pushed, archive_of, push_headers
+from drivecal.client.tables import Answer, TypedTables
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
-from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
+from drivecal.contracts.comparison import ExpectedComparison
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
@@ -28,18 +29,10 @@ from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, S
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.studies import StudyPage
-from drivecal.contracts.tables import (
-    InfluenceRow,
-    OptimumRow,
-    RobustnessRow,
-    SolutionPage,
-    TableName,
-    ValidationRow,
-)
+from drivecal.contracts.tables import SolutionPage, TableName
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
-Answer = TypeVar("Answer", bound=BaseModel)
 
 KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
 """Names of what the collections hold, for messages."""
@@ -52,7 +45,7 @@ PATIENCE_SECONDS = 30.0
 """Total wait for a server that asks to try again, in calls that are safe to repeat."""
 
 
-class Client:
+class Client(TypedTables):
     """A client of the server at `url`.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
@@ -206,14 +199,6 @@ class Client:
             if cursor is None:
                 return
 
-    def influence(self, identifier: str) -> list[InfluenceRow]:
-        """Returns the rows of the influence map that a campaign uses, empty without a map."""
-        return self._rows_of(identifier, "influence", InfluenceRow)
-
-    def optima(self, identifier: str) -> list[OptimumRow]:
-        """Returns the sets that share a campaign's best objective, with their regions."""
-        return self._rows_of(identifier, "optima", OptimumRow)
-
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(CampaignSetup, "campaigns", identifier, "setup")
@@ -225,36 +210,6 @@ class Client:
     def studies(self, identifier: str) -> StudyPage:
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
         return self._get(StudyPage, "campaigns", identifier, "studies")
-
-    def robustness(self, identifier: str) -> list[RobustnessRow]:
-        """Returns the examined sets of a campaign, most robust first; empty before the robustness stage."""
-        return self._rows_of(identifier, "robustness", RobustnessRow)
-
-    def validation(self, identifier: str) -> list[ValidationRow]:
-        """Returns the validation of a campaign's map by scenario; empty before that stage."""
-        return self._rows_of(identifier, "validation", ValidationRow)
-
-    def compared_runs(self, identifier: str) -> list[ComparedRun]:
-        """Returns the runs of a comparison."""
-        return self._rows_of(identifier, "comparison", ComparedRun)
-
-    def compared_groups(self, identifier: str) -> list[ComparedGroup]:
-        """Returns the runs of a comparison by optimizer, population and reduction: Table 5."""
-        return self._rows_of(identifier, "comparison-groups", ComparedGroup)
-
-    def compared_pairs(self, identifier: str) -> list[ComparedPair]:
-        """Returns the runs of a comparison that differ in the reduction alone, side by side."""
-        return self._rows_of(identifier, "comparison-pairs", ComparedPair)
-
-    def reduction_effects(self, identifier: str) -> list[ReductionEffect]:
-        """Returns the effects over all pairs."""
-        return self._rows_of(identifier, "comparison-effects", ReductionEffect)
-
-    def _rows_of(self, identifier: str, table: TableName, model: type[Answer]) -> list[Answer]:
-        try:
-            return [model.model_validate(row) for row in self.rows(identifier, table)]
-        except ValidationError as error:
-            raise self._strange() from error
 
     def accounting(self, identifier: str) -> Accounting:
         """Returns the savings and costs of a campaign."""
