@@ -11,12 +11,15 @@ from tests.support.runs import SMALL, dispatcher, everything, get, nothing_matte
 
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
+from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.storage import results
+from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
 
 JERK = "peak_lateral_jerk_mps3"
 NSGA2 = {"kind": "nsga2", "population": 24, "iterations": 8, "seed": 3}
@@ -133,6 +136,22 @@ def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_
     front = ranking_of(database, ended).front()
     assert front
     assert not any(member.solution.reused for member in front)
+
+
+def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
+    robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
+    spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}
+    ended = run(database, submit(database, **spec), backend())
+    front = {member.solution.parameter_set for member in ranking_of(database, ended).front()}
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, sorted(front))
+        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
+    assert study is not None
+    examined = [item["parameters"] for item in study["items"]]
+    assert len(examined) == len(front) > 1
+    assert all(each.floats in examined for each in sets.values())
+    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)), None).rows
+    assert [row.degree for row in rows].count(None) == 0
 
 
 def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Database) -> None:

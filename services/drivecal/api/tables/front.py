@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from sqlalchemy import Connection
+
 from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
@@ -47,8 +49,7 @@ def front_table(database: Database, campaign: StoredCampaign, front: CampaignFro
         worths = sums.tolist()
     with database.read() as connection:
         sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front.members])
-        study = studies.get(connection, campaign.sequence, StageName.ROBUSTNESS)
-    degrees = {_key(item["parameters"]): item["degree"] for item in (study or {}).get("items", [])}
+        degrees = _degrees(connection, campaign)
     winning = front.winning
     rows = []
     for place, member in enumerate(front.members):
@@ -160,6 +161,16 @@ def _aggregate_text(goal: Goal) -> str:
 def _bound_text(bound: Bound) -> str:
     sign = ">=" if bound.sign > 0 else "<="
     return f"{_aggregate_text(bound)} of {bound.name} {sign} {bound.limit:g} ({', '.join(bound.shares)})"
+
+
+def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tuple[str, float | str], ...], int]:
+    """Degrees of robustness by parameters, of the newest study in the campaign's vehicle."""
+    vehicle = campaign.spec["vehicle"]
+    for study in studies.about(connection, campaign.id, campaign.sequence, None):
+        document = studies.get(connection, study.campaign_sequence, StageName.ROBUSTNESS)
+        if study.stage is StageName.ROBUSTNESS and study.spec["vehicle"] == vehicle and document is not None:
+            return {_key(item["parameters"]): item["degree"] for item in document["items"]}
+    return {}
 
 
 def _key(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
