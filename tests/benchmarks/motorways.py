@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, compile_program, drive, motorway
 
@@ -54,8 +55,8 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
     """Milliseconds of a run, of bare stepping and of a reset; microseconds of a step of the controller."""
     import libsumo
 
-    from drivecal.highway import driver, loop
-    from drivecal.highway.routes import EGO
+    from drivecal.highway.drive import driver, loop
+    from drivecal.highway.drive.routes import EGO
 
     made: list[loop.Loop] = []
 
@@ -64,13 +65,13 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
             super().__init__(*arguments)
             made.append(self)
 
-    loop.Loop = Kept  # type: ignore[assignment, misc]
     scratch = tempfile.mkdtemp(dir=folder.parent)
     settings = {
         "folder": str(folder), "work": str(folder), "scratch": scratch, "scenario": "S", "data": dict(data), "kernels": None,
         "simulator": {"kind": "highway", "controller": CONTROLLERS[kind]}, "measures": ["min_ttc_s"], "series": [],
     }  # fmt: skip
-    evaluate = driver.prepare(settings)
+    with mock.patch.object(loop, "Loop", Kept):
+        evaluate = driver.prepare(settings)
     current, others = made[0], made[0]._traffic
 
     def bare() -> None:

@@ -9,18 +9,6 @@ from tests.support.cluster_campaign import found_embedded
 from tests.support.compose import Cluster, cluster_on_engine, engine
 from tests.support.faults.findings import Found
 
-MARK = "compose"
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves these tests out unless they are asked for by their marker: they build images, and need an engine."""
-    if MARK in config.option.markexpr:
-        return
-    ours = [one for one in items if one.get_closest_marker(MARK)]
-    if ours:
-        config.hook.pytest_deselected(items=ours)
-        items[:] = [one for one in items if not one.get_closest_marker(MARK)]
-
 
 @pytest.fixture(scope="session")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:

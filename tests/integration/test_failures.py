@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.problems import store
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.configuration.settings import load_settings
@@ -33,7 +29,6 @@ from drivecal.storage import campaigns, evaluations, events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
-from drivecal.storage.problems import bundles
 
 LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
@@ -75,12 +70,7 @@ class Simulated:
 
 @pytest.fixture(autouse=True)
 def _pushed(database: Database) -> None:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST))
-    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
-    with database.transaction() as connection:
-        bundles.add(connection, digest=content_digest(archived), name="mine", manifest=manifest, archive=archived)
+    store(database, MANIFEST)
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:

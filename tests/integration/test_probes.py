@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from typing import Any
 
 import pytest
-import yaml
 from tests.support.fake_backend import FakeBackend
+from tests.support.problems import store
 
 from drivecal.api import submission
 from drivecal.api.comparison_submission import submit as submit_comparison
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.campaigns.cells.tracing import request_trace
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
@@ -27,7 +23,6 @@ from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
 
 LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
@@ -56,12 +51,7 @@ CELLS = 26
 
 @pytest.fixture(autouse=True)
 def _pushed(database: Database) -> None:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST))
-    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
-    with database.transaction() as connection:
-        bundles.add(connection, digest=content_digest(archived), name="mine", manifest=manifest, archive=archived)
+    store(database, MANIFEST)
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:
@@ -195,4 +185,4 @@ def test_a_campaign_of_an_earlier_release_does_not_mix_answers(database: Databas
         campaigns.set_resolution(connection, campaign.sequence, without)
     failed = ended(database, campaign, on("2.0"))
     assert failed.state is CampaignState.FAILED
-    assert "submit it again" in (failed.error or "")
+    assert "submit" in (failed.error or "")

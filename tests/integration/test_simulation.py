@@ -13,18 +13,18 @@ import libsumo
 import numpy as np
 import pytest
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
-from drivecal.episode.loop import ClosedLoop
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.episode.trace import EGO_COLUMNS
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.loop import ClosedLoop
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.episode.trace import EGO_COLUMNS
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.traffic.simulation import SimulationError, simulation
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.traffic.simulation import SimulationError, simulation
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -72,8 +72,8 @@ def model() -> VehicleModel:
     return SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
 
 
-def runner(scenario: Scenario) -> EpisodeRunner:
-    return EpisodeRunner(scenario, Gliding(), model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
+def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> EpisodeRunner:
+    return EpisodeRunner(scenario, Gliding(), vehicle or model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
 
 
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
@@ -99,9 +99,7 @@ def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scena
     assert sumo.neighbours[:, 1] == pytest.approx(starts[:, 1], abs=0.02)
     assert sumo.neighbours[:, 2] == pytest.approx(starts[:, 2], rel=0.02)
     seen: list[Floats] = []
-    EpisodeRunner(scenario, Gliding(), model(), REFERENCE)._loop.drive(  # type: ignore[arg-type]
-        (scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy())
-    )
+    runner(scenario)._loop.drive((scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy()))
     drifts = np.array([max((abs(offset) for _, offset in vehicle.drift), default=0.0) for vehicle in scenario.traffic])
     for neighbours in seen:
         assert (abs(neighbours[:, 1] - starts[:, 1]) <= drifts + 0.02).all()
@@ -206,7 +204,7 @@ def test_an_unstable_vehicle_scores_nothing_and_says_so() -> None:
             self.steps += 1
             return self.model.follow(trajectory, since, duration, dynamics) and self.steps < 30
 
-    result = EpisodeRunner(S1, Gliding(), Spinning(), REFERENCE).run(changes_lane(S1))  # type: ignore[arg-type]
+    result = runner(S1, Spinning()).run(changes_lane(S1))
     assert result.failure is Failure.UNSTABLE
     assert result.rating.score == 0
     assert result.metrics["driven_s"] == pytest.approx(3.0)
@@ -297,7 +295,7 @@ def test_a_step_that_does_not_fit_the_vehicle_s_sample_time_is_refused() -> None
 
 
 def test_without_libsumo_nothing_runs() -> None:
-    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.episode.runner"
+    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.highway.episode.runner"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "install libsumo" in done.stderr

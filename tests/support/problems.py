@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text, pack
+from drivecal.bundles.checks import checked
 from drivecal.client.problems import read_manifest
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage import admission
@@ -61,6 +65,19 @@ def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
         admission.admit_problem(connection, digest, 1000)
         document = manifest.model_dump(mode="json")
         return bundles.add(connection, digest=digest, name=manifest.problem, manifest=document, archive=archive)[0]
+
+
+def store(database: Database, document: Mapping[str, Any], files: Mapping[str, str] | None = None) -> str:
+    """Stores a problem of this manifest and these texts of files; returns its digest."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for name, text in {"problem.yaml": yaml.safe_dump(dict(document), sort_keys=False), **(files or {})}.items():
+            archive.writestr(name, text)
+    archived, manifest = content.getvalue(), checked(document).model_dump(mode="json")
+    digest = content_digest(archived)
+    with database.transaction() as connection:
+        bundles.add(connection, digest=digest, name=document["problem"], manifest=manifest, archive=archived)
+    return digest
 
 
 def heated(scenario: str, cell: Cell) -> CellResult:

@@ -54,7 +54,7 @@ class FrontMember:
 
 
 class Ranking:
-    """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
+    """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
     def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None) -> None:
         """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's.

@@ -102,7 +102,7 @@ CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaig
 
 
 class WaitTimedOutError(DrivecalError):
-    """The user's waiting time is over. The campaign goes on."""
+    """The user's waiting time is over. The campaign continues."""
 
 
 def exit_code(error: DrivecalError) -> ExitCode:
@@ -177,5 +177,5 @@ def _completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) 
         return identifier
     matching = [full for full in newest() if full.startswith(identifier)]
     if len(matching) > 1:
-        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} begin so, give more characters")
+        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} ids begin so; give more characters")
     return matching[0] if matching else identifier

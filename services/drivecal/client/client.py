@@ -16,11 +16,11 @@ from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
-from drivecal.client.pushing import Pushed, archive_of, push_headers
+from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.tables import Answer, TypedTables
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ExpectedComparison
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -28,8 +28,8 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import StudyPage
 from drivecal.contracts.tables import SolutionPage, TableName
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.errors import OverloadError, UnavailableError
 
 Action = Literal["pause", "resume", "cancel"]
@@ -56,8 +56,7 @@ class Client(TypedTables):
     """
 
     def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
-        """Connects to the `url` with the `token`. Omitted, each comes from `DRIVECAL_URL`, `DRIVECAL_TOKEN` or the config file, as on
-        the command line; an empty token sends none."""
+        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none."""
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
@@ -108,7 +107,7 @@ class Client(TypedTables):
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
-        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign goes on."""
+        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign continues."""
         deadline = None if timeout is None else time.monotonic() + timeout
         *_, campaign = self.watch(identifier, deadline, from_beginning=False)
         return campaign
@@ -214,6 +213,10 @@ class Client(TypedTables):
     def accounting(self, identifier: str) -> Accounting:
         """Returns the savings and costs of a campaign."""
         return self._get(Accounting, "campaigns", identifier, "accounting")
+
+    def trust(self, identifier: str) -> TrustAnswer:
+        """Returns the light of a campaign's result, and the reasons for it."""
+        return self._get(TrustAnswer, "campaigns", identifier, "trust")
 
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
@@ -332,9 +335,7 @@ class Client(TypedTables):
             raise self._strange() from error
 
     def _strange(self) -> UnavailableError:
-        return UnavailableError(
-            f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
-        )
+        return UnavailableError(f"{self.url} answers in a form that this drivecal does not know; are both of one version?")
 
 
 def _path(*parts: str) -> str:

@@ -6,8 +6,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from drivecal.contracts.campaign import FrontSummary, TradeOff
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
-from drivecal.contracts.studies import FrontSummary, TradeOff
 from drivecal.contracts.tables import FrontRow, InfluenceRow, OptimumRow, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import UnavailableError
 

@@ -1,4 +1,4 @@
-"""What backends of worker processes have in common: calls, deadlines, and the replacement of workers that crash, hang or do not start.
+"""Common part of backends with worker processes: calls, deadlines, and the replacement of workers that crash, hang or do not start.
 
 A backend starts, asks and ends processes; everything is decided here. Each worker has at most two calls, so that it never waits for the
 next. Nothing is retried: lost workers are replaced here, and the scheduler handles their batches.

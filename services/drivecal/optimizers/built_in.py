@@ -90,7 +90,6 @@ class BuiltIn(ABC, Generic[Chosen]):
 
     @property
     def supports(self) -> frozenset[Ability]:
-        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
         return ONE_OBJECTIVE
 
     def requested_individuals(self, settings: BaseModel) -> int:
@@ -101,7 +100,6 @@ class BuiltIn(ABC, Generic[Chosen]):
     def create(
         self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
     ) -> Optimizer:
-        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)

@@ -40,7 +40,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which an
+    """Allowed answers. `audit`: share of reused cells that are simulated as audits; `stopped`: scenarios in which an
     earlier release stopped reuse for too many wrong answers."""
 
     mode: ReductionMode

@@ -11,7 +11,7 @@ from drivecal.reduction.forest import FEATURES, TREES, Forest, leaf_weights
 from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions, Predictor
 
 MOST_CLASSES = 100
-"""Scores of a scale that are told apart as classes."""
+"""Largest number of scores of a scale that are classes."""
 
 
 def predictor_on(scale: Scale, tolerance: float) -> Callable[[], Predictor]:

@@ -46,7 +46,7 @@ class Phase:
 
     @property
     def runs(self) -> int:
-        """Over all scenarios, repeats included."""
+        """Number of runs over all scenarios, repeats included."""
         return sum(len(points) for points in self.points.values())
 
 
@@ -83,7 +83,7 @@ class SensitivityAnalysis:
         self._points: dict[str, Indices] | None = None
         """All points of the phase."""
         self._asked: dict[str, npt.NDArray[np.bool_]] = {}
-        """Which of them are run, by scenario."""
+        """Points that are run, by scenario."""
 
     def _counts(self) -> list[int]:
         return [intervals_of(parameter, self._settings.intervals) for parameter in self._space.searched]
@@ -103,7 +103,7 @@ class SensitivityAnalysis:
         }
 
     def ask(self) -> Phase | None:
-        """The phase whose scores are to be told next, the same until they are; None when the analysis is finished."""
+        """Returns the next phase, the same until its scores arrive; None when the analysis is finished."""
         while self._name is not None:
             if self._points is None:
                 self._points = self._drawn()
@@ -119,7 +119,7 @@ class SensitivityAnalysis:
         Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
         if self._points is None or self._name is None:
-            raise RuntimeError("there is nothing to tell: ask for a phase first")
+            raise RuntimeError("no phase awaits scores; ask for a phase first")
         expected = {scenario: int(mask.sum()) for scenario, mask in self._asked.items() if mask.any()}
         if set(scores) != set(expected):
             raise ValueError(f"scores must be of {', '.join(expected)}, not of {', '.join(scores)}")

@@ -12,7 +12,7 @@ from drivecal.domain.scales import COMFORT
 
 Floats = npt.NDArray[np.float64]
 Unordered = npt.NDArray[np.bool_]
-"""Which parameters are choices, shape (n_searched,)."""
+"""Parameters that are choices, shape (n_searched,)."""
 
 
 @dataclass(frozen=True, slots=True)

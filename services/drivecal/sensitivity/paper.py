@@ -12,7 +12,7 @@ from drivecal.sensitivity.radial import COLUMNS, SobolRows, add_radial, shortest
 def paper_design(
     n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int, unordered: Unordered | None = None
 ) -> Design:
-    """For each parameter and interval a whole radial design with the parameter confined to the interval, the others over their range.
+    """For each parameter and interval, a whole radial design with the parameter confined to the interval, the others over their range.
 
     n_p n_Int r (n_p + 1) runs. Each analysis has Sobol' points of its own. Of each, the effects of the confined parameter count,
     shape (n_p, n_Int, r); the others' runs feed the reference table only, as in the paper.

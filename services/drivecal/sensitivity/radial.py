@@ -36,7 +36,7 @@ class SobolRows:
         self._rows: Floats = np.empty((0, dimensions))
 
     def upto(self, count: int) -> Floats:
-        """At least the first `count` rows, shape (>= count, dimensions), in [0, 1)."""
+        """Returns at least the first `count` rows, shape (>= count, dimensions), in [0, 1)."""
         while len(self._rows) < count:  # by powers of two, as the sequence wants it
             more = self._engine.random(max(8, len(self._rows)))
             self._rows = np.concatenate([self._rows, more])

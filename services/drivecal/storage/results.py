@@ -262,29 +262,10 @@ def counted_since(connection: Connection, campaign_sequence: int, stage: StageNa
     return dict(connection.execute(query).all())
 
 
-@dataclass(frozen=True, slots=True)
-class ReleasedCell:
-    """A predicted cell that was answered without a simulation."""
-
-    id: int
-    scenario: str
-    parameters: ParameterSet
-    score: float
-
-
-def released(connection: Connection, campaign_sequence: int) -> list[ReleasedCell]:
+def released(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
     """Returns the released predictions of a campaign, in the order of their request."""
-    cell = evaluations.c
-    query = (
-        select(cell.id, cell.scenario, parameter_sets.c.parameter_values, cell.score)
-        .join(parameter_sets)
-        .where(cell.campaign_sequence == campaign_sequence, cell.outcome == Outcome.PREDICTED)
-        .order_by(*_PLACE)
-    )
-    return [
-        ReleasedCell(row.id, row.scenario, ParameterSet.from_json(row.parameter_values), row.score)
-        for row in connection.execute(query)
-    ]
+    query = _of_campaign(campaign_sequence).where(evaluations.c.outcome == Outcome.PREDICTED)
+    return list(_evaluations(connection.execute(query)))
 
 
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:

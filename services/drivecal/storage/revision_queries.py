@@ -1,4 +1,4 @@
-"""Looks at campaigns that cost next to nothing: whether they changed, and how far they are. No document is parsed that is not needed."""
+"""Cheap revision and progress queries. Parses only the documents that it needs."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
@@ -49,7 +49,7 @@ _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCH
 _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
     campaigns.c.id == bindparam("identifier")
 )
-"""Made once: making a statement costs as much as executing it."""
+"""Statement that is built once: building it costs as much as executing it."""
 
 
 def heartbeat(connection: Connection) -> datetime | None:
@@ -58,7 +58,7 @@ def heartbeat(connection: Connection) -> datetime | None:
 
 
 def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
-    """A campaign by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
+    """Returns a campaign's revision by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
     row = identified(connection, _CAMPAIGN, "campaign", campaign_id)
     return _revision(row), row.heartbeat_at
 

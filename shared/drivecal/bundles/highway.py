@@ -28,7 +28,7 @@ Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class ControllerEntry(Model):
-    """What every controller has: `output`, the commands that it gives, and its `period` (s), by default the simulator's step."""
+    """Fields of every controller: `output`, the commands that it gives, and its `period` (s), by default the simulator's step."""
 
     output: Outputs
     period: Annotated[float, Field(gt=0, le=60)] | None = None
@@ -118,7 +118,7 @@ class Ego(Placed):
 
 
 class Driver(Model):
-    """What a vehicle or flow of the traffic drives like; what is left out is SUMO's default, without randomness.
+    """Driver of a vehicle or flow of the traffic; missing fields have SUMO's defaults, without randomness.
 
     `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
     limit times `speed_factor`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.

@@ -48,13 +48,13 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
             if name not in SIGNALS:
                 yield Problem(field, f"{shown(name)} is no signal", nearest(name, list(SIGNALS)))
             elif name in (controller.signals or ())[:index]:
-                yield Problem(field, f"{name} is there twice", "give each signal once")
+                yield Problem(field, f"{name} appears twice", "give each signal once")
 
 
 def _outputs(controller: AnyController) -> Iterator[Problem]:
     output = controller.output
     if len(set(output)) < len(output):
-        yield Problem("simulator.controller.output", f"{output[0]} is there twice", "give each command once")
+        yield Problem("simulator.controller.output", f"{output[0]} appears twice", "give each command once")
     elif {"curvature", "steering"} <= set(output):
         remedy = "leave one of them out"
         yield Problem("simulator.controller.output", "curvature and steering both steer", remedy)

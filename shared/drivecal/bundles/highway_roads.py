@@ -57,30 +57,30 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
     return networks, tuple(notes)
 
 
-def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> None:
-    """Raises InvalidInputError if a scenario's network, route or positions do not fit each other, with the fields of the manifest."""
+def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
+    """Returns a note on each scenario whose route ends before its duration, at the ego vehicle's start speed.
+
+    Raises InvalidInputError if a scenario's network, route or positions do not fit each other, with the fields of the manifest.
+    """
     _check_effort(manifest)
     roads = _Roads(files)
     problems: dict[str, list[Problem]] = {field: [] for field, _ in _scenarios(manifest)}
+    notes = dict.fromkeys(problems, "")
     for field, scenario in _by_road(manifest):
         problems[field] += _problems(roads, field, scenario)
+        if not problems[field]:
+            notes[field] = _note(roads.corridor(scenario), field, scenario)
     if any(problems.values()):
         raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
+    return tuple(filter(None, notes.values()))
 
 
-def route_notes(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
-    """Returns a note on each checked scenario whose route ends before its duration, at the ego vehicle's start speed."""
-    roads = _Roads(files)
-    notes = dict.fromkeys((field for field, _ in _scenarios(manifest)), "")
-    for field, scenario in _by_road(manifest):
-        road = roads.corridor(scenario)
-        ahead = road.length - _start(road, scenario)
-        if ahead < scenario.ego.speed * scenario.duration:
-            seconds = ahead / scenario.ego.speed
-            notes[field] = (
-                f"{field}: at {scenario.ego.speed:g} m/s the route ends after {seconds:.1f} of {scenario.duration:g} s"
-            )
-    return tuple(note for note in notes.values() if note)
+def _note(road: Corridor, field: str, scenario: HighwayScenario) -> str:
+    """Returns a note on a route that is shorter than the drive at start speed, else nothing."""
+    ego, ahead = scenario.ego, road.length - _start(road, scenario)
+    if ahead >= ego.speed * scenario.duration:
+        return ""
+    return f"{field}: at {ego.speed:g} m/s the route ends after {ahead / ego.speed:.1f} of {scenario.duration:g} s"
 
 
 def _check_effort(manifest: Manifest) -> None:
@@ -199,14 +199,22 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
             f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
         )
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
-    if edge is not None and vehicle.route is not None and vehicle.edge not in vehicle.route:
-        yield Problem(f"{field}.edge", f"{shown(vehicle.edge, 80)} is not on the vehicle's route", "give an edge of it")
+    yield from _on_own_route(edge, vehicle, field)
 
 
 def _flow(network: Network, scenario: HighwayScenario, flow: FlowEntry, field: str) -> Iterator[Problem]:
+    """Yields the faults of a flow's begin and route."""
     yield from _route(network, flow, field)
     name = flow.edge or (flow.route or scenario.route)[0]
-    yield from _place(network, network.edges.get(name), name, flow.lane, field)
+    edge = network.edges.get(name)
+    yield from _place(network, edge, name, flow.lane, field)
+    yield from _on_own_route(edge, flow, field)
+
+
+def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Problem]:
+    """Yields the fault of an edge that is there, but not on the driver's own route."""
+    if edge is not None and driver.route is not None and edge.id not in driver.route:
+        yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 
 
 def _place(network: Network, edge: Edge | None, name: str, lane: int, field: str) -> Iterator[Problem]:

@@ -71,7 +71,7 @@ class ScenarioAccount(Answer):
 
 
 class BreakEven(Answer):
-    """When a map pays: its cost against what reuse saves at the share observed in this campaign.
+    """Break-even of a map: its cost against the savings of reuse at the share observed in this campaign.
 
     `requested_cells`: from so many requested cells on; `campaigns`: from so many campaigns like this one on the same map, the first
     included; `reruns`: the same without the first. All null if nothing was reused, so that the map never pays at that share.

@@ -22,13 +22,13 @@ class EvaluatedCell(Answer):
     milliseconds: float | None
     worker: str | None
     detail: str | None = None
-    """Why there is no result, in words, where all attempts failed."""
+    """Reason of the missing result, if all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null is one that this run does not define."""
 
 
 class CampaignOfEvaluation(Answer):
-    """What an evaluation's numbers mean: `problem` is highway or the digest of a bundle, `scale` that of its score."""
+    """Context of an evaluation's numbers: `problem` is highway or the digest of a bundle, `scale` that of its score."""
 
     id: str
     problem: str

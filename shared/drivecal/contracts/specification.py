@@ -153,7 +153,7 @@ class ReductionSpecification(Model):
         if sensitivity is None or "mode" in self.model_fields_set:
             return self
         settled = self.model_copy(update={"mode": "both"})
-        settled.__pydantic_fields_set__.discard("mode")  # still a default: nobody gave it
+        settled.__pydantic_fields_set__.discard("mode")  # still a default
         return settled
 
 

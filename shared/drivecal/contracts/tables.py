@@ -260,7 +260,7 @@ class InfluenceRow(Answer):
     sigma: float | None = None
     mu_star: float | None = None
     unknown: bool = False
-    """Nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario was better than a
+    """Whether nothing is known about it, which counts as influential: the map does not list it, or no run of the scenario was better than a
     failed one."""
     unit: str | None = None
     space_lower: float | None = None

@@ -13,12 +13,14 @@ from typing import Any, cast
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
+from drivecal.plugins.runners import DriveSimulator
 
 CATALOGUES = "drivecal.scenarios"
 DRIVING_FUNCTIONS = "drivecal.driving_functions"
 VEHICLES = "drivecal.vehicles"
 EVALUATORS = "drivecal.evaluators"
 OPTIMIZERS = "drivecal.optimizers"
+SIMULATORS = "drivecal.simulators"
 
 KINDS: Mapping[str, str] = {
     CATALOGUES: "scenario catalogue",
@@ -26,6 +28,7 @@ KINDS: Mapping[str, str] = {
     VEHICLES: "vehicle model",
     EVALUATORS: "evaluator",
     OPTIMIZERS: "optimizer",
+    SIMULATORS: "simulator",
 }
 """Words for a plug-in, by entry point group."""
 
@@ -35,6 +38,7 @@ _READ: Mapping[str, Callable[[Any], object]] = {
     VEHICLES: lambda plugin: (plugin.name, list(plugin.parameters)),
     EVALUATORS: lambda plugin: plugin.name,
     OPTIMIZERS: lambda plugin: (plugin.name, plugin.settings.model_fields),
+    SIMULATORS: lambda plugin: plugin.name,
 }
 """Reads what lists and campaigns need of a plug-in."""
 _LONGEST = 300
@@ -130,9 +134,9 @@ def _usable(group: str) -> list[Any]:
     return [plugin for plugin in _listed(group) if not isinstance(plugin, BrokenPlugin)]
 
 
-def driving_function(name: str, field: str = "driving_function") -> DrivingFunction:
+def driving_function(name: str) -> DrivingFunction:
     """Returns a driving function by name. Raises InvalidInputError listing the installed names."""
-    return cast("DrivingFunction", _find(DRIVING_FUNCTIONS, name, field))
+    return cast("DrivingFunction", _find(DRIVING_FUNCTIONS, name, "driving_function"))
 
 
 def driving_functions() -> list[DrivingFunction]:
@@ -145,9 +149,9 @@ def vehicle(name: str, field: str = "vehicle.model") -> Vehicle:
     return cast("Vehicle", _find(VEHICLES, name, field))
 
 
-def evaluator(name: str, field: str = "evaluator") -> Evaluator:
+def evaluator(name: str) -> Evaluator:
     """Returns a comfort evaluator by name. Raises InvalidInputError listing the installed names."""
-    return cast("Evaluator", _find(EVALUATORS, name, field))
+    return cast("Evaluator", _find(EVALUATORS, name, "evaluator"))
 
 
 def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
@@ -160,9 +164,14 @@ def optimizers() -> list[OptimizerPlugin]:
     return _usable(OPTIMIZERS)
 
 
-def catalogue(name: str, field: str = "catalogue") -> Catalogue:
+def simulator(name: str) -> DriveSimulator:
+    """Returns a simulator of driving functions by name. Raises InvalidInputError listing the installed names."""
+    return cast("DriveSimulator", _find(SIMULATORS, name, "simulator"))
+
+
+def catalogue(name: str) -> Catalogue:
     """Returns a scenario catalogue by name. Raises InvalidInputError listing the installed names."""
-    return cast("Catalogue", _find(CATALOGUES, name, field))
+    return cast("Catalogue", _find(CATALOGUES, name, "catalogue"))
 
 
 def catalogues() -> list[Catalogue]:

@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from httpx import Response
+from tests.support.databases import migrated
 from tests.support.networks import entrance
 
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
 from drivecal.configuration.pushing import HEADER, Pushing, read_secret, sign
 from drivecal.configuration.settings import load_settings
-from drivecal.storage.engine.database import Database
 
 PROBLEMS = "/api/v1/problems"
 TOKENS = {"author": "author-0123456789abcdef", "writer": "writer-0123456789abcdef", "reader": "reader-0123456789abcdef"}
@@ -57,8 +58,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
             url, home = f"sqlite:///{tmp_path / 'drivecal.db'}", tmp_path / "home"
             file = tmp_path / "tokens"
             file.write_text("".join(f"{name} {ROLES[name]} {token}\n" for name, token in TOKENS.items()))
-            database = Database.open(url)
-            database.upgrade()
+            database = migrated(url)
             database.dispose()
             loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens else None, **settings)
             app = create_app(loaded, Pushing.of(loaded, address))
@@ -263,7 +263,8 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
     client = serve(tokens=True)
     client.headers.update(bearer("author"))
     push(client)
-    limits: Limits = client.app.state.limits  # type: ignore[attr-defined]  # it is a FastAPI application
+    assert isinstance(client.app, FastAPI)
+    limits: Limits = client.app.state.limits
     with ExitStack() as stack:
         for _ in range(OPEN_ARCHIVES):
             stack.enter_context(limits.archives.take())

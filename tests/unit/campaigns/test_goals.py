@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 
 NSGA2 = {"kind": "nsga2", "population": 10}
 JERK = {"measure": "peak_lateral_jerk_mps3", "direction": "minimise"}

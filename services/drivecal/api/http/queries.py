@@ -47,7 +47,7 @@ class ProblemsOf(PageOf):
 
 
 class FormOf(Parameters):
-    """In which form; an `Accept` header can ask for it as well."""
+    """Format of the answer; an `Accept` header can ask for it as well."""
 
     format: Form | None = None
 

@@ -76,8 +76,8 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     if today.fingerprint != stored.fingerprint:
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(
-            f"evaluation {number} was driven with another {', '.join(changed) or 'version'} than is installed now, so its time series"
-            " cannot be had again; evaluate its parameters anew"
+            f"evaluation {number} was simulated with another {', '.join(changed) or 'version'} than is installed now, so its time series"
+            " cannot be repeated; evaluate its parameters anew"
         )
     return specification, problem.resolution() | ({} if tools is None else {"tools": tools})
 

@@ -1,4 +1,4 @@
-"""What the parameters and scenarios of a campaign mean, in words: of a bundle as its manifest says, else as the plug-ins do."""
+"""Descriptions of a campaign's parameters and scenarios: of a bundle as its manifest says, else as the plug-ins do."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -25,7 +25,7 @@ class ResolvedSpec:
     weights: Mapping[str, float]
     """Weights of the simulated scenarios in the catalogue's order, with sum 1; empty for a single evaluation."""
     setups: Mapping[str, str]
-    """Their fingerprints."""
+    """Fingerprints of the setups by scenario."""
     scale: Scale
     goals: Goals | None = None
     """None for the weighted mean of the score."""

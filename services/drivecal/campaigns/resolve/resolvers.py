@@ -10,6 +10,7 @@ from drivecal.analysis.goals import Goals
 from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
+from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -17,7 +18,6 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
-from drivecal.contracts.studies import STUDIES
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting

@@ -92,7 +92,7 @@ class BundleFunction:
     name: str
     parameters: tuple[Parameter, ...]
     constraints: Mapping[str, Allows]
-    """By their text."""
+    """Constraints by their text."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:

@@ -4,8 +4,6 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -46,17 +44,10 @@ class Calibration(CampaignStage):
     name = StageName.CALIBRATION
     uses_map = True
 
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
-        super().__init__(database, campaign, problem, view, clock)
+        super().__init__(database, campaign, problem, view)
         self._optimization = problem.optimization
         self._answers = PopulationAnswers(problem, problem.optimization.population)
         self._ranking = self._answers.ranking
@@ -154,7 +145,7 @@ class Calibration(CampaignStage):
 
     def _propose(self) -> Round:
         if self._optimizer is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         self._proposal = self._optimizer.ask()
         self._iteration = 0 if self._iteration is None else self._iteration + 1
         self._batches = self._split(self._iteration, self._proposal)
@@ -169,7 +160,7 @@ class Calibration(CampaignStage):
 
     def _next_batch(self) -> Round:
         if self._proposal is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         batch, problem = self._batches.pop(0), self._problem
         sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
         wanted = [
@@ -265,7 +256,7 @@ class Calibration(CampaignStage):
     def _close(self) -> None:
         """Closes an iteration: every cell has its answer."""
         if self._optimizer is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         with self._database.transaction() as connection:
             self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
             objectives = self._answers.objectives()

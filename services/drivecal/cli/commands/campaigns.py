@@ -18,7 +18,7 @@ from drivecal.cli.application import (
     with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import dumped, print_answer, print_campaign, print_json, print_page, saved, when
+from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import (
     pays_text,
@@ -27,12 +27,12 @@ from drivecal.cli.views.savings import (
     print_failures,
     print_lots,
     print_narrowed,
+    print_trust,
 )
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import Campaign, ExpectedRuns
-from drivecal.contracts.studies import STUDIES
+from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -135,7 +135,7 @@ def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpti
 
 @app.command()
 def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a paused campaign go on."""
+    """Resume a paused campaign."""
     _act(identifier, "resume", url, as_json)
 
 
@@ -175,13 +175,17 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
     compared = answered and campaign.kind == "comparison"
+    deserved = client.trust(campaign.id) if "trust" in campaign.links else None
     if as_json:
         accounting = None if account is None else account.model_dump(mode="json")
         tables = comparison_document(client, campaign.id) if compared else {}
         causes = dumped(client.failures(campaign.id).items) if answered and campaign.kind != "comparison" else []
-        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, **tables})
+        light = None if deserved is None else deserved.model_dump(mode="json")
+        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, "trust": light, **tables})
         return
     print_campaign(campaign)
+    if deserved is not None:
+        print_trust(deserved)
     if compared:
         print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
@@ -198,6 +202,11 @@ def _print_expected(expected: ExpectedRuns) -> None:
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
+    if expected.seconds is not None:
+        how = "measured" if expected.measured else "assumed"
+        typer.echo(
+            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms each, {how})"
+        )
     if expected.break_even_share is not None:
         typer.echo(pays_text(expected.break_even_share))
     for note in expected.notes:
@@ -214,8 +223,16 @@ def kind_text(campaign: Campaign) -> str:
     return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
 
 
+def counted(campaign: Campaign) -> CellCounts:
+    """Returns the cells of the search; of a campaign without one, those of all its stages together."""
+    if campaign.cells.proposed:
+        return campaign.cells
+    fields = CellCounts.model_fields
+    return CellCounts(**{name: sum(getattr(cells, name) for cells in campaign.stages.values()) for name in fields})
+
+
 def _row(campaign: Campaign) -> list[object]:
-    cells = campaign.cells
+    cells = counted(campaign)
     best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
     share = f"{saved(cells):.1%}" if cells.requested else "-"
     return [

@@ -38,7 +38,7 @@ def robustness(
         str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
     ] = None,
     compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -28,7 +28,7 @@ def validate(
     ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
     largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:

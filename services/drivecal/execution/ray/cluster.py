@@ -48,7 +48,7 @@ class Cluster:
         self._own: OwnNode | None = None
         self._watch: ClusterWatch | None = None
         self.nodes: tuple[Node, ...] = ()
-        """Who lives, of a cluster that was joined; replaced as a whole, about twice a second."""
+        """Living nodes of a joined cluster; replaced as a whole, about twice a second."""
         os.environ.update(QUIET)
         if address is None:
             os.environ.update(_LOCAL)
@@ -141,7 +141,7 @@ class Cluster:
             else:
                 client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
         except self.ray.exceptions.AuthenticationError as error:
-            raise StartedAnewError("has started anew, or does not accept our token any more") from error
+            raise StartedAnewError("was restarted, or no longer accepts our token") from error
 
 
 _VITAL = {"raylet", "gcs_server"}
@@ -198,7 +198,7 @@ class _PrivateFolder:
         """Ray opens it to everybody; the folder around it stays closed."""
 
     def remove(self) -> None:
-        """With all that is in it."""
+        """Removes the folder with its content."""
         shutil.rmtree(self._folder, ignore_errors=True)
         os.close(self._lock)
 

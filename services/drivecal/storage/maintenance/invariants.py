@@ -1,6 +1,6 @@
-"""Whether the rows of a database fit together: what every transaction promises to keep, checked afterwards. Only reads.
+"""Checks that the rows of a database fit together, as every transaction promises. Only reads.
 
-Each check gives one sentence per thing that is broken. In one snapshot nothing is, at any moment of a running server.
+Each check returns a message per fault. In one snapshot nothing is, at any moment of a running server.
 """
 
 from collections import Counter

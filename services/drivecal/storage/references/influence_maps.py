@@ -24,9 +24,9 @@ class StoredInfluenceMap:
     source: str
     driving_function: str
     parameters: Any
-    """The parameters that it was made for, or checked against, with their grids, as a JSON document."""
+    """Parameters of the map, or those it was checked against, with their grids, as a JSON document."""
     scenarios: Mapping[str, Any]
-    """By scenario and parameter, as a JSON document."""
+    """Influence by scenario and parameter, as a JSON document."""
     basis: Mapping[str, Any] | None
     """Basis of the analysis: fixed values, setups, evaluator, settings; None for a map that a user posted."""
     created_at: datetime

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
+from statistics import fmean
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, case, func, select, text
@@ -11,8 +12,11 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import insert, rows_among
-from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
+
+RECENT_RUNS = 1_000
+"""Newest runs of a setup whose mean predicts the cost of the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,3 +264,16 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
 def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[float, float]]:
     rows = rows_among(connection, select(ratings), ratings.c.run_id, run_ids)
     return {(row.run_id, row.evaluator): (row.score, row.rating) for row in rows}
+
+
+def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
+    """Time for which one simulation without certificates occupies a worker, over the newest ones in each of these setups, which count
+    alike; None if there is none in one. Proved runs are not among them: they cost almost nothing."""
+    means = []
+    for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
+        newest = select(occupying().label("milliseconds"), runs.c.evaluation_id).where(runs.c.setup_id == setup)
+        recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
+        simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
+        times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
+        means += [fmean(times)] if times else []
+    return fmean(means) if fingerprints and len(means) == len(fingerprints) else None
