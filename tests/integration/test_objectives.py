@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.benchmarks._objective import runner
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import SMALL, dispatcher, everything, get, nothing_matters, post_map, run, submit
 
@@ -159,6 +160,33 @@ def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Data
     assert ended.spec["optimizer"]["kind"] == SMALL["optimizer"]["kind"]
     assert ended.best is not None
     assert ended.best.objective == min(ended.best.scores.values())
+
+
+def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
+    def driven(scenario: str, cell: Cell) -> CellResult:
+        result = runner(scenario).run(list(cell.parameters.values()))
+        rating, failure = result.rating, None if result.failure is None else result.failure.value
+        return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
+
+    spec: dict[str, Any] = {
+        "objectives": TWO,
+        "parameters": "highway",
+        "catalogue": ["S1", "S3"],
+        "optimizer": NSGA2 | {"population": 10, "iterations": 3},
+        "reduction": {"mode": "exact"},
+    }
+    ended = run(database, submit(database, **spec), ComputedBackend(answer=driven))
+    front = ranking_of(database, ended).front()
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front])
+    assert front
+    for member in front:
+        cells = Cell(0, sets[member.solution.parameter_set].floats)
+        answers = [driven(name, cells) for name in ("S1", "S3")]
+        comfort = sum(answer.score or 0 for answer in answers) / 2
+        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in answers)
+        assert member.solution.judgement is not None
+        assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
 
 
 def test_a_default_given_in_words_changes_nothing(database: Database) -> None:

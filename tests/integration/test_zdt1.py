@@ -1,18 +1,31 @@
-"""ZDT1 as a user's problem with two scores, the whole way: pushed, searched on real workers, killed and resumed to the same bits."""
+"""ZDT1 as a user's problem with two scores: dispatchers that die, and the whole way on real workers of a server that is killed."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from tests.support.computed import ComputedBackend
+from tests.support.deaths import ends_in_spite_of_deaths
+from tests.support.problems import store
+from tests.support.runs import everything
 from tests.support.serve import Server, serving, until
 from tests.support.user_problems import rows
 
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
 from drivecal.client import Client
-
-pytestmark = pytest.mark.slow
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import campaigns
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 
 MODEL = """
 def evaluate(parameters, scenario):
@@ -28,7 +41,7 @@ ZDT1 = {
     "measures": {"f1": "1", "f2": "1"},
     "scores": {name: {"formula": name, "direction": "minimise", "range": [0, 10]} for name in ("f1", "f2")},
 }
-SPEC = {
+SPEC: dict[str, Any] = {
     "problem": "zdt1",
     "objectives": [{"score": name, "reference": 1.1} for name in ("f1", "f2")],
     "optimizer": {"kind": "nsga2", "population": 40, "iterations": 40, "seed": 4},
@@ -42,6 +55,36 @@ def started(folder: Path) -> AbstractContextManager[Server]:
     return serving(folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
 
 
+def evaluated(scenario: str, cell: Cell) -> CellResult:
+    namespace: dict[str, Any] = {}
+    exec(MODEL, namespace)
+    return CellResult(cell.id, None, None, namespace["evaluate"](dict(cell.parameters), scenario), None, 7.0)
+
+
+def test_a_search_of_two_scores_ends_alike_in_spite_of_deaths(tmp_path: Path) -> None:
+    search = SPEC["optimizer"] | {"population": 16, "iterations": 6}
+    bound = [{"measure": "f2", "at_most": 4.0}]
+    document = SPEC | {"optimizer": search, "constraints": bound, "reduction": {"mode": "exact"}}
+
+    def begin(database: Database) -> StoredCampaign:
+        store(database, ZDT1, {"model.py": MODEL})
+        return submission.submit(database, Limits.of(load_settings()), CampaignSpecification.model_validate(document), None)
+
+    def find(database: Database, campaign: StoredCampaign) -> Any:
+        with database.read() as connection:
+            ended = campaigns.get(connection, campaign.id)
+        front = front_of(database, ended, resolved_spec(ended))
+        return everything(database, campaign), front.points.tolist(), front.hypervolumes()
+
+    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda seed: ComputedBackend(seed=seed, answer=evaluated), find, stride=7)
+    assert len(ends) > 5
+    assert all(end == ends[0] for end in ends)
+    _, front, growth = ends[0]
+    assert len(front) > 2
+    assert [volume for _, volume, _ in growth] == sorted(volume for _, volume, _ in growth)
+
+
+@pytest.mark.slow
 def test_a_killed_search_ends_with_the_front_of_an_uninterrupted_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     folder = tmp_path / "zdt1"
