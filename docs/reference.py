@@ -43,6 +43,8 @@ CAMPAIGN = (
     specification.SensitivitySpecification,
     specification.RobustnessSpecification,
     specification.ValidationSpecification,
+    specification.ObjectiveSpecification,
+    specification.ConstraintSpecification,
 )
 OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecification, specification.InfluenceMapSpecification)
 PROBLEM = (

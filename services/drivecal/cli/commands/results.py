@@ -12,7 +12,7 @@ import typer
 
 from drivecal.calibration_data.chosen import characteristics_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id, tell
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
 from drivecal.cli.views.front import print_front, print_trade_off
 from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
@@ -40,7 +40,7 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
-        campaign_id = full_id(client, identifier)
+        campaign_id = client.full_id(identifier)
         page = client.solutions(campaign_id, weights, limit)
         spec = client.campaign(campaign_id).spec
     if as_json:
@@ -70,7 +70,7 @@ def front(
     """Show the sets of a campaign that no other set beats in every objective."""
     ranks = None if between is None else _ranks(between)
     with connect(url) as client:
-        campaign_id = full_id(client, identifier)
+        campaign_id = client.full_id(identifier)
         if ranks is not None:
             print_answer(client.trade_off(campaign_id, *ranks, weights, everything=everything), as_json, print_trade_off)
             return
@@ -121,7 +121,7 @@ def export(
         raise typer.BadParameter("--weights needs --table solutions or front")
     query = {name: value for name, value in (("where", where), ("weights", weights)) if value}
     with connect(url) as client:
-        campaign_id = full_id(client, identifier)
+        campaign_id = client.full_id(identifier)
         if form in {"dcm", "cdfx"} or row is not None or names is not None:
             pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
         else:
