@@ -143,6 +143,8 @@ def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ende
 
     usual = expected()
     assert usual["break_even_share"] == usual["sensitivity"] / usual["calibration_at_most"]
+    assert (usual["measured"], usual["milliseconds"]) == (True, pytest.approx(7.0))
+    assert (usual["workers"], usual["seconds"]) == (None, None), "no dispatcher reports any worker"
     assert expected(sensitivity=None)["break_even_share"] is None
     assert expected(optimizer=None)["break_even_share"] is None
 

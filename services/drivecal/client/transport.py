@@ -16,7 +16,7 @@ from drivecal.domain.errors import UnavailableError
 Answer = TypeVar("Answer", bound=BaseModel)
 
 KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
-"""Names of what the collections hold, for messages."""
+"""Names of the collections' items in messages."""
 ATTEMPTS_TO_CONNECT = 3
 BROKEN_ANSWERS = 2
 """Broken connections in a call before the server counts as unreachable; a restart breaks some."""

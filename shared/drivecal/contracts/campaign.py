@@ -15,7 +15,7 @@ Score = int | float
 
 
 class Answer(BaseModel):
-    """The base of all answers: immutable; a client of an older version ignores what it does not know."""
+    """The base of all answers: immutable; a client of an older version ignores unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
 
@@ -218,7 +218,7 @@ class Campaign(CellsByStage):
     """Or `comparison`, whose cells are the sums over its runs."""
     state: str
     requested_action: str | None = None
-    """`pause`, `resume` or `cancel`, where that was asked for and is not done yet."""
+    """`pause`, `resume` or `cancel` if requested and not done yet."""
     degraded: str | None = None
     """Why it is slow or stands still for now."""
     stage: str | None = None
@@ -293,7 +293,7 @@ STUDIES: tuple[StudyName, ...] = get_args(StudyName)
 
 
 class Study(Answer):
-    """A study of what a campaign found, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
+    """A study of a campaign's results, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
     the model that was driven."""
 
     campaign: str

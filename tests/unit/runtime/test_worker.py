@@ -189,7 +189,7 @@ def _request(**document: object) -> DriveRequest:
     scenario = registry.catalogue("highway").scenarios["S1"]
     vehicle = registry.vehicle("single_track")
     setup = setup_of(scenario, registry.driving_function("frenet"), vehicle, {})
-    theirs = replace(setup, **document)  # type: ignore[arg-type]
+    theirs = replace(setup, **document)  # type: ignore[arg-type]  # its fields by name
     return DriveRequest(
         "highway", "S1", "frenet", "single_track", theirs.vehicle_parameters, "reference", theirs.fingerprint, theirs.document
     )

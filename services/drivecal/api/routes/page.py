@@ -63,7 +63,7 @@ class _File:
 
 @router.get("/")
 def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
-    """The page; where it was not built, a plain one that says why, and what there is instead."""
+    """The page; if it was not built, a plain one with the reason and the alternatives."""
     if not (FILES / START).is_file():
         return _instead(FILES)
     return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)

@@ -132,7 +132,7 @@ def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: Resol
 
 
 def _kinds(space: ParameterSpace) -> dict[str, Kind]:
-    """Returns what the columns of parameters hold."""
+    """Returns the types of the parameters' columns."""
     return {parameter.name: "text" if parameter.choices else "number" for parameter in space.parameters}
 
 

@@ -1,4 +1,4 @@
-"""The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by what they tolerate."""
+"""The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by their tolerance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -81,7 +81,7 @@ def rerun(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
+    """Run an ended campaign again with other weights or another evaluator, on the stored results."""
     if weights is None and evaluator is None and problem is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
     given = {"name": name, "evaluator": evaluator, "problem": problem}
@@ -126,7 +126,7 @@ def watch(
 
 @app.command()
 def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a campaign rest; what is being simulated is finished and kept."""
+    """Pause a campaign; running simulations are finished and kept."""
     _act(identifier, "pause", url, as_json)
 
 
@@ -138,7 +138,7 @@ def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpt
 
 @app.command()
 def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """End a campaign; what was simulated is kept."""
+    """End a campaign; finished simulations are kept."""
     _act(identifier, "cancel", url, as_json)
 
 

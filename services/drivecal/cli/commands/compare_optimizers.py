@@ -20,7 +20,7 @@ def compare_optimizers(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare what they found."""
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
     specification = read_document(file)
     with connect(url) as client:
         if dry_run:

@@ -19,7 +19,7 @@ def explain(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say why a cell was answered without a simulation, or what was in the way."""
+    """Explain why a cell was answered without a simulation, or why it was not."""
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier)).id
         explanation = client.explanation(evaluation)

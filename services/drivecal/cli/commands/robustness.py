@@ -42,7 +42,7 @@ def robustness(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank the best sets of a campaign by how far the vehicle may differ; drives them in other vehicles where that was not done yet."""
+    """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     if vehicle is not None and compare is not None:
         raise typer.BadParameter("name a vehicle model or another campaign, not both")
     given = {

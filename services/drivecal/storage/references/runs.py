@@ -66,7 +66,7 @@ def occupying() -> ColumnElement[float]:
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
-    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
+    """Stores results exactly once and returns the stored run of each, in order. The first result of a cell stays.
 
     A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
     sees it too, whatever other campaigns simulate meanwhile. Only a rating `from_series` needs a stored run to be simulated again; if
@@ -141,7 +141,7 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
 
 
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
-    """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
+    """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
     query = select(runs.c.id, runs.c.metrics)
     return dict(rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]))
 

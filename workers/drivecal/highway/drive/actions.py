@@ -16,7 +16,7 @@ class ActionError(DrivecalError):
 
 
 class EgoPlace(NamedTuple):
-    """Where the ego vehicle is: s of its centre (m), and metres of its way per metre of s."""
+    """Place of the ego vehicle: s of its centre (m), and metres of its way per metre of s."""
 
     s: float
     stretch: float
@@ -75,8 +75,8 @@ class Actions:
     def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
         """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
 
-        Vehicles that have left the network do nothing. Those that are due to cut in inside of a junction do so behind it, on the edge whose
-        lanes the scenario numbers.
+        Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
+        whose lanes the scenario numbers.
         """
         rows = {name: row for row, name in enumerate(names)}
         waiting: list[tuple[str, Brake | CutIn | Drift]] = []

@@ -21,7 +21,7 @@ from drivecal.highway.geometry import foot, hit, point
 compiled = compiled_with(shared)
 
 FARTHEST = 25.0
-"""Distance (m) from the line beyond which the foot point is searched anew: the vehicle drives elsewhere, or the iteration went astray."""
+"""Distance (m) from the line beyond which the foot point is searched again: the vehicle drives elsewhere, or the iteration went astray."""
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 VERGE = 0.5

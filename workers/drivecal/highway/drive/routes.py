@@ -72,7 +72,7 @@ def routes_file(scenario: HighwayScenario) -> bytes:
 
 
 _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
-"""What lets SUMO's ego vehicle take any speed."""
+"""Attributes with which SUMO's ego vehicle takes any speed."""
 _NOBODY = Driver.model_validate({})
 
 

@@ -83,7 +83,7 @@ class Traffic:
         self._actions = Actions(vehicles)
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
-        """Where the ego vehicle was when `others` were read."""
+        """Place of the ego vehicle when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []

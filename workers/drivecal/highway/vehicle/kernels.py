@@ -18,7 +18,7 @@ compiled = compiled_with(equations)
 FOLLOWED, UNSTABLE, TOO_SHORT = 0, 1, 2
 """Results of `follow`."""
 STEERING, CURVATURE, PATH = 0, 1, 2
-"""What `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps."""
+"""Inputs that `drive` steers by: an angle of the front wheels, a curvature, or a path that it keeps."""
 
 LATERAL_STIFFNESS, LATERAL_DAMPING = 1.0, 2.0
 YAW_RATE_GAIN = 0.75
