@@ -25,8 +25,14 @@ from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedR
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
-from drivecal.contracts.problems import ProblemAnswer, ProblemPage
+from drivecal.contracts.inventory import (
+    InfluenceMapAnswer,
+    InfluenceMapPage,
+    ProblemAnswer,
+    ProblemPage,
+    ScenarioPage,
+    WorkerPage,
+)
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
     FrontRow,
