@@ -50,14 +50,18 @@ class CampaignRanking:
 
 
 def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None) -> CampaignRanking:
-    """Returns the ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`).
+    """Returns the ranking by the campaign's first objective, or by its score under `weights` (`S1=2,S2=1`).
 
     A copied score gives way to a later simulation of the very cell. Raises InvalidInputError for unusable weights.
     """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
-    standing = Ranking(used, resolved.scale.sign)
+    goals = resolved.goals if weights is None else None
+    valued = goals.values if goals is not None and goals.computed else None
+    standing = Ranking(used, resolved.scale.sign, goals)
     with database.read() as connection:
-        answers = results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator)
+        answers = results.answers(
+            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued
+        )
         standing.add(answers)
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
 
