@@ -182,10 +182,17 @@ class Client(Transport):
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
     def solutions(
-        self, identifier: str, weights: Mapping[str, float] | str | None = None, limit: int | None = None
+        self,
+        identifier: str,
+        weights: Mapping[str, float] | str | None = None,
+        limit: int | None = None,
+        score: str | None = None,
     ) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`."""
-        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit)
+        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its score
+        or another of its problem."""
+        return self._get(
+            SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
+        )
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
         """Returns every requested cell of a campaign. `where`: conditions as in the REST API, e.g. `where=["scenario=S1", "P1>=0.5"]`."""

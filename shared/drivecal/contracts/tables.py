@@ -95,6 +95,11 @@ def parameter_column(name: str) -> str:
     return f"parameter_{name}" if name in EvaluationRow.model_fields else name
 
 
+def measure_column(name: str) -> str:
+    """Returns the column of a measure, distinct from all other columns of evaluations: parameters may have the same name."""
+    return f"measure_{name}"
+
+
 def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str | None:
     marks = [mark for mark in metadata if isinstance(mark, Spread | FileForm) or mark == JSON_ONLY]
     return marks[0] if marks else _JOINED if annotation == list[str] else None

@@ -63,9 +63,16 @@ class TableOf(PageOf, FormOf):
 
 
 class SolutionsOf(TableOf):
-    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1."""
+    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+    score: Annotated[str, StringConstraints(max_length=300)] | None = None
+
+
+class EvaluationsOf(TableOf):
+    """A page of evaluations; with `measures`, behind all other columns those of the run that answered each."""
+
+    measures: bool = False
 
 
 class SummaryOf(Parameters):
@@ -100,6 +107,7 @@ CampaignsQuery = Annotated[CampaignsOf, Query()]
 ProblemsQuery = Annotated[ProblemsOf, Query()]
 FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
+EvaluationsQuery = Annotated[EvaluationsOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
 SummaryQuery = Annotated[SummaryOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]

@@ -23,6 +23,9 @@ from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
+ScoreOption = Annotated[
+    str | None, typer.Option(help="Rank by another score of the problem instead, from stored measures; simulates nothing.")
+]
 
 
 @app.command()
@@ -32,6 +35,7 @@ def solutions(
         str | None,
         typer.Option(metavar="S1=2,S2=1", help="Rank by these weights instead; simulates nothing. Not named means weight 1."),
     ] = None,
+    score: ScoreOption = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, best first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -41,7 +45,7 @@ def solutions(
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        page = client.solutions(campaign_id, weights, limit)
+        page = client.solutions(campaign_id, weights, limit, score)
         spec = client.campaign(campaign_id).spec
     if as_json:
         print_json(page)
@@ -112,6 +116,10 @@ def export(
             metavar="S1=2,S2=1", help="Of the tables solutions (scenarios) and front (objectives): ranked by these weights."
         ),
     ] = None,
+    score: ScoreOption = None,
+    measures: Annotated[
+        bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")
+    ] = False,
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
@@ -119,7 +127,12 @@ def export(
     form = "json" if as_json else form
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
-    query = {name: value for name, value in (("where", where), ("weights", weights)) if value}
+    if score is not None and table != "solutions":
+        raise typer.BadParameter("--score needs --table solutions")
+    if measures and table != "evaluations":
+        raise typer.BadParameter("--measures needs --table evaluations")
+    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
+    query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
         if form in {"dcm", "cdfx"} or row is not None or names is not None:
@@ -153,7 +166,12 @@ def _calibration_file(
     setup = client.setup(identifier)
     labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
     chosen = next(
-        (item for item in client.solutions(identifier, query.get("weights"), limit=row).items if item.rank == row), None
+        (
+            item
+            for item in client.solutions(identifier, query.get("weights"), row, query.get("score")).items
+            if item.rank == row
+        ),
+        None,
     )
     if chosen is None:
         raise InvalidInputError(
