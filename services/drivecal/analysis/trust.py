@@ -12,9 +12,9 @@ from typing import Any
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
-from drivecal.contracts.trust import Light, Reason, TrustAnswer
 from drivecal.domain.campaigns import CampaignState
 
 FEW = 0.01
