@@ -37,10 +37,14 @@ CAMPAIGN = (
     specification.ParameterSpecification,
     specification.VehicleSpecification,
     specification.OptimizerSpecification,
+    specification.ObjectiveSpecification,
+    specification.ConstraintSpecification,
     specification.ReductionSpecification,
     specification.SensitivitySpecification,
     specification.RobustnessSpecification,
     specification.ValidationSpecification,
+    specification.ObjectiveSpecification,
+    specification.ConstraintSpecification,
 )
 OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecification, specification.InfluenceMapSpecification)
 PROBLEM = (
@@ -59,6 +63,7 @@ ROWS = (
     tables.Generation,
     tables.Solution,
     tables.OptimumRow,
+    tables.FrontRow,
     tables.InfluenceRow,
     tables.RobustnessRow,
     tables.ValidationRow,

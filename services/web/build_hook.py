@@ -73,7 +73,7 @@ def build_documentation() -> str | None:
 
 
 def build() -> str | None:
-    """Builds the page into `TARGET`; the reason where it cannot be built, which is kept there."""
+    """Builds the page into `TARGET`; returns the reason if it cannot be built, and stores it there."""
     digest = _digest()
     if (
         (TARGET / STAMP).is_file()
@@ -153,7 +153,7 @@ def _write_document(path: Path) -> None:
 
 
 def _complete() -> bool:
-    """Whether the libraries are there in the versions of the lock."""
+    """Whether the libraries are installed in the versions of the lock."""
     installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     return installed.is_file() and installed.stat().st_mtime >= lock.stat().st_mtime
 

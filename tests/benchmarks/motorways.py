@@ -56,7 +56,7 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
     import libsumo
 
     from drivecal.highway.drive import driver, loop
-    from drivecal.highway.drive.routes import EGO
+    from drivecal.highway.sumo import EGO
 
     made: list[loop.Loop] = []
 

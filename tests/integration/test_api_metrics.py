@@ -60,7 +60,8 @@ def metrics(api: RunningApi) -> dict[str, Metric]:
     response = api.http.get("/metrics", headers=OPEN)
     assert response.status_code == 200
     assert response.headers["content-type"].startswith("application/openmetrics-text; version=1.0.0")
-    return {one.name: one for one in openmetrics.text_string_to_metric_families(response.text)}  # type: ignore[no-untyped-call]
+    families = openmetrics.text_string_to_metric_families(response.text)  # type: ignore[no-untyped-call]  # it has no types
+    return {one.name: one for one in families}
 
 
 def samples(metric: Metric) -> dict[tuple[str, ...], float]:

@@ -79,3 +79,14 @@ def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[Runni
         server.should_exit = True
         thread.join()
         database.dispose()
+
+
+def problem_of(response: httpx.Response, status: int) -> dict[str, Any]:
+    """The problem document that a response with this status has to be."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    assert document["status"] == status
+    assert document["title"]
+    assert document["detail"]
+    return document

@@ -202,7 +202,7 @@ def digests_of(path: str, body: BaseModel) -> list[str]:
 
 
 def _before_predictions(body: BaseModel) -> BaseModel:
-    """Returns the body with the earlier defaults in the place of what it does not give."""
+    """Returns the body with the earlier defaults for missing fields."""
     changes: dict[str, Any] = {}
     if isinstance(body, CampaignSpecification) and "sensitivity" not in body.model_fields_set:
         changes["sensitivity"] = SensitivitySpecification()

@@ -1,4 +1,4 @@
-"""The common content of calibration files: scalar characteristics, and where their values come from."""
+"""The common content of calibration files: scalar characteristics, and the origin of their values."""
 
 import math
 from collections.abc import Collection

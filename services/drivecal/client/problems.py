@@ -30,7 +30,7 @@ def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
 
 
 def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[str, ...]]:
-    """Returns manifest and archive as `read_bundle` does, and notes on its roads: what a conversion assumed or ignored."""
+    """Returns manifest and archive as `read_bundle` does, and notes on assumptions of road conversions."""
     path = Path(folder)
     if not (path / MANIFEST).is_file():
         remedy = "drivecal problem init KIND NAME writes one" if path.is_dir() else "give the folder of a problem"
@@ -82,7 +82,7 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
 
 
 def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:
-    """Returns what `check` makes of a document. Raises InvalidInputError, with the lines of all faults."""
+    """Returns the result of `check` for a document. Raises InvalidInputError, with the lines of all faults."""
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(MANIFEST, f"it is larger than {LARGEST_FILE:,} bytes", "move data into other files"))
     lines: Mapping[str, int] = {}

@@ -105,7 +105,7 @@ class SupervisedBackend(Backend, ABC):
         """Returns the answer of a worker's running call. Raises WorkerDiedError, CallFailedError or NotKnownYetError."""
 
     def _changes(self) -> list[Finished | Lost]:
-        """Follows the machines that there are; returns the lost batches of those that are gone. Raises BackendLostError."""
+        """Follows the machines of the cluster; returns the lost batches of those that are gone. Raises BackendLostError."""
         return []
 
     def _lost_with_machine(self, worker: WorkerProcess) -> list[Finished | Lost] | None:  # noqa: ARG002  # for subclasses

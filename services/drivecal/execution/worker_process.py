@@ -11,7 +11,7 @@ from drivecal.execution.backend import LONGEST_QUEUED, Lost
 
 CALLS_PER_WORKER = 2
 LONGEST_PAUSE = 30.0
-"""Between two attempts to start a worker that does not start, s."""
+"""Longest pause between attempts to start a worker, s."""
 
 
 @dataclass(slots=True)

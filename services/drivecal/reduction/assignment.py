@@ -1,4 +1,4 @@
-"""Decides for every requested cell of a population what answers it, before anything is simulated.
+"""Decides how every requested cell of a population is answered, before any simulation.
 
 Order of answers: repeated, reused, (predicted, certified,) simulated. The decision depends on the population, on what was stored and on
 the seed alone, never on the workers' timing, so that it can be committed, resumed and repeated.

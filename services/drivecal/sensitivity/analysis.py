@@ -19,8 +19,7 @@ from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.cutting import check_intervals, interval_edges, intervals_of, most_confirmations
 from drivecal.sensitivity.effects import Design, Floats
 from drivecal.sensitivity.lines import lines_design, regions_design
-from drivecal.sensitivity.paper import paper_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, paper_design, radial_design
 from drivecal.sensitivity.scenario import ScenarioInfluence, ScenarioState
 from drivecal.sensitivity.sequential import IntervalRuns
 from drivecal.sensitivity.settings import SensitivitySettings

@@ -1,4 +1,4 @@
-"""Elementary effects and what is said about a parameter from them (Section II-A of the paper, Equations 1 and 2)."""
+"""Elementary effects and their statistics for a parameter (Section II-A of the paper, Equations 1 and 2)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ DISPATCHER = "dispatcher"
 
 @dataclass(frozen=True, slots=True)
 class StoredProcess:
-    """A process by its `name`, when it was last heard of, and its term where it was elected."""
+    """A process by its `name`, the time of its last heartbeat, and its term if it was elected."""
 
     name: str
     pid: int

@@ -31,7 +31,7 @@ class CampaignRevision:
 
 @dataclass(frozen=True, slots=True)
 class ProgressSnapshot(CampaignRevision):
-    """A revision, and what moves while a campaign runs; documents as they are stored."""
+    """A revision, and the columns that change while a campaign runs; documents as stored."""
 
     stage: StageName | None
     iteration: int | None
@@ -66,7 +66,7 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
 def page(
     connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
 ) -> list[CampaignRevision]:
-    """The campaigns that `campaigns.page` gives for the same arguments, and one more where there are more."""
+    """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
     return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor))]
 
 

@@ -51,7 +51,7 @@ def forget(connection: Connection, evaluation_id: int) -> None:
 
 
 def prune(connection: Connection, before: datetime, most: int) -> None:
-    """Forgets what was asked for before a moment, and all but the newest `most`; not what is still being made."""
+    """Removes traces that were requested before a moment, and all but the newest `most`, except unfinished ones."""
     ended = select(campaigns.c.sequence).where(campaigns.c.ended_at.is_not(None))
     newest = select(traces.c.evaluation_id).order_by(traces.c.created_at.desc(), traces.c.evaluation_id.desc()).limit(most)
     old = (traces.c.created_at < before) | traces.c.evaluation_id.not_in(newest)

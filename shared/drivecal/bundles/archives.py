@@ -255,7 +255,7 @@ def _checked_entries(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]
 
 
 def _name_fault(name: str) -> str | None:
-    """Returns what is wrong with a path inside an archive."""
+    """Returns the fault of a path inside an archive."""
     parts = name.split("/")
     if name.startswith("/") or name[1:2] == ":":
         return "the path is absolute"

@@ -1,4 +1,4 @@
-"""Checks of a whole manifest: what no field can tell by itself. All problems are reported at once."""
+"""Checks of a whole manifest beyond single fields. All problems are reported at once."""
 
 import re
 from collections.abc import Iterator, Mapping

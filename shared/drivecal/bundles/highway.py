@@ -163,7 +163,7 @@ class Brake(Trigger):
 
 
 class CutIn(Trigger):
-    """The vehicle changes to `lane` of the edge where it is, in `seconds`, whatever gap there is."""
+    """The vehicle changes to `lane` of its edge in `seconds`, whatever the gap."""
 
     do: Literal["cut_in"]
     lane: Lane
@@ -182,7 +182,7 @@ Action = Annotated[Brake | CutIn | Drift, Field(discriminator="do")]
 
 
 class TrafficEntry(Placed, Driver):
-    """A vehicle that is there from the start. `id`: by default `vehicle0` and so on."""
+    """A vehicle that exists from the start. `id`: by default `vehicle0` and so on."""
 
     id: VehicleId | None = None
     actions: Annotated[list[Action], Field(max_length=50, default_factory=list)]

@@ -9,7 +9,7 @@ FAILURES = ("collision", "off_road", "unstable")
 FAR = 1000.0
 """Gap (m) that is observed without a vehicle, and the reach of all observations of other vehicles."""
 LONGEST = 100.0
-"""Largest time to collision and time headway (s): what a run without a leader measures."""
+"""Largest time to collision and time headway (s), also the value of a run without a leader."""
 
 
 class Quantity(NamedTuple):

@@ -1,4 +1,4 @@
-"""Checks of a manifest's simulator `highway`: what no field can tell by itself."""
+"""Checks of a manifest's simulator `highway` beyond single fields."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -169,7 +169,7 @@ def _trigger(field: str, trigger: Trigger) -> Iterator[Problem]:
 
 
 def measures_problems(measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str]) -> Iterator[Problem]:
-    """Yields what the manifest declares of answers and the simulator does not give, or gives in another unit."""
+    """Yields declared measures, series and failures that the simulator lacks or has in another unit."""
     yield from _known("measures", measures, MEASURES)
     yield from _known("series", series, SERIES)
     for index, name in enumerate(failures):

@@ -212,7 +212,7 @@ def _flow(network: Network, scenario: HighwayScenario, flow: FlowEntry, field: s
 
 
 def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Problem]:
-    """Yields the fault of an edge that is there, but not on the driver's own route."""
+    """Yields the fault of an edge of the network that is not on the driver's own route."""
     if edge is not None and driver.route is not None and edge.id not in driver.route:
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 

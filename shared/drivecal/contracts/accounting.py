@@ -27,7 +27,7 @@ class SensitivityCost(Answer):
 
 
 class MapCost(Answer):
-    """The influence map in use and what making it cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
+    """The influence map in use and its cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
     earlier campaign's id (null: expert knowledge)."""
 
     id: str
@@ -125,5 +125,5 @@ class Accounting(Answer):
     net_seconds: float
     map_net_seconds: float | None
     break_even: BreakEven | None
-    """Null without a map, or where its cost is nothing."""
+    """Null without a map, or with a map without cost."""
     sentence: str

@@ -46,7 +46,7 @@ class ComparisonSpecification(ProblemSpecification):
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
     populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
     seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
-    """At least three, as in the paper: of fewer nothing can be said about what is chance."""
+    """At least three, as in the paper: fewer say nothing about chance."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     start: Literal["lhs", "halton"] = "halton"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)

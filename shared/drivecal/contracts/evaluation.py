@@ -91,7 +91,7 @@ class Evaluation(Answer):
     state: str
     parameters: dict[str, float | str]
     scenario: str | None
-    """Null where all scenarios of the catalogue were asked for."""
+    """Null if all scenarios of the catalogue were requested."""
     objective: float | None
     """The mean score over the scenarios, null until all have one."""
     items: list[EvaluatedCell]

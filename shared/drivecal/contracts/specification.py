@@ -303,7 +303,7 @@ class CampaignSpecification(ProblemSpecification):
     """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions and certificates, without an analysis."""
 
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
-    """Null where only other stages are wanted."""
+    """Null if only other stages are requested."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     robustness: RobustnessSpecification | None = None
     validation: ValidationSpecification | None = None
@@ -314,7 +314,7 @@ class CampaignSpecification(ProblemSpecification):
 
     @model_serializer(mode="wrap")
     def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leaves out goals that nobody gave, so that documents and their digests are those of earlier releases."""
+        """Leaves out goals that were not given, so that documents and their digests are those of earlier releases."""
         document: dict[str, Any] = dump(self)
         return {name: value for name, value in document.items() if value or name not in {"objectives", "constraints"}}
 

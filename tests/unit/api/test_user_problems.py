@@ -86,13 +86,12 @@ def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
 @pytest.mark.parametrize("allow", [None, True, False])
-@pytest.mark.parametrize("name", TOKENS)
-def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(
-    serve: Serve, address: str, allow: bool | None, name: str
-) -> None:
-    response = push(serve(address, tokens=True, allow_push=allow), headers=bearer(name))
+def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(serve: Serve, address: str, allow: bool | None) -> None:
+    client = serve(address, tokens=True, allow_push=allow)
     on = allow if allow is not None else address in {"127.0.0.1", "::1"}
-    assert response.status_code == (201 if on and name == "author" else 403), response.text
+    for name in sorted(TOKENS, reverse=True):  # the author last: what is stored already is answered otherwise
+        response = push(client, headers=bearer(name))
+        assert response.status_code == (201 if on and name == "author" else 403), response.text
 
 
 def test_an_author_may_do_what_a_writer_may(serve: Serve) -> None:

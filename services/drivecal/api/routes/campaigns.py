@@ -113,7 +113,7 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
 
 @router.post("/{campaign_id}/pause", status_code=202)
 def pause(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
-    """Asks for a campaign to rest; what is being simulated is finished and kept. Asking again changes nothing."""
+    """Pauses a campaign; running simulations are finished and kept. Asking again changes nothing."""
     return _asked(database, campaign_id, "pause", response)
 
 

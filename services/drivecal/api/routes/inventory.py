@@ -113,7 +113,7 @@ def references(database: DatabaseDependency) -> ReferencePage:
 
 @router.get("/workers")
 def workers(database: DatabaseDependency) -> WorkerPage:
-    """The workers and what each is doing, as the dispatcher last reported them."""
+    """The workers with their activity, as the dispatcher last reported them."""
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
     judgement = judge(dispatcher, now())

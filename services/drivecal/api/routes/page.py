@@ -2,6 +2,7 @@
 
 import gzip
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
@@ -44,6 +45,8 @@ GUARD = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+MANUAL_GUARD = GUARD | {"Content-Security-Policy": POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")}
+"""The search of the documentation's theme brings its styles by script. Scripts have to be files there as well."""
 FOREVER = "public, max-age=31536000, immutable"
 """`Cache-Control` of files whose names change with their content."""
 
@@ -60,7 +63,7 @@ class _File:
 
 @router.get("/")
 def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
-    """The page; where it was not built, a plain one that says why, and what there is instead."""
+    """The page; if it was not built, a plain one with the reason and the alternatives."""
     if not (FILES / START).is_file():
         return _instead(FILES)
     return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)
@@ -93,7 +96,7 @@ def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: 
         return _instead(MANUAL)
     if (name or START) not in _names(MANUAL):
         raise HTTPException(404, f"the documentation has no such page; it starts at {HELP}/")
-    return _answer(MANUAL / (name or START), "no-cache", accept_encoding, if_none_match)
+    return _answer(MANUAL / (name or START), "no-cache", accept_encoding, if_none_match, MANUAL_GUARD)
 
 
 @router.get(PAGE + "{name:path}")
@@ -108,9 +111,9 @@ def _names(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix in TYPES and path.is_file()}
 
 
-def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) -> Response:
+def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, guard: Mapping[str, str] = GUARD) -> Response:
     asset = _read(path, path.stat().st_mtime_ns)
-    headers = GUARD | {"Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
+    headers = {**guard, "Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
     if asset.tag in if_none_match:
         return Response(status_code=304, headers=headers)
     content = asset.content

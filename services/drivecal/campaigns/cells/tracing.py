@@ -60,7 +60,7 @@ def request_trace(connection: Connection, number: int) -> StoredCampaign:
 
 
 def _specification(connection: Connection, number: int) -> tuple[EvaluationSpecification, dict[str, Any]]:
-    """Returns what repeats an evaluation, and what it resolves to."""
+    """Returns the specification that repeats an evaluation, and its resolution."""
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)

@@ -17,7 +17,7 @@ from drivecal.storage.problems import bundles
 
 @dataclass(frozen=True)
 class Meanings:
-    """Descriptions of parameters and titles of scenarios, by name; what has none is missing."""
+    """Descriptions of parameters and titles of scenarios, by name, if there are any."""
 
     parameters: Mapping[str, str] = field(default_factory=dict)
     scenarios: Mapping[str, str] = field(default_factory=dict)

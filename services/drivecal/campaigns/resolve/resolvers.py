@@ -115,7 +115,7 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
 
 
 def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
-    """Notes what the threshold `auto` of a new analysis may miss with its number of samples."""
+    """Notes the rate of misses of the threshold `auto` for an analysis' number of samples."""
     wanted = specification.sensitivity
     if not isinstance(wanted, SensitivitySpecification) or wanted.threshold != "auto":
         return ()

@@ -13,9 +13,7 @@ from drivecal.cli.application import (
     app,
     code_of_state,
     connect,
-    full_id,
     tell,
-    with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
 from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
@@ -56,7 +54,6 @@ def submit(
     """Submit a campaign."""
     specification = read_document(file)
     with connect(url) as client:
-        specification = with_full_ids(client, specification)
         if dry_run:
             print_answer(client.expected_runs(specification), as_json, _print_expected)
         else:
@@ -84,13 +81,13 @@ def rerun(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
+    """Run an ended campaign again with other weights or another evaluator, on the stored results."""
     if weights is None and evaluator is None and problem is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
     given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
-        first = client.campaign(full_id(client, identifier))
+        first = client.campaign(client.full_id(identifier))
         changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
@@ -113,7 +110,7 @@ def list_campaigns(
 def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Show one campaign."""
     with connect(url) as client:
-        _print_whole(client, client.campaign(full_id(client, identifier)), as_json)
+        _print_whole(client, client.campaign(client.full_id(identifier)), as_json)
 
 
 @app.command()
@@ -122,14 +119,14 @@ def watch(
 ) -> None:
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
     with connect(url) as client:
-        campaign = follow(client, full_id(client, identifier), timeout, from_beginning=False)
+        campaign = follow(client, client.full_id(identifier), timeout, from_beginning=False)
         _print_whole(client, campaign, as_json)
     raise typer.Exit(code_of_state(campaign.state))
 
 
 @app.command()
 def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a campaign rest; what is being simulated is finished and kept."""
+    """Pause a campaign; running simulations are finished and kept."""
     _act(identifier, "pause", url, as_json)
 
 
@@ -141,13 +138,13 @@ def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpt
 
 @app.command()
 def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """End a campaign; what was simulated is kept."""
+    """End a campaign; finished simulations are kept."""
     _act(identifier, "cancel", url, as_json)
 
 
 def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
-        before = client.campaign(full_id(client, identifier))
+        before = client.campaign(client.full_id(identifier))
         after = client.act(before.id, action)
         if before.state in _DONE[action] and before.requested_action is None:
             tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")

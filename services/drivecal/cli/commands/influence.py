@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
+from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import dumped, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
@@ -147,10 +147,10 @@ def _rests_on(basis: Mapping[str, Any]) -> str:
 def _described(client: Client, identifier: str) -> Described:
     """Returns a campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError."""
     try:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
     except NotFoundError:
         try:
-            stored = client.influence_map(full_map_id(client, identifier))
+            stored = client.influence_map(client.full_map_id(identifier))
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
         return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis)
@@ -220,7 +220,7 @@ def show_map(
 ) -> None:
     """Show one influence map."""
     with connect(url) as client:
-        print_answer(client.influence_map(full_map_id(client, identifier)), as_json, _print_map)
+        print_answer(client.influence_map(client.full_map_id(identifier)), as_json, _print_map)
 
 
 @maps.command("post")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.studies import known, make, wanted_of
 from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.campaign import Campaign
@@ -37,7 +37,7 @@ def validate(
     With `--predicted`: whether the predictions that the campaign released are right.
     """
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
         given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references, "largest": largest}
         wanted = wanted_of(campaign, "validation", given)
         wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})

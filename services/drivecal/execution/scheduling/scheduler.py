@@ -150,7 +150,7 @@ class Scheduler:
         self._put_back(self._sent.pop(batch_id))
 
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
-        """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
+        """Forgets some cells of a dispatch that was not sent yet: they are neither completed nor held.
         Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
         first one; None if nothing is."""
         sent = self._sent[batch_id]

@@ -183,7 +183,7 @@ def _refuse_rows(connection: Connection, name: str) -> None:
 
 
 def _make_anew(connection: Connection, name: str, revision: str) -> None:
-    """Empty tables at a backup's revision, in the place of empty ones of whatever revision."""
+    """Replaces empty tables of any revision by empty tables at a backup's revision."""
     if schema.revision_of(connection) is not None:
         for table in reversed(tables_of(connection)):
             table.drop(connection)

@@ -1,4 +1,4 @@
-"""Influence maps: where parameters matter, from expert knowledge or from an analysis."""
+"""Influence maps: influential ranges of parameters, from expert knowledge or from an analysis."""
 
 import uuid
 from collections.abc import Mapping

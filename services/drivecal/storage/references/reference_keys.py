@@ -193,12 +193,12 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 
 
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
-    """The earliest origin of each key that is there already."""
+    """Returns the earliest origin of each stored key."""
     return {key: min(place for _, place in stored.values()) for key, stored in _stored(connection, index, keys).items()}
 
 
 def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
-    """The numbers and origins of keys that are there already, by key and run."""
+    """Returns the numbers and origins of stored keys, by key and run."""
     origins: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
     query = (
         select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)

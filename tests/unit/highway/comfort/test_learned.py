@@ -163,7 +163,7 @@ def waves() -> str:
 PROGRAM = f"""
 import sys, numpy as np
 from drivecal.domain.scenarios import Manoeuvre
-from drivecal.plugins.ports import Series
+from drivecal.plugins.ports import Series, SeriesEvaluator
 from drivecal.highway.comfort.learned import LEARNED
 {inspect.getsource(waves)}
 LEARNED.version

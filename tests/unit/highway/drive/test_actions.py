@@ -11,6 +11,7 @@ import pytest
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.highway.drive import actions
 from drivecal.highway.drive.actions import Actions, EgoPlace
+from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
 FAR_AWAY = EgoPlace(0.0, 1.0)
@@ -60,7 +61,7 @@ class Sumo:
 @pytest.fixture
 def sumo(monkeypatch: pytest.MonkeyPatch) -> Sumo:
     recorded = Sumo()
-    monkeypatch.setattr(actions, "libsumo", recorded)
+    monkeypatch.setattr(actions, "sumo", recorded)
     return recorded
 
 
@@ -77,7 +78,7 @@ def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     for step in range(8):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
-    assert sumo.modes == [actions.FREE_BUT_SAFE, actions.FREE]
+    assert sumo.modes == [FREE_BUT_SAFE, FREE]
 
 
 def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
@@ -85,7 +86,7 @@ def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
     for step in range(6):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, -1]
-    assert sumo.modes == [actions.FREE_BUT_SAFE, actions.MODEL]
+    assert sumo.modes == [FREE_BUT_SAFE, MODEL]
     assert not these.pending
 
 
@@ -93,7 +94,7 @@ def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
 def test_a_gap_is_metres_of_the_way_and_not_of_the_line(sumo: Sumo, stretch: float, begins: bool) -> None:
     these = of({"do": "brake", "gap": 21})
     act(these, 0, EgoPlace(72.0, stretch))  # 28 m of the line between the centres; vehicles of 5 m
-    assert (actions.FREE_BUT_SAFE in sumo.modes) is begins
+    assert (FREE_BUT_SAFE in sumo.modes) is begins
 
 
 def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) -> None:

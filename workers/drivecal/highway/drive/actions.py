@@ -5,16 +5,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivecal.bundles.highway import Brake, CutIn, Drift, TrafficEntry
-from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
-
-try:
-    import libsumo
-except ImportError as error:
-    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
-
-FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
-"""SUMO's speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
+from drivecal.highway import sumo
+from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 
 class ActionError(DrivecalError):
@@ -22,7 +16,7 @@ class ActionError(DrivecalError):
 
 
 class EgoPlace(NamedTuple):
-    """Where the ego vehicle is: s of its centre (m), and metres of its way per metre of s."""
+    """Place of the ego vehicle: s of its centre (m), and metres of its way per metre of s."""
 
     s: float
     stretch: float
@@ -81,8 +75,8 @@ class Actions:
     def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
         """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
 
-        Vehicles that have left the network do nothing. Those that are due to cut in inside of a junction do so behind it, on the edge whose
-        lanes the scenario numbers.
+        Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
+        whose lanes the scenario numbers.
         """
         rows = {name: row for row, name in enumerate(names)}
         waiting: list[tuple[str, Brake | CutIn | Drift]] = []
@@ -92,7 +86,7 @@ class Actions:
             (due if is_due else waiting).append((name, action))
         self._waiting, self._late = waiting, []
         for name, action in due:
-            if isinstance(action, CutIn) and (name not in rows or libsumo.vehicle.getRoadID(name).startswith(":")):
+            if isinstance(action, CutIn) and (name not in rows or sumo.vehicle.getRoadID(name).startswith(":")):
                 self._late.append((name, action))
             else:
                 self._begin(name, action, time)
@@ -109,7 +103,7 @@ class Actions:
         return abs(s - ego.s) * ego.stretch - 0.5 * (length + self._vehicles[name].length) <= (action.gap or 0.0)
 
     def _begin(self, name: str, action: Brake | CutIn | Drift, time: float) -> None:
-        vehicle = libsumo.vehicle
+        vehicle = sumo.vehicle
         if isinstance(action, Brake):
             self._speeding[name] = _Speeding(action, vehicle.getSpeed(name))
             vehicle.setSpeedMode(name, FREE_BUT_SAFE)
@@ -119,7 +113,7 @@ class Actions:
             self._shifts[name] = _Shift(time, action.seconds, offset, action.offset - offset)
             return
         edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
-        count = libsumo.edge.getLaneNumber(edge)
+        count = sumo.edge.getLaneNumber(edge)
         if action.lane >= count:
             raise ActionError(
                 f"{name} cannot cut into lane {action.lane} of edge {edge} at {time:g} s, which has {count} lanes"
@@ -135,28 +129,28 @@ class Actions:
         if running.until is not None and time >= running.until - 1e-9:
             vehicle = self._vehicles[name]
             if vehicle.model != "constant":
-                libsumo.vehicle.setSpeedMode(name, MODEL)
-                libsumo.vehicle.setSpeed(name, -1)
+                sumo.vehicle.setSpeedMode(name, MODEL)
+                sumo.vehicle.setSpeed(name, -1)
                 del self._speeding[name]
                 return
-            libsumo.vehicle.setSpeedMode(name, FREE)
+            sumo.vehicle.setSpeedMode(name, FREE)
             running.brake, running.until = Brake(do="brake", speed=vehicle.speed, rate=running.brake.rate), None
         change, target = running.brake.rate * step, running.brake.speed
         speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
         running.speed = speed
-        libsumo.vehicle.setSpeed(name, speed)
+        sumo.vehicle.setSpeed(name, speed)
         if speed == target and running.until is None and running.brake.hold is not None:
             running.until = time + step + running.brake.hold
 
     def _shift(self, name: str, time: float) -> None:
         """Moves a vehicle sideways, and into the next lane when its centre crosses the marking, or after the junction."""
-        running, vehicle = self._shifts[name], libsumo.vehicle
+        running, vehicle = self._shifts[name], sumo.vehicle
         offset = running.at(time) - running.passed
         side = (running.steps > 0) - (running.steps < 0)
         if side:
             edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
             half = 0.5 * _width(edge, index)
-            if side * offset > half and not edge.startswith(":") and 0 <= index + side < libsumo.edge.getLaneNumber(edge):
+            if side * offset > half and not edge.startswith(":") and 0 <= index + side < sumo.edge.getLaneNumber(edge):
                 vehicle.moveTo(name, f"{edge}_{index + side}", vehicle.getLanePosition(name))
                 way = side * (half + 0.5 * _width(edge, index + side))
                 running.passed += way
@@ -168,5 +162,5 @@ class Actions:
 
 
 def _width(edge: str, lane: int) -> float:
-    width: float = libsumo.lane.getWidth(f"{edge}_{lane}")
+    width: float = sumo.lane.getWidth(f"{edge}_{lane}")
     return width

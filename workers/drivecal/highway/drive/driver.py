@@ -24,13 +24,16 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor
+    from drivecal.roads.levels import other_levels
     from drivecal.roads.network import network_file, read_network
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
     scenario = HighwayScenario.model_validate(settings["data"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
     network = folder / network_file(scenario.network)
-    road = HighwayRoad(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
+    roads = read_network(network.read_bytes(), scenario.network)
+    route = corridor(roads, scenario.route, scenario.network)
+    road = HighwayRoad(route, other_levels(roads, route))
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
