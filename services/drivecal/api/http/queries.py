@@ -75,6 +75,26 @@ class EvaluationsOf(TableOf):
     measures: bool = False
 
 
+class SummaryOf(Parameters):
+    """A front: of the campaign's own search, or with `everything` of all that is stored in its setups and space."""
+
+    everything: bool = False
+
+
+class FrontOf(TableOf, SummaryOf):
+    """A page of a front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
+
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+
+
+class TradeOffOf(SummaryOf):
+    """Two ranks of a front."""
+
+    first: Annotated[int, Field(ge=1)]
+    second: Annotated[int, Field(ge=1)]
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+
+
 class SubmissionOf(Parameters):
     """Options of a submission."""
 
@@ -89,6 +109,9 @@ FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
 EvaluationsQuery = Annotated[EvaluationsOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
+SummaryQuery = Annotated[SummaryOf, Query()]
+FrontQuery = Annotated[FrontOf, Query()]
+TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 

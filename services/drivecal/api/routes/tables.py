@@ -153,11 +153,11 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": _kinds(begun_with.space)}
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": kinds_of(begun_with.space)}
     return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 
-def _kinds(space: ParameterSpace) -> dict[str, Kind]:
+def kinds_of(space: ParameterSpace) -> dict[str, Kind]:
     """Returns the types of the parameters' columns."""
     return {parameter.name: "text" if parameter.choices else "number" for parameter in space.parameters}
 
@@ -178,7 +178,7 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
     begun_with = resolved_spec(campaign)
-    kinds = _kinds(begun_with.space)
+    kinds = kinds_of(begun_with.space)
     if rows:
         values = rows[0].parameters.floats
         kinds = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}

@@ -14,7 +14,8 @@ from drivecal.calibration_data.chosen import characteristics_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
-from drivecal.cli.views.output import print_json, print_solutions
+from drivecal.cli.views.front import print_front, print_trade_off
+from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
@@ -53,6 +54,46 @@ def solutions(
 
 
 @app.command()
+def front(
+    identifier: CampaignArgument,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; not named means weight 1."
+        ),
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--everything", help="Of all stored sets of the same setups and space, by whatever campaign.")
+    ] = False,
+    between: Annotated[
+        str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
+    ] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the sets of a campaign that no other set beats in every objective."""
+    ranks = None if between is None else _ranks(between)
+    with connect(url) as client:
+        campaign_id = client.full_id(identifier)
+        if ranks is not None:
+            print_answer(client.trade_off(campaign_id, *ranks, weights, everything=everything), as_json, print_trade_off)
+            return
+        rows = client.front(campaign_id, weights, everything=everything)
+        summary = client.front_summary(campaign_id, everything=everything)
+    if as_json:
+        print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
+    else:
+        print_front(rows, summary)
+
+
+def _ranks(text: str) -> tuple[int, int]:
+    parts = text.split(",")
+    if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
+        raise typer.BadParameter("give two ranks, e.g. --between 1,5")
+    return int(parts[0]), int(parts[1])
+
+
+@app.command()
 def export(
     identifier: CampaignArgument,
     table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
@@ -70,7 +111,10 @@ def export(
         ),
     ] = None,
     weights: Annotated[
-        str | None, typer.Option(metavar="S1=2,S2=1", help="Of the table solutions: ranked under these weights.")
+        str | None,
+        typer.Option(
+            metavar="S1=2,S2=1", help="Of the tables solutions (scenarios) and front (objectives): ranked by these weights."
+        ),
     ] = None,
     score: ScoreOption = None,
     measures: Annotated[
@@ -81,8 +125,10 @@ def export(
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row)."""
     form = "json" if as_json else form
-    if (weights is not None or score is not None) and table != "solutions":
-        raise typer.BadParameter("--weights and --score need --table solutions")
+    if weights is not None and table not in {"solutions", "front"}:
+        raise typer.BadParameter("--weights needs --table solutions or front")
+    if score is not None and table != "solutions":
+        raise typer.BadParameter("--score needs --table solutions")
     if measures and table != "evaluations":
         raise typer.BadParameter("--measures needs --table evaluations")
     given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
