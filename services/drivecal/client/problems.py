@@ -24,7 +24,7 @@ def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
 
 
 def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[str, ...]]:
-    """Returns manifest and archive as `read_bundle` does, and notes on its roads: what a conversion assumed or ignored."""
+    """Returns manifest and archive as `read_bundle` does, and notes: what is assumed or ignored of its files."""
     path = Path(folder)
     if not (path / MANIFEST).is_file():
         remedy = "drivecal problem init KIND NAME writes one" if path.is_dir() else "give the folder of a problem"
@@ -34,7 +34,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
     manifest = read_manifest(manifest_text(files), executables(files))
     if not isinstance(manifest.simulator, HighwaySimulator):
         return manifest, archive, ()
-    from drivecal.bundles.highway_roads import conversions, route_notes
+    from drivecal.bundles.highway_roads import conversions, scenario_notes
 
     try:
         networks, notes = conversions(manifest, files)
@@ -45,7 +45,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
         ) from error
     archive = with_files(archive, networks) if networks else archive
     files = files_of(archive)
-    return read_archived(files), archive, (*notes, *route_notes(manifest, files))
+    return read_archived(files), archive, (*notes, *scenario_notes(manifest, files))
 
 
 def manifest_of(archive: bytes) -> Manifest:

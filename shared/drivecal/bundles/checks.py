@@ -9,7 +9,7 @@ from typing import Any
 from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.highway import FmuController, HighwaySimulator, ProcessController, PythonController
-from drivecal.bundles.highway_checks import measures_problems, networks, scenarios_problems, simulator_problems
+from drivecal.bundles.highway_checks import files_named, measures_problems, scenarios_problems, simulator_problems
 from drivecal.bundles.manifest import (
     CommandSimulator,
     FmuSimulator,
@@ -287,7 +287,7 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
         yield from scenarios_problems(manifest.simulator.step, manifest.scenarios)
-        for field, path in networks(manifest.scenarios):
+        for field, path in files_named(manifest.scenarios):
             yield from _file(field, path, files)
 
 

@@ -15,7 +15,7 @@ from tests.support.opendrive_files import exit_ramp, two_way
 from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
 from drivecal.bundles.checks import checked
-from drivecal.bundles.highway_roads import check_roads, conversions, route_notes
+from drivecal.bundles.highway_roads import check_roads, conversions, scenario_notes
 from drivecal.client.problems import manifest_of, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads.corridor import Corridor, corridor
@@ -74,7 +74,7 @@ def fields(document: dict[str, Any], files: dict[str, BundleFile] | None = None)
 
 def test_a_scenario_that_fits_its_network_passes() -> None:
     check_roads(checked(MANIFEST), networks())
-    assert route_notes(checked(MANIFEST), networks()) == ()
+    assert scenario_notes(checked(MANIFEST), networks()) == ()
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_route_that_ends_before_the_drive_is_noted() -> None:
-    (note,) = route_notes(checked(changed("duration", 50.0)), networks())
+    (note,) = scenario_notes(checked(changed("duration", 50.0)), networks())
     assert "scenarios.merge" in note
 
 

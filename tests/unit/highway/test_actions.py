@@ -76,7 +76,7 @@ def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     for step in range(8):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
-    assert sumo.modes == [actions.FREE_BUT_SAFE, actions.FREE]
+    assert sumo.modes == [actions.FREE]
 
 
 def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:

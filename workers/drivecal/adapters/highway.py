@@ -31,7 +31,8 @@ class HighwayAdapter:
     ) -> ProcessSession:
         """Starts the child, which reads the network, loads SUMO and starts the controller."""
         folder, controller = folder.resolve(), section["controller"]
-        for name in (network_file(data["network"]), controller.get("file"), controller.get("wheels")):
+        network = network_file(data["network"]) if "network" in data else None
+        for name in (network, data.get("routes"), data.get("openscenario"), controller.get("file"), controller.get("wheels")):
             if name is not None and not (folder / name).exists():
                 raise UnavailableError(f"{name} does not exist in the bundle")
         for package in ("libsumo", "numba", *(["fmpy"] if controller["kind"] == "fmu" else [])):

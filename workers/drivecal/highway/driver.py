@@ -15,7 +15,8 @@ from drivecal.adapters.driver import Evaluate, serve
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller."""
-    from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, VehicleEntry
+    from drivecal.bundles.highway import HighwaySimulator, VehicleEntry
+    from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.controllers import controller
     from drivecal.highway.loop import Loop
     from drivecal.highway.measures import measures, series
@@ -27,8 +28,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.vehicle.parameters import TABLE_8, SingleTrackParameters
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
-    scenario = HighwayScenario.model_validate(settings["data"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
+    scenario = described_in(folder, settings["data"], simulator.step)
     network = folder / network_file(scenario.network)
     road = HighwayRoad(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}

@@ -58,7 +58,8 @@ class Traffic:
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
         field = f"scenarios.{name}"
         ego = scenario.ego
-        self.start_s, self.start_d = _centre(road, ego, f"{field}.ego")
+        self.start_s, start_d = _centre(road, ego, f"{field}.ego")
+        self.start_d = start_d + ego.offset
         route_file = folder / "traffic.rou.xml"
         try:
             route_file.write_bytes(routes_file(scenario))
@@ -70,15 +71,15 @@ class Traffic:
             libsumo.start(["sumo", *self._options])
             self._loaded = True
             self._places = [
-                (key, *_front(road, vehicle, vehicle.length, f"{field}.traffic[{index}]"), vehicle.speed)
+                (key, *_front(road, vehicle, vehicle.length, f"{field}.traffic[{index}]"), vehicle.speed, vehicle.offset)
                 for index, (key, vehicle) in enumerate(vehicles.items())
             ]
-            self._places.append((EGO, *_front(road, ego, ego.length, f"{field}.ego"), ego.speed))
+            self._places.append((EGO, *_front(road, ego, ego.length, f"{field}.ego"), ego.speed, 0.0))
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
-        self._actions = Actions(vehicles)
+        self._actions = Actions(vehicles, road.lateral)
         curvature = geometry.point(road.line, self.start_s)[3]
-        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
+        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
         """Where the ego vehicle was when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
@@ -99,10 +100,12 @@ class Traffic:
             else:
                 for name in vehicle.getLoadedIDList():
                     vehicle.remove(name)
-            for name, lane, position, speed in self._places:
+            for name, lane, position, speed, offset in self._places:
                 vehicle.add(name, route_id(name), typeID=name)
                 vehicle.moveTo(name, lane, position)
                 vehicle.setPreviousSpeed(name, speed)
+                if offset:
+                    vehicle.setLateralLanePosition(name, offset)
             vehicle.setLaneChangeMode(EGO, 0)
             vehicle.setSpeedMode(EGO, FREE)
             missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
@@ -130,7 +133,7 @@ class Traffic:
         try:
             if self._actions.pending:
                 self._actions.act(time, self._step, self.names, self.others, self._ego, self._scenario.ego.length)
-            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH))
+            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH), speed, motion.item(geometry.D))
             self._guide(index, motion, front, speed)
             STEP()
             if DEPARTED() or ARRIVED():
