@@ -40,7 +40,7 @@ bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .dri
 	@$(BIN)/python tests/benchmarks/run.py
 
 train: $(INSTALLED) ## train the hybrid vehicle and the learned comfort evaluator anew, with the tables of their model cards (minutes)
-	@$(BIN)/python -m drivecal.training
+	@$(BIN)/python -m drivecal.highway.training
 
 page: $(INSTALLED) ## build the page in the browser anew, where its sources changed; the server shows it at once
 	@$(BIN)/python services/web/build_hook.py
@@ -53,7 +53,7 @@ lock: $(INSTALLED) ## write deploy/requirements.lock anew from pyproject.toml (n
 	@deploy/lock.sh --upgrade
 
 networks: $(INSTALLED) ## rebuild the scenarios' SUMO networks with netconvert
-	@$(BIN)/python -m drivecal.scenarios.build
+	@$(BIN)/python -m drivecal.highway.scenarios.build
 
 clean: ## remove the environment, caches and the results of demo and bench; your own database stays
 	rm -rf .venv .drivecal/demo .drivecal/bench .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -27,20 +27,25 @@ sys.exit(lint_imports(config_filename=config, no_cache=True, no_logo=True))
 
 PLANTED = {
     "The coordinator's imports point down": ("services/drivecal/storage", "import drivecal.campaigns"),
-    "The workers' imports point down": ("workers/drivecal/comfort", "import drivecal.episode"),
-    "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.vehicle.single_track"),
+    "The workers' imports point down": ("workers/drivecal/adapters", "import drivecal.runtime"),
+    "Only entry points and child processes lead to the motorway": (
+        "workers/drivecal/runtime",
+        "import drivecal.highway.episode.certified",
+    ),
+    "The motorway's imports point down": ("workers/drivecal/highway/comfort", "import drivecal.highway.episode"),
+    "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.highway.vehicle.single_track"),
     "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
-    "Only the simulations of traffic speak to SUMO": ("workers/drivecal/episode", "import libsumo"),
+    "Only the motorway speaks to SUMO": ("workers/drivecal/runtime", "import libsumo"),
     "The adapters import no simulator": (
         "workers/drivecal/adapters",
         "import numba",
     ),
     "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
-    "Only drivecal.training needs the multi-body model": ("workers/drivecal/vehicle", "import vehiclemodels"),
-    "Only the forests and drivecal.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
+    "Only drivecal.highway.training needs the multi-body model": ("workers/drivecal/highway/vehicle", "import vehiclemodels"),
+    "Only the forests and drivecal.highway.training learn by scikit-learn": ("services/drivecal/sensitivity", "import sklearn"),
     "No database and no web server beside the simulation": (
-        "workers/drivecal/planner",
+        "workers/drivecal/highway/planner",
         "def late():\n    import sqlalchemy.orm",
     ),
     "No simulator and no compiler in the coordinator": ("services/drivecal/api", "from numba import njit"),

@@ -22,7 +22,7 @@ from drivecal.client.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
-from drivecal.planner.spaces import RANGES
+from drivecal.highway.planner.spaces import RANGES
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("*/README.md")])

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 from drivecal.domain.parameters import Parameter
-from drivecal.episode.runner import EpisodeRunner
+from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 SCENARIOS = ("S1", "S2", "S3", "S4", "S5", "S6")

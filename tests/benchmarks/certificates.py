@@ -28,8 +28,6 @@ from unittest.mock import patch
 
 import numpy as np
 
-from drivecal.certification.memory import Memory
-from drivecal.certification.recording import DecisionRecord
 from drivecal.contracts.work import Batch, Cell, DriveRequest, SetupKey
 from drivecal.domain.evaluations import RunResult
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
@@ -37,6 +35,7 @@ from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling import scheduler
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.in_flight import Work
+from drivecal.highway.certification.recording import DecisionRecord
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.runners import make_runner
@@ -127,10 +126,10 @@ class PretendedBackend:
         self.tally = Tally(mode, workers)
 
     def _worker(self, name: str) -> Worker:
-        memory = Memory(MEGABYTES)
+        session = registry.simulator("highway").open(MEGABYTES)
 
         def make(request: DriveRequest) -> Any:
-            runner: Any = make_runner(request, memory)
+            runner: Any = make_runner(request, session)
             runner.episode.run = partial(replayed, self._runs, request.scenario, runner.episode.run)
             return runner
 

@@ -26,8 +26,8 @@ from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.inventory import WorkerAnswer
 from drivecal.domain.campaigns import StageName
-from drivecal.planner.candidates import lateral_ends, longitudinal_ends
-from drivecal.planner.planner import PERIOD
+from drivecal.highway.planner.candidates import lateral_ends, longitudinal_ends
+from drivecal.highway.planner.planner import PERIOD
 from drivecal.storage.engine.types import STAGES
 
 HOME = Path(".drivecal/bench/certified").absolute()

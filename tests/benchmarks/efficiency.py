@@ -33,7 +33,7 @@ from tests.benchmarks._spinning import cost as spinning_cost
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
-from drivecal.episode.runner import EpisodeRunner
+from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 HOME = Path(".drivecal/bench/efficiency")

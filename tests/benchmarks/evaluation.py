@@ -19,16 +19,16 @@ import libsumo
 import numpy as np
 from scipy.stats import qmc
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.scenarios import Scenario
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.traffic import simulation as traffic
+from drivecal.highway.traffic.configuration import EGO
+from drivecal.highway.traffic.simulation import simulation
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.traffic import simulation as traffic
-from drivecal.traffic.configuration import EGO
-from drivecal.traffic.simulation import simulation
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/evaluation.json")
 AT_MOST = 4.0

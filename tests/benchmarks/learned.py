@@ -25,14 +25,14 @@ from drivecal.cli.commands.demo.command import CAMPAIGN
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
-from drivecal.comfort.learned import LEARNED
-from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.campaign import Campaign
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.hybrid import HYBRID
-from drivecal.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.comfort.learned import LEARNED
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.hybrid import HYBRID
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 
 HOME = Path(".drivecal/bench/learned")
 TARGET = Path(".drivecal/bench/learned.json")

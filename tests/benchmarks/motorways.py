@@ -54,8 +54,8 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
     """Milliseconds of a run, of bare stepping and of a reset; microseconds of a step of the controller."""
     import libsumo
 
-    from drivecal.highway import driver, loop
-    from drivecal.highway.routes import EGO
+    from drivecal.highway.drive import driver, loop
+    from drivecal.highway.drive.routes import EGO
 
     made: list[loop.Loop] = []
 

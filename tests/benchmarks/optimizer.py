@@ -24,14 +24,14 @@ import numpy as np
 from scipy import stats
 from tests.support.values import numbers
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
-from drivecal.episode.runner import EpisodeRunner
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.optimizers.built_in import GENETIC, RANDOM, GeneticSettings
-from drivecal.planner.frenet import FRENET
 from drivecal.plugins.ports import Optimizer, OptimizerPlugin
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/optimizer.json")
 SPACE = ParameterSpace(FRENET.spaces["highway"])

@@ -19,11 +19,11 @@ from typing import Any
 import libsumo
 from tests.benchmarks.evaluation import latin_hypercube, record, runner_of
 
-import drivecal.traffic.simulation
+import drivecal.highway.traffic.simulation
 from drivecal.domain.scenarios import Scenario
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.traffic.configuration import EGO
-from drivecal.traffic.simulation import MAPPED_ANYWHERE, MAPPED_WITHIN, simulation
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.traffic.configuration import EGO
+from drivecal.highway.traffic.simulation import MAPPED_ANYWHERE, MAPPED_WITHIN, simulation
 
 TARGET = Path(".drivecal/bench/prefix.json")
 State = tuple[tuple[float, float], float]
@@ -44,7 +44,7 @@ def drive(scenario: Scenario, poses: list[tuple[int, list[float], Any]]) -> list
 def compare(scenario: Scenario, folder: Path) -> dict[str, float]:
     """One scenario: how many of the values after the middle differ, the largest difference (m), milliseconds."""
     kept = SimpleNamespace(TemporaryDirectory=lambda: nullcontext(folder))  # a state names its files, which have to stay
-    vars(drivecal.traffic.simulation)["tempfile"] = kept
+    vars(drivecal.highway.traffic.simulation)["tempfile"] = kept
     simulation()._scenario = None
     runner = runner_of(scenario)
     poses = record(runner, latin_hypercube(1, seed=1)[0]).advanced

@@ -23,12 +23,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import qmc
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.evaluations import Failure, RunResult
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]

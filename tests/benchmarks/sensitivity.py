@@ -29,19 +29,19 @@ import numpy as np
 import numpy.typing as npt
 from tests.support.values import numbers
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, text
-from drivecal.planner.frenet import FRENET
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
-from drivecal.scenarios.highway import HIGHWAY
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.effects import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 TARGET = Path(".drivecal/bench/sensitivity.json")
 SPACE = ParameterSpace(FRENET.spaces["highway"])

@@ -1,5 +1,5 @@
 """What the multi-body vehicle did in the manoeuvres that the hybrid vehicle's card is measured on: driving them again takes far too long
-for a test. After a change of `drivecal.training.multibody` or of the manoeuvres: `python tests/golden/held_out.py`.
+for a test. After a change of `drivecal.highway.training.multibody` or of the manoeuvres: `python tests/golden/held_out.py`.
 
 Whole numbers of the units below, as second differences over time, which take little room. What that rounds away is a hundredth of the
 last digit of the card.
@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.highway.training import vehicle, vehicle_card
+from drivecal.highway.training.drives import BEGIN, STEPS, Drives
+from drivecal.highway.training.multibody import Recording
 from drivecal.plugins.ports import Floats
-from drivecal.training import vehicle, vehicle_card
-from drivecal.training.drives import BEGIN, STEPS, Drives
-from drivecal.training.multibody import Recording
 
 FILE = Path(__file__).with_name("held_out.npz")
 UNITS = {

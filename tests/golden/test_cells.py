@@ -18,12 +18,12 @@ from typing import Any
 
 import pytest
 
-from drivecal.comfort.reference import REFERENCE
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.setups import simulator
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {

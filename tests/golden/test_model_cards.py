@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from tests.golden import held_out
 
-from drivecal.comfort import regression_arrays
-from drivecal.training import comfort, comfort_card, multibody, vehicle, vehicle_card
-from drivecal.training.drives import Drives
-from drivecal.training.manoeuvres import TRAINED, UNSEEN, draw
-from drivecal.training.tables import read_table
-from drivecal.vehicle import residual
+from drivecal.highway.comfort import regression_arrays
+from drivecal.highway.training import comfort, comfort_card, multibody, vehicle, vehicle_card
+from drivecal.highway.training.drives import Drives
+from drivecal.highway.training.manoeuvres import TRAINED, UNSEEN, draw
+from drivecal.highway.training.tables import read_table
+from drivecal.highway.vehicle import residual
 
 VEHICLE_CARD = residual.FILE.with_suffix(".md")
 COMFORT_CARD = regression_arrays.FILE.with_suffix(".md")

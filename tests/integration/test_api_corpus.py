@@ -180,7 +180,7 @@ NAMES = [
         "/etc/passwd",
         "os.system",
         "os:system",
-        "drivecal.planner.frenet:FRENET",
+        "drivecal.highway.planner.frenet:FRENET",
         "frenet/../frenet",
         "frenet\0",
         "http://x/y",

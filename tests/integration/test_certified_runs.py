@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivecal.certification.memory import Memory
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.evaluations import RunResult
-from drivecal.episode.certified import CertifiedRunner
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
-from drivecal.planner.spaces import HIGHWAY as SPACE
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle.single_track import SINGLE_TRACK
+from drivecal.highway.certification.memory import Memory
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.certified import CertifiedRunner
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.spaces import HIGHWAY as SPACE
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 
 NOMINAL = {one.name: one.nominal for one in SINGLE_TRACK.parameters}
 GRIDS = [[float(parameter.value(index)) for index in range(parameter.n_values)] for parameter in SPACE]

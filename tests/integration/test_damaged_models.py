@@ -10,12 +10,12 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, dispatcher, get, submit
 from tests.support.server import serving
 
-from drivecal.comfort import learned, regression_arrays
-from drivecal.comfort.learned import LEARNED
 from drivecal.domain.campaigns import CampaignState
+from drivecal.highway.comfort import learned, regression_arrays
+from drivecal.highway.comfort.learned import LEARNED
+from drivecal.highway.vehicle import hybrid, residual
+from drivecal.highway.vehicle.hybrid import HYBRID
 from drivecal.storage.engine.database import Database
-from drivecal.vehicle import hybrid, residual
-from drivecal.vehicle.hybrid import HYBRID
 
 CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}

@@ -6,21 +6,21 @@ from dataclasses import replace
 
 import pytest
 
-from drivecal.comfort import learned
-from drivecal.comfort.learned import LEARNED
-from drivecal.comfort.reference import REFERENCE
 from drivecal.contracts.work import Batch, Cell, DriveRequest
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.planner.frenet import FRENET
+from drivecal.highway.comfort import learned
+from drivecal.highway.comfort.learned import LEARNED
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.vehicle import hybrid
+from drivecal.highway.vehicle.hybrid import HYBRID
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.plugins.ports import Evaluator, Vehicle
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.vehicle import hybrid
-from drivecal.vehicle.hybrid import HYBRID
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 CALM = [11.0, 0.04, 174, 1692, 153, 0.67, 73, 195, 5.8, 9.9, 164]
 HASTY = [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87]

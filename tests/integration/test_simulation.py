@@ -13,18 +13,18 @@ import libsumo
 import numpy as np
 import pytest
 
-from drivecal.comfort.reference import REFERENCE
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
-from drivecal.episode.loop import ClosedLoop
-from drivecal.episode.runner import EpisodeRunner
-from drivecal.episode.trace import EGO_COLUMNS
+from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode.loop import ClosedLoop
+from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.episode.trace import EGO_COLUMNS
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.traffic.simulation import SimulationError, simulation
+from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
-from drivecal.scenarios.highway import HIGHWAY
-from drivecal.traffic.simulation import SimulationError, simulation
-from drivecal.vehicle.single_track import SINGLE_TRACK
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -297,7 +297,7 @@ def test_a_step_that_does_not_fit_the_vehicle_s_sample_time_is_refused() -> None
 
 
 def test_without_libsumo_nothing_runs() -> None:
-    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.episode.runner"
+    code = "import sys; sys.modules['libsumo'] = None\nimport drivecal.highway.episode.runner"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "install libsumo" in done.stderr

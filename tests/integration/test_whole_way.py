@@ -18,7 +18,7 @@ from tests.support.serve import serving
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.domain.evaluations import Failure
-from drivecal.episode.runner import EpisodeRunner
+from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
 OPTIMIZER = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}

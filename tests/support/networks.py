@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 
 import sumo
 
+from drivecal.highway.scenarios.build import without_origin
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Network, read_network
-from drivecal.scenarios.build import without_origin
 
 GAMES = Path(sumo.__file__).parent / "tools" / "game"
 REAL: dict[str, tuple[str, tuple[str, ...]]] = {

@@ -11,8 +11,8 @@ ROOTS = tuple(PROJECT / name / "drivecal" for name in ("shared", "services", "wo
 
 
 def packages(root: Path) -> set[str]:
-    """The import names of a root's packages, e.g. `drivecal.planner`."""
-    return {f"drivecal.{folder.name}" for folder in root.iterdir() if folder.is_dir() and folder.name != "__pycache__"}
+    """The import names of a root's packages, e.g. `drivecal.runtime`. Moved packages leave folders with compiled files only behind."""
+    return {f"drivecal.{folder.name}" for folder in root.iterdir() if next(folder.rglob("*.py"), None)}
 
 
 def modules() -> list[Path]:

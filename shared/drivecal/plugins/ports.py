@@ -57,7 +57,7 @@ class CertifiablePlanner(Planner, Protocol):
 
     It chooses the candidate of lowest cost. Costs are linear in weights that depend on the parameters alone, over features that do not
     depend on the parameters. Nothing else in the planner may depend on them. A run is then determined by its decisions, and
-    `drivecal.certification` proves from stored decisions how another parameter set would drive.
+    `drivecal.highway.certification` proves from stored decisions how another parameter set would drive.
     """
 
     @property
@@ -90,7 +90,7 @@ class CertifiablePlanner(Planner, Protocol):
 
         Candidates: shape (n,), ascending. Values, from which costs are computed: shape (n, n_values), without negative zeros. `infeasible`,
         shape (n_candidates,): candidates known to be infeasible, which exclude no other candidate.
-        `drivecal.certification.kernels.contenders` implements this for linear costs.
+        `drivecal.highway.certification.kernels.contenders` implements this for linear costs.
         """
 
     @property
@@ -102,7 +102,7 @@ class CertifiablePlanner(Planner, Protocol):
         """Candidate that the last plan or decision chose."""
 
     def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
-        """Repeats the decisions of `plan` with these parameters along `drivecal.certification.nodes.Nodes`, beginning at `node`.
+        """Repeats the decisions of `plan` with these parameters along `drivecal.highway.certification.nodes.Nodes`, beginning at `node`.
 
         Each decision takes the cheapest candidate that is not known to be infeasible, or the cheapest of all if all are. Returns the last
         node: it has a leaf, is not described, or its choice was never driven. Returns -1 for parameters outside the range of `contenders`.

@@ -13,12 +13,14 @@ from typing import Any, cast
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
+from drivecal.plugins.runners import DriveSimulator
 
 CATALOGUES = "drivecal.scenarios"
 DRIVING_FUNCTIONS = "drivecal.driving_functions"
 VEHICLES = "drivecal.vehicles"
 EVALUATORS = "drivecal.evaluators"
 OPTIMIZERS = "drivecal.optimizers"
+SIMULATORS = "drivecal.simulators"
 
 KINDS: Mapping[str, str] = {
     CATALOGUES: "scenario catalogue",
@@ -26,6 +28,7 @@ KINDS: Mapping[str, str] = {
     VEHICLES: "vehicle model",
     EVALUATORS: "evaluator",
     OPTIMIZERS: "optimizer",
+    SIMULATORS: "simulator",
 }
 """Words for a plug-in, by entry point group."""
 
@@ -35,6 +38,7 @@ _READ: Mapping[str, Callable[[Any], object]] = {
     VEHICLES: lambda plugin: (plugin.name, list(plugin.parameters)),
     EVALUATORS: lambda plugin: plugin.name,
     OPTIMIZERS: lambda plugin: (plugin.name, plugin.settings.model_fields),
+    SIMULATORS: lambda plugin: plugin.name,
 }
 """Reads what lists and campaigns need of a plug-in."""
 _LONGEST = 300
@@ -158,6 +162,11 @@ def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
 def optimizers() -> list[OptimizerPlugin]:
     """Returns all installed optimizers that can be used."""
     return _usable(OPTIMIZERS)
+
+
+def simulator(name: str, field: str = "simulator") -> DriveSimulator:
+    """Returns a simulator of driving functions by name. Raises InvalidInputError listing the installed names."""
+    return cast("DriveSimulator", _find(SIMULATORS, name, field))
 
 
 def catalogue(name: str, field: str = "catalogue") -> Catalogue:

@@ -9,7 +9,7 @@ from drivecal.domain.setups import DrivenSetup
 from drivecal.plugins.ports import DrivingFunction, Vehicle
 
 CLOSED_LOOP = "1"
-"""Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.traffic`, `.episode`, `.comfort.metrics`).
+"""Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.highway`).
 
 Increase it whenever a run may change by a bit; `tests/golden` detects such changes.
 """

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.plugins import ports
+from drivecal.plugins import ports, runners
 
 PORTS: dict[str, type] = {
     "drivecal.driving_functions": ports.DrivingFunction,
@@ -19,6 +19,7 @@ PORTS: dict[str, type] = {
     "drivecal.evaluators": ports.Evaluator,
     "drivecal.optimizers": ports.DeclaringOptimizerPlugin,
     "drivecal.scenarios": ports.Catalogue,
+    "drivecal.simulators": runners.DriveSimulator,
 }
 
 

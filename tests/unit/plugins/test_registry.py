@@ -19,6 +19,7 @@ BUILT_IN = {
     "drivecal.evaluators": ["reference"],
     "drivecal.optimizers": ["genetic", "random"],
     "drivecal.scenarios": ["highway"],
+    "drivecal.simulators": ["highway"],
 }
 
 
@@ -39,6 +40,7 @@ def test_an_unknown_group_is_empty() -> None:
         (registry.evaluator, "evaluator", "reference"),
         (registry.optimizer, "optimizer.kind", "genetic"),
         (registry.catalogue, "catalogue", "highway"),
+        (registry.simulator, "simulator", "highway"),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str], object], field: str, installed: str) -> None:

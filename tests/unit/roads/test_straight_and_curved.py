@@ -9,11 +9,11 @@ import pytest
 
 from drivecal.domain.roads import pose_on, project, reference_line, to_cartesian
 from drivecal.domain.scenarios import Road
+from drivecal.highway.scenarios.build import NETWORKS
+from drivecal.highway.scenarios.definitions import DEFINITIONS
+from drivecal.highway.scenarios.highway import network_name
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import read_network
-from drivecal.scenarios.build import NETWORKS
-from drivecal.scenarios.definitions import DEFINITIONS
-from drivecal.scenarios.highway import network_name
 
 NEAR = 0.1
 """Metres."""

@@ -11,14 +11,15 @@ from typing import Any
 
 import pytest
 
-from drivecal.certification.nodes import Nodes
 from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
+from drivecal.highway.certification.nodes import Nodes
 from drivecal.plugins import registry
+from drivecal.plugins.runners import TimeSeries
 from drivecal.plugins.setups import setup_of, simulator
 from drivecal.runtime import compilation
-from drivecal.runtime.runners import RefusedError, TimeSeries
+from drivecal.runtime.runners import RefusedError
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = DriveRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")

@@ -59,7 +59,7 @@ class HighwayAdapter:
         }
         file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
         file.write_text(json.dumps(settings, allow_nan=False))
-        launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.driver", str(file)], section)
+        launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)], section)
         most_runs = MOST_FMU_RUNS if controller["kind"] == "fmu" else MOST_RUNS
         return ProcessSession(
             launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs

@@ -1,1 +1,1 @@
-"""Simulator `highway`: a vehicle with a user's controller in SUMO's traffic on a road network. Runs in a child process, see `driver`."""
+"""Everything of the motorway: the built-in problem, and the child process of the simulator kind `highway`. Nothing else imports it."""

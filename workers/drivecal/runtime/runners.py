@@ -1,17 +1,12 @@
 """Creation of runners from requests, with plug-ins of the registry and a check of their versions by the run fingerprint."""
 
-from collections.abc import Sequence
-from importlib import import_module
-from typing import Any, Protocol
-
-from drivecal.certification.memory import Memory
-from drivecal.contracts.work import DriveRequest, RecordedRun
+from drivecal.contracts.work import DriveRequest
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem, UnavailableError
-from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
+from drivecal.plugins.runners import DriveSession, Runner
 from drivecal.plugins.setups import setup_of
 
 
@@ -19,68 +14,27 @@ class RefusedError(DrivecalError):
     """This worker cannot run a setup with any parameters, because of its installation."""
 
 
-class TimeSeries(Protocol):
-    """Time series of a run."""
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns plain data."""
-
-
-class Runner(Protocol):
-    """Simulates and rates parameter sets in one setup."""
-
-    @property
-    def parameters(self) -> Sequence[str]:
-        """Names of the driving function's parameters in the order of `run`."""
-
-    def run(self, parameters: Sequence[float]) -> RunResult:
-        """Simulates and rates one parameter set."""
-
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
-        """Returns the result of `run`, without simulation if it would provably repeat an earlier run.
-
-        A simulated run is recorded under `number`. `check`: simulate in any case.
-        """
-
-    def prove(self, parameters: Sequence[float]) -> int | None:
-        """Returns the number of the run that these parameters would provably repeat, or None. Simulates nothing."""
-
-    def trace(self, parameters: Sequence[float]) -> TimeSeries:
-        """Runs the same simulation and returns its time series."""
-
-    def learn(self, known: Sequence[RecordedRun]) -> None:
-        """Records runs of other workers, and from now on keeps its own for `recorded`."""
-
-    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
-        """Returns runs recorded since `learn`, best rating first."""
-
-    def take_over(self, interrupted: Any) -> None:
-        """Takes the recorded runs of a runner of the same setup that an exception interrupted, unless it interrupted their recording."""
-
-
-def make_runner(request: DriveRequest, memory: Memory) -> Runner:
-    """Creates the runner of a setup. `memory`: limits the decisions recorded for certificates.
+def make_runner(request: DriveRequest, session: DriveSession) -> Runner:
+    """Creates the runner of a setup.
 
     Raises RefusedError if a plug-in or the simulator is unusable, lacks shipped files, or differs in version from the coordinator's, whose
     results must not mix with others. Other exceptions from the creation of plug-ins propagate, because every worker would raise them.
     """
     try:
-        installed = _find(request)
+        installed = _find(request, session)
     except DrivecalError as error:
         raise RefusedError(str(error)) from error
     except Exception as error:  # a badly installed package may raise any exception
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     try:
-        from drivecal.episode.certified import CertifiedRunner  # libsumo and numba, in workers only
-
         scenario, function, vehicle, evaluator = installed
-        return CertifiedRunner(scenario, function, vehicle.create(request.vehicle_parameters), evaluator, memory)
+        return session.runner(scenario, function, vehicle, request.vehicle_parameters, evaluator)
     except UnavailableError as error:
         raise RefusedError(str(error)) from error
 
 
-def _find(request: DriveRequest) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
-    import_module("drivecal.episode.runner")  # raises UnavailableError without a simulator
+def _find(request: DriveRequest, session: DriveSession) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
+    session.load()
     catalogue = registry.catalogue(request.catalogue)
     if request.scenario not in catalogue.scenarios:
         remedy = f"it has {', '.join(catalogue.scenarios)}"

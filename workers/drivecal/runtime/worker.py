@@ -13,14 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivecal.certification.memory import Memory
 from drivecal.contracts.work import (
     Batch,
     BatchResult,
     BundleRequest,
     Cell,
     CellResult,
-    CertificateMemory,
     DriveRequest,
     Probe,
     RecordedRun,
@@ -28,11 +26,13 @@ from drivecal.contracts.work import (
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
+from drivecal.plugins import registry
+from drivecal.plugins.runners import Runner
 from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.results import compressed, milliseconds_since
-from drivecal.runtime.runners import RefusedError, Runner, make_runner
+from drivecal.runtime.runners import RefusedError, make_runner
 from drivecal.runtime.tools import OtherToolsError
 
 log = logging.getLogger(__name__)
@@ -67,8 +67,8 @@ class Worker:
         `bundles`: runs problem bundles, by default with the adapters.
         """
         self._name = name
-        self._memory = Memory(certificates_mb)
-        self._make = make or partial(make_runner, memory=self._memory)
+        self._drives = registry.simulator("highway").open(certificates_mb)
+        self._make = make or partial(make_runner, session=self._drives)
         self._bundles = bundles or BundleSessions(BundleCache(cache_folder()))
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
         self._interrupted: set[tuple[object, ...]] = set()
@@ -111,9 +111,8 @@ class Worker:
             refusal = describe(error)
         runner = self._runners.get(batch.setup.key) if batch.share else None
         learned = () if runner is None else runner.recorded(batch.share)
-        seconds, memory = time.perf_counter() - start, self._memory
-        remembered = CertificateMemory(memory.states, memory.bytes, memory.limit)
-        return BatchResult(self._name, results, seconds, refusal, remembered, learned, tools)
+        seconds = time.perf_counter() - start
+        return BatchResult(self._name, results, seconds, refusal, self._drives.remembered, learned, tools)
 
     def _run_all(self, batch: Batch) -> tuple[CellResult, ...]:
         setup = batch.setup

@@ -10,7 +10,7 @@ from drivecal.bundles.highway import Declared, HighwayScenario, OpenScenario
 from drivecal.bundles.highway_checks import declared_scenario
 from drivecal.bundles.traffic.elements import refusal
 from drivecal.bundles.traffic.entities import Files
-from drivecal.bundles.traffic.entries import Entry, Names
+from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.openscenario import ScenarioFile
 from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.route_files import RouteFile
@@ -55,7 +55,7 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
     """
     if isinstance(scenario, HighwayScenario) and scenario.routes is None:
         return Description(scenario)
-    names = Names([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
+    names = VehicleNames([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
     document = scenario.model_dump(exclude_none=True, exclude={"routes", "openscenario", "parameters", "ego"})
     entries: list[tuple[str, Entry]] = []
     notes: tuple[str, ...] = ()

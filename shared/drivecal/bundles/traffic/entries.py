@@ -19,7 +19,7 @@ class Entry(NamedTuple):
     element: Element
 
 
-class Names:
+class VehicleNames:
     """Ids of vehicles: names of files as they are, if they are ids, each only once."""
 
     def __init__(self, taken: Iterable[str | None]) -> None:

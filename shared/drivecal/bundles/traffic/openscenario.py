@@ -13,9 +13,9 @@ from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
 from drivecal.bundles.traffic.elements import Element, Notes, read_tree
 from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
-from drivecal.bundles.traffic.entries import Entry, Names
+from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.parameters import declare, substituted
-from drivecal.bundles.traffic.places import Map, Place
+from drivecal.bundles.traffic.places import FilePlace, Map
 from drivecal.bundles.traffic.routes import along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.contracts.input_errors import nearest
@@ -35,7 +35,7 @@ SHORTEST = 1_000.0
 class _Start:
     """Start of an entity: the place of its centre, and its speed (m/s)."""
 
-    place: Place
+    place: FilePlace
     speed: float
 
 
@@ -65,7 +65,7 @@ class ScenarioFile:
             raise self._root.only("RoadNetwork").fault("it names no road", "give `network` in the scenario")
         return bundle_path(self.name, logic.text("filepath"), logic)
 
-    def described(self, roads: Map, corridor_of: Any, step: float, names: Names) -> tuple[dict[str, Any], list[Entry]]:
+    def described(self, roads: Map, corridor_of: Any, step: float, names: VehicleNames) -> tuple[dict[str, Any], list[Entry]]:
         """Returns network, route, duration and ego vehicle as a document, and the other vehicles.
 
         `corridor_of`: returns the corridor of a route; `step`: the simulator's (s). Raises InvalidInputError.
@@ -139,7 +139,7 @@ class ScenarioFile:
     def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map) -> dict[str, _Start]:
         """Returns the starts of the entities that have one, in the order of <Init>."""
         starts: dict[str, _Start] = {}
-        places: dict[str, Place] = {}
+        places: dict[str, FilePlace] = {}
         sections = init.only("Actions")
         for section in sections.every("GlobalAction"):
             ignore_global(section, self._notes)
@@ -155,12 +155,12 @@ class ScenarioFile:
                 self._init(kind, name, entities, starts, roads)
         return starts
 
-    def _centre(self, place: Place, entity: Entity, roads: Map, element: Element) -> Place:
+    def _centre(self, place: FilePlace, entity: Entity, roads: Map, element: Element) -> FilePlace:
         """Returns the place of an entity's centre: positions mean another point, e.g. that of the rear axle."""
         if entity.centre == 0.0:
             return place
         moved = roads.moved(place, entity.centre, element)
-        return Place(moved.edge, moved.index, moved.position, place.offset)
+        return FilePlace(moved.edge, moved.index, moved.position, place.offset)
 
     def _init(self, kind: Element, name: str, entities: Mapping[str, Entity], starts: dict[str, _Start], roads: Map) -> None:
         """Takes an action of <Init> other than the place."""
@@ -193,7 +193,7 @@ class ScenarioFile:
 
     def _spaced(
         self, action: Element, name: str, entities: Mapping[str, Entity], starts: Mapping[str, _Start], roads: Map
-    ) -> Place:
+    ) -> FilePlace:
         """Returns the place at a distance to another entity: before it, or behind it."""
         other = action.text("entityRef")
         if other not in starts or action.decides("continuous", "false"):
@@ -212,7 +212,7 @@ class ScenarioFile:
         shift = mine.index - starts[other].place.index if mine.edge == starts[other].place.edge else 0
         if not 0 <= moved.index + shift < len(lanes):
             raise action.fault("there is no lane at this distance", "give another distance")
-        return Place(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
+        return FilePlace(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
 
     def _route(self, starts: Mapping[str, _Start], ego: Entity, roads: Map, duration: float) -> list[str]:
         """Returns the route along the road of the ego vehicle, from the farthest vehicle behind it on."""

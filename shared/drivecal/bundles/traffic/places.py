@@ -24,7 +24,7 @@ LARGEST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class FilePlace:
     """A place on a lane of the network: `position` along it (m, as SUMO counts), `offset` to the left of its centre (m).
 
     `road`, `lane`, `s`, `t`: in the OpenDRIVE file, if it was given so.
@@ -58,7 +58,7 @@ class Map:
         """The OpenDRIVE file, None if the network was not made of one. Raises InvalidInputError."""
         return None if self._source is None else self._source()
 
-    def place(self, position: Element, places: Mapping[str, Place]) -> Place:
+    def place(self, position: Element, places: Mapping[str, FilePlace]) -> FilePlace:
         """Returns the place of a <Position>. `places`: of the entities that are known so far. Raises InvalidInputError."""
         kind = position.only("LanePosition", "WorldPosition", "RoadPosition", "RelativeLanePosition", "RelativeRoadPosition")
         if kind.element == "WorldPosition":
@@ -89,7 +89,7 @@ class Map:
                 return lane.index
         return None
 
-    def moved(self, place: Place, metres: float, element: Element) -> Place:
+    def moved(self, place: FilePlace, metres: float, element: Element) -> FilePlace:
         """Returns the place that lies so many metres along the lanes from a place, or before it. Raises InvalidInputError if they end."""
         lane, position = self.network.edges[place.edge].lanes[place.index], place.position + metres
         for _ in range(MOST_LANES):
@@ -126,7 +126,7 @@ class Map:
             raise element.fault(f"{self.file.name} has no road {shown(name)}", f"give one of {roads}")
         return self.file.roads[name]
 
-    def _on_lane(self, road: FileRoad, lane: int, s: float, offset: float, element: Element) -> Place:
+    def _on_lane(self, road: FileRoad, lane: int, s: float, offset: float, element: Element) -> FilePlace:
         """Returns the place beside a lane's centre."""
         if not 0.0 <= s <= road.length:
             message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
@@ -149,7 +149,7 @@ class Map:
         left = 1.0 if lane < 0 else -1.0
         return replace(there, offset=round(offset * left, DECIMALS), road=road.id, lane=lane, s=s, t=t + offset)
 
-    def _on_road(self, road: FileRoad, s: float, t: float, element: Element) -> Place:
+    def _on_road(self, road: FileRoad, s: float, t: float, element: Element) -> FilePlace:
         """Returns the place at a distance to the left of a road's reference line."""
         if not 0.0 <= s <= road.length:
             message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
@@ -161,7 +161,7 @@ class Map:
         lane = next((int(name.rpartition("_")[2]) for name in origin if name.rpartition("_")[0] == road.id), 0)
         return replace(there, road=road.id, lane=lane, s=s, t=t)
 
-    def _beside(self, there: Place, lanes: int, ds: float, offset: float, element: Element) -> Place:
+    def _beside(self, there: FilePlace, lanes: int, ds: float, offset: float, element: Element) -> FilePlace:
         """Returns the place `ds` metres ahead of another and some lanes to its left."""
         road = None if there.road is None or self.file is None else self.file.roads[there.road]
         ahead = 1.0 if there.lane <= 0 else -1.0
@@ -177,21 +177,21 @@ class Map:
             raise element.fault(f"there is no lane {lanes:+d} beside that of the other vehicle", "give another dLane")
         return replace(reached, index=index, offset=round(offset, DECIMALS))
 
-    def _nearest(self, lanes: tuple[Lane, ...], x: float, y: float, heading: float | None, element: Element) -> Place:
-        """Returns the place on one of these lanes that is closest to a point. Raises InvalidInputError if it lies on none of them."""
+    def _nearest(self, lanes: tuple[Lane, ...], x: float, y: float, heading: float | None, element: Element) -> FilePlace:
+        """Returns the place on one of these lanes that is closest to coordinates. Raises InvalidInputError if it lies on none of them."""
         if not (isfinite(x) and isfinite(y)):
             raise element.fault("the place is not finite", "correct it")
-        best: tuple[float, Place] | None = None
+        best: tuple[float, FilePlace] | None = None
         for lane in lanes:
             along, left, off, direction = _projected(lane.shape, x, y)
             if heading is not None and cos(heading - direction) < 0.0:
                 continue
-            beyond = max(off - abs(left), 0.0)  # how far the point lies before the begin or behind the end
+            beyond = max(off - abs(left), 0.0)  # how far they lie before the begin or behind the end
             if beyond > FARTHEST or abs(left) > 0.5 * lane.width + FARTHEST:
                 continue
             if best is None or off < best[0] - 1e-9:
                 position = min(along * lane.length, lane.length)
-                best = off, Place(lane.edge, lane.index, round(position, DECIMALS), round(left, DECIMALS))
+                best = off, FilePlace(lane.edge, lane.index, round(position, DECIMALS), round(left, DECIMALS))
         if best is None:
             turned = f" in the direction {heading * 180.0 / pi:.0f}°" if heading is not None else ""
             message = f"there is no lane at x = {x:.2f}, y = {y:.2f}{turned}, but perhaps a junction"
@@ -200,7 +200,7 @@ class Map:
 
 
 def _projected(shape: Floats, x: float, y: float) -> tuple[float, float, float, float]:
-    """Returns the closest point of a polyline to a point: its share of the length, distance to its left, distance, direction there."""
+    """Returns the closest point of a polyline to coordinates: its share of the length, distance to its left, distance, direction there."""
     starts, steps = shape[:-1], np.diff(shape, axis=0)
     squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-12)
     rest = np.array([x, y]) - starts

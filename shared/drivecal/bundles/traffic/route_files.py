@@ -9,7 +9,7 @@ from typing import Any
 
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
-from drivecal.bundles.traffic.entries import Entry, Names
+from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.routes import joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
@@ -66,7 +66,7 @@ LONG = 1e9
 class RouteFile:
     """The traffic of a route file."""
 
-    def __init__(self, content: bytes, name: str, network: Network, duration: float, names: Names) -> None:
+    def __init__(self, content: bytes, name: str, network: Network, duration: float, names: VehicleNames) -> None:
         """Reads a file. `name`: the file's; `duration`: the scenario's (s); `names`: of all vehicles. Raises InvalidInputError."""
         self._root = read_tree(content, name, "routes")
         self._network, self._duration, self._names = network, duration, names

@@ -1,0 +1,105 @@
+"""Triggered actions against a recorded SUMO: when they begin, and what they give back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivecal.bundles.highway import TrafficEntry
+from drivecal.highway.drive import actions
+from drivecal.highway.drive.actions import Actions, EgoPlace
+
+STEP = 0.5
+FAR_AWAY = EgoPlace(0.0, 1.0)
+
+
+class Sumo:
+    """What the actions ask of SUMO for one vehicle on an edge of two lanes, and what they tell it."""
+
+    def __init__(self) -> None:
+        self.road, self.speeds, self.modes, self.offsets = "e0", list[float](), list[int](), list[float]()
+        self.vehicle = self.edge = self.lane = self
+
+    def getSpeed(self, _: str) -> float:  # noqa: N802  # SUMO's names
+        return 30.0
+
+    def getRoadID(self, _: str) -> str:  # noqa: N802
+        return self.road
+
+    def getLaneIndex(self, _: str) -> int:  # noqa: N802
+        return 0
+
+    def getLaneNumber(self, edge: str) -> int:  # noqa: N802
+        return 1 if edge.startswith(":") else 2
+
+    def getWidth(self, _: str) -> float:  # noqa: N802
+        return 3.5
+
+    def getLateralLanePosition(self, _: str) -> float:  # noqa: N802
+        return 0.0
+
+    def setLateralLanePosition(self, _: str, offset: float) -> None:  # noqa: N802
+        self.offsets.append(offset)
+
+    def moveTo(self, *_: object) -> None:  # noqa: N802
+        return
+
+    def getLanePosition(self, _: str) -> float:  # noqa: N802
+        return 0.0
+
+    def setSpeedMode(self, _: str, mode: int) -> None:  # noqa: N802
+        self.modes.append(mode)
+
+    def setSpeed(self, _: str, speed: float) -> None:  # noqa: N802
+        self.speeds.append(speed)
+
+
+@pytest.fixture
+def sumo(monkeypatch: pytest.MonkeyPatch) -> Sumo:
+    recorded = Sumo()
+    monkeypatch.setattr(actions, "libsumo", recorded)
+    return recorded
+
+
+def of(action: dict[str, Any], **vehicle: Any) -> Actions:
+    return Actions({"v": TrafficEntry.model_validate({"s": 100, "speed": 30, "length": 5.0, "actions": [action]} | vehicle)})
+
+
+def act(these: Actions, step: int, ego: EgoPlace = FAR_AWAY) -> None:
+    these.act(step * STEP, STEP, ["v"], np.array([[100.0, 0, 30, 0, 5, 2]]), ego, 5.0)
+
+
+def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
+    these = of({"do": "brake", "time": 0, "speed": 20, "rate": 10, "hold": 1}, model="constant")
+    for step in range(8):
+        act(these, step)
+    assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
+    assert sumo.modes == [actions.FREE]
+
+
+def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
+    these = of({"do": "brake", "time": 0, "speed": 20, "rate": 10, "hold": 1})
+    for step in range(6):
+        act(these, step)
+    assert sumo.speeds == [25, 20, 20, 20, -1]
+    assert sumo.modes == [actions.FREE_BUT_SAFE, actions.MODEL]
+    assert not these.pending
+
+
+@pytest.mark.parametrize(("stretch", "begins"), [(1.0, False), (0.9, True)])
+def test_a_gap_is_metres_of_the_way_and_not_of_the_line(sumo: Sumo, stretch: float, begins: bool) -> None:
+    these = of({"do": "brake", "gap": 21})
+    act(these, 0, EgoPlace(72.0, stretch))  # 28 m of the line between the centres; vehicles of 5 m
+    assert (actions.FREE_BUT_SAFE in sumo.modes) is begins
+
+
+def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) -> None:
+    these = of({"do": "cut_in", "gap": 30, "lane": 1, "seconds": 1})
+    sumo.road = ":n1_0"
+    act(these, 0, EgoPlace(90.0, 1.0))
+    assert (sumo.offsets, these.pending) == ([], True)
+    sumo.road = "e1"
+    act(these, 1)  # the gap has grown meanwhile
+    assert len(sumo.offsets) == 1

@@ -1,0 +1,228 @@
+"""Geometry of the corridor: places, observations, records and the lane keeper's path, against hand-made roads and `domain.roads`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivecal.bundles import highway_catalogue as catalogue
+from drivecal.domain.roads import project, reference_line, to_cartesian
+from drivecal.domain.scenarios import CurvatureKnot, Road
+from drivecal.highway.drive import geometry, measures
+from drivecal.highway.drive.observation import NAMES, keeper_acceleration
+from drivecal.highway.drive.road import slopes
+
+CURVE = Road(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)), limits=())
+SIZE = np.array([2.5, 1.0])
+
+
+def line_of(road: Road) -> np.ndarray:
+    line = reference_line(road)
+    return np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])])
+
+
+LINE = line_of(CURVE)
+
+
+def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.ndarray:
+    """Tracks with these centres along the whole line."""
+    lanes = np.zeros((len(LINE), len(centres), 5))
+    for track, centre in enumerate(centres):
+        lanes[:, track, :4] = centre, width, limit, 0.0
+        lanes[:, track, 4] = 1.01 * LINE[:, 0]
+    return lanes
+
+
+LANES = lanes_of(0.0, 3.5)
+ENDS = np.array([600.0, 600.0])
+
+
+def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarray:
+    x, y, heading = to_cartesian(LINE[:, :5], s, d)
+    return np.array([x, y, heading + yaw, speed, 0.0, 0.01, 0.5, 0.2])
+
+
+def placed(s: float, d: float, lanes: np.ndarray = LANES, **motion: float) -> tuple[bool, np.ndarray, np.ndarray]:
+    place, front = np.zeros(9), np.zeros(3)
+    on_road = geometry.place(LINE, lanes, pose(s, d, **motion), s + 3.0, SIZE, place, front)
+    return on_road, place, front
+
+
+def observed(others: Any, s: float = 100.0, d: float = 0.0, lanes: np.ndarray = LANES, **motion: float) -> dict[str, float]:
+    _, place, _ = placed(s, d, lanes, **motion)
+    signals = np.zeros(geometry.SIGNALS)
+    rows = np.array(others, dtype=float).reshape(-1, 6)
+    geometry.observe(LINE, lanes, ENDS, rows, place, pose(s, d, **motion), 0.03, 2.5, 1.5, 0.0, signals)
+    return dict(zip(NAMES, signals.tolist(), strict=True))
+
+
+def test_the_compiled_code_and_the_catalogue_have_the_same_names() -> None:
+    assert len(NAMES) == geometry.SIGNALS
+    assert set(NAMES) == set(catalogue.SIGNALS)
+    assert len(measures.COLUMNS) == geometry.RECORDED
+    assert set(measures.COLUMNS) == set(catalogue.SERIES)
+    assert geometry.FAR == catalogue.FAR
+
+
+@settings(max_examples=50, deadline=None)
+@given(s=st.floats(1, 599), d=st.floats(-8, 8), off=st.floats(-20, 20))
+def test_foot_points_are_those_of_the_domain(s: float, d: float, off: float) -> None:
+    x, y, heading = to_cartesian(LINE[:, :5], s, d)
+    assert geometry.foot(LINE, x, y, s + off)[:2] == pytest.approx(project(LINE[:, :5], x, y, s), abs=1e-6)
+    assert geometry.searched(LINE, x, y, 0.0)[:3] == pytest.approx((s, d, heading), abs=1e-6)
+
+
+def test_a_vehicle_is_placed_in_its_lane() -> None:
+    on_road, place, front = placed(300.0, 3.0, yaw=0.02)
+    assert on_road
+    assert place[geometry.S] == pytest.approx(300)
+    assert place[geometry.TRACK] == 1
+    assert place[geometry.OFFSET] == pytest.approx(-0.5)
+    assert place[geometry.HEADING_ERROR] == pytest.approx(0.02)
+    assert (place[geometry.LIMIT], place[geometry.WIDTH]) == (30, 3.5)
+    assert place[geometry.ALONG] == pytest.approx(1.01 * (300 + 2.5 / (1 - 0.004 * 3)))
+    x, y, heading, *_ = pose(300.0, 3.0, 0.02)
+    assert front == pytest.approx([x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 90 - math.degrees(heading)])
+
+
+@pytest.mark.parametrize(("d", "on_road"), [(-1.2, True), (-1.3, False), (4.7, True), (4.8, False)])
+def test_the_road_ends_half_a_metre_beyond_its_outermost_lanes(d: float, on_road: bool) -> None:
+    assert placed(100.0, d)[0] is on_road
+
+
+def test_a_lane_that_ends_is_no_road_any_more() -> None:
+    lanes = LANES.copy()
+    lanes[LINE[:, 0] > 250, 0] = np.nan
+    assert placed(240.0, 0.0, lanes)[0]
+    assert not placed(260.0, 0.0, lanes)[0]
+    assert observed([], 240.0, 0.0, lanes)["right_lane_exists"] == 0
+    assert observed([], 240.0, 3.5, lanes)["right_lane_exists"] == 1
+    assert observed([], 260.0, 3.5, lanes)["right_lane_exists"] == 0
+
+
+def test_gaps_are_between_bumpers_and_per_lane() -> None:
+    signals = observed(
+        [
+            [160.0, 0.1, 22.0, -1.0, 12.0, 2.0],  # the leader is a lorry
+            [200.0, 0.0, 10.0, 0.0, 4.0, 2.0],  # hidden behind it
+            [70.0, 0.0, 25.0, 0.3, 5.0, 2.0],
+            [120.0, 3.4, 28.0, 0.0, 4.0, 2.0],
+        ]
+    )
+    assert signals["gap"] == pytest.approx(60 - 2.5 - 6)
+    assert (signals["leader_speed"], signals["leader_acceleration"]) == (22, -1)
+    assert signals["rear_gap"] == pytest.approx(30 - 2.5 - 2.5)
+    assert signals["follower_speed"] == 25
+    assert signals["left_gap"] == pytest.approx(20 - 2.5 - 2)
+    assert (signals["left_lane_exists"], signals["right_lane_exists"]) == (1, 0)
+    assert (signals["left_rear_gap"], signals["left_follower_speed"]) == (1000, 20)
+    assert (signals["right_gap"], signals["right_leader_speed"]) == (1000, 20)
+
+
+def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_line() -> None:
+    d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
+    lanes = lanes_of(d)
+    x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
+    raw, others, outlines = np.array([[x, y, 30.0]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    geometry.locate(LINE, raw, others, outlines, 0.0)
+    signals = observed(others, 300.0, d, lanes, speed=30.0)
+    assert signals["leader_speed"] == pytest.approx(30.0)
+    assert signals["gap"] == pytest.approx(40 * stretch - 5 - 2.5)
+    _, place, _ = placed(300.0, d, lanes, speed=30.0)
+    seen = np.zeros(geometry.SIGNALS)
+    geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
+    assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+
+
+def test_a_vehicle_between_two_lanes_is_in_both() -> None:
+    for offset, seen in ((2.2, True), (2.5, False), (1.75, True)):
+        signals = observed([[150.0, offset, 20.0, 0.0, 4.0, 2.0]])
+        assert (signals["gap"] < 1000) is seen
+        assert signals["left_gap"] < 1000
+
+
+def test_own_state_and_road_are_observed() -> None:
+    lanes = LANES.copy()
+    lanes[LINE[:, 0] > 330, :, 2] = 22.0
+    signals = observed([], 300.0, 0.2, lanes, yaw=0.01)
+    expected = {
+        "time": 1.5, "speed": 20, "own_acceleration": 0.5, "lateral_acceleration": 0.2, "yaw_rate": 0.01, "steering_angle": 0.03,
+        "position": 300, "lane": 0, "lane_offset": 0.2, "heading_error": 0.01, "lane_width": 3.5, "lane_end": 300 * (1 - 0.004 * 0.2),
+        "route_end": 300, "limit": 30, "limit_ahead": 22, "road_curvature": 0.004, "gap": 1000, "leader_speed": 20,
+    }  # fmt: skip
+    assert {name: signals[name] for name in expected} == pytest.approx(expected)
+    assert observed([], 100.0)["curvature_2s"] == pytest.approx(0.004 * 140 / 200)
+
+
+def test_collisions_are_those_of_rectangles() -> None:
+    def hit(dx: float, dy: float, heading: float) -> bool:
+        outlines = np.array([[dx, dy, heading, 2.0, 0.9, 0.0]])
+        return bool(geometry.hit(outlines, np.zeros(8), SIZE) == 0)
+
+    assert hit(4.49, 0.0, 0.0)
+    assert not hit(4.51, 0.0, 0.0)
+    assert not hit(0.0, 1.91, 0.0)
+    assert hit(0.0, 1.91, 0.3)
+    assert geometry.hit(np.zeros((0, 6)), np.zeros(8), SIZE) == -1
+
+
+def test_the_path_runs_along_the_lane() -> None:
+    path = np.zeros((13, 7))
+    path[:, 0] = np.arange(13) * 0.05
+    geometry.path_of(LINE, LANES, 1, 300.0, 25.0, path)
+    for row in path:
+        s, d = project(LINE[:, :5], row[1], row[2], 300 + 25 * row[0])
+        assert d == pytest.approx(3.5, abs=1e-9)
+        assert row[3] == pytest.approx(np.interp(s, LINE[:, 0], LINE[:, 3]), abs=1e-6)
+    assert np.hypot(*np.diff(path[:, 1:3], axis=0).T) == pytest.approx(np.full(12, 25 * 0.05), rel=1e-4)
+    assert path[:, 4] == pytest.approx(np.full(13, 0.004 / (1 - 0.004 * 3.5)), rel=1e-6)
+
+
+def test_the_path_goes_on_beside_the_line_after_the_lane_s_end() -> None:
+    lanes = LANES.copy()
+    lanes[LINE[:, 0] > 305, 1] = np.nan
+    path = np.zeros((13, 7))
+    path[:, 0] = np.arange(13) * 0.05
+    for begin in (300.0, 306.0, 320.0):
+        geometry.path_of(LINE, lanes, 1, begin, 25.0, path)
+        offsets = [project(LINE[:, :5], row[1], row[2], begin + 25 * row[0])[1] for row in path]
+        assert offsets == pytest.approx([3.5] * 13, abs=1e-9)
+        assert path[:, 4] == pytest.approx(np.full(13, 0.004 / (1 - 0.004 * 3.5)), rel=1e-6)
+
+
+def test_slopes_do_not_jump_where_lanes_begin_and_end() -> None:
+    s = LINE[:, 0]
+    centres = np.column_stack(
+        [0.01 * s, np.where((s >= 200) & (s <= 250), 3.5 + 0.02 * s, np.nan), np.where(s == 300, 7.0, np.nan)]
+    )
+    taken = slopes(LINE, centres)
+    assert taken[:, 0] == pytest.approx(np.full(len(s), 0.01))
+    there = ~np.isnan(centres[:, 1])
+    assert taken[there, 1] == pytest.approx(np.full(there.sum(), 0.02))
+    assert np.isnan(taken[~there, 1]).all()
+    assert taken[s == 300, 2] == pytest.approx(0)
+    lanes = lanes_of(0.0, 0.0, 0.0)
+    lanes[:, :, 0], lanes[:, :, 3] = centres, taken
+    for place in (200.2, 203.0, 204.9, 245.2, 249.8):
+        offset = 3.5 + 0.02 * place
+        bend = 0.004 if place > 200 else 0.0
+        signals = observed([], place, offset, lanes)
+        assert signals["road_curvature"] == pytest.approx(bend / (1 - bend * offset), abs=1e-6)
+
+
+def test_the_speed_keeper_brakes_for_a_leader_and_reaches_the_limit() -> None:
+    def acceleration(**signals: float) -> float:
+        values = dict.fromkeys(NAMES, 0.0) | {"speed": 20.0, "limit_ahead": 30.0, "gap": 1000.0, "leader_speed": 20.0} | signals
+        return keeper_acceleration([values[name] for name in NAMES])
+
+    assert acceleration() == pytest.approx(1.5 * (1 - (2 / 3) ** 4))
+    assert acceleration(speed=30.0) == pytest.approx(0)
+    assert acceleration(speed=35.0) < 0
+    assert acceleration(gap=20.0) < -1
+    assert acceleration(gap=200.0) > 0
+    assert math.isfinite(acceleration(gap=-1.0))

@@ -1,0 +1,214 @@
+"""The compiled planner against the one written out in `reference`."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.support.effort import tries
+from tests.unit.highway.planner.reference import ReferencePlanner
+from tests.unit.highway.planner.situations import (
+    BENDING,
+    CHANGING,
+    KEEPING,
+    LANE,
+    MIDDLE,
+    random_drive,
+    random_parameters,
+    random_scenario,
+    seen,
+    vehicle,
+)
+
+from drivecal.domain.parameters import Parameter
+from drivecal.domain.roads import Floats
+from drivecal.domain.scenarios import Scenario
+from drivecal.highway.planner import kernel
+from drivecal.highway.planner.cost import weights
+from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.highway.planner.spaces import HIGHWAY
+from drivecal.plugins.ports import Observation
+
+GRID = 1 / kernel.FEATURE_GRID
+
+
+def assert_same(planner: FrenetPlanner, reference: ReferencePlanner, observation: Observation) -> None:
+    planner.plan(observation)
+    expected = reference.plan(observation)
+    features = planner.features()
+    # Rounding to the grid turns a difference of 1e-12 into a whole grid step where a raw feature lies between two.
+    between = np.abs((reference.raw * kernel.FEATURE_GRID) % 1.0 - 0.5) < 1e-6 * (1 + reference.raw)
+    np.testing.assert_allclose(features[~between], reference.features[~between], rtol=1e-9, atol=1e-12)
+    assert np.abs(features - reference.features).max() <= GRID + 1e-9 * features.max()
+    costs = costs_of(planner)
+    if not between.any():
+        np.testing.assert_allclose(costs, reference.costs, rtol=1e-9, atol=1e-12)
+        assert planner.chosen == expected
+        assert set(np.flatnonzero(planner.infeasible)) == reference.infeasible
+
+
+@cache
+def planner_of(scenario: Scenario) -> FrenetPlanner:
+    """One planner per scenario: tests reset it."""
+    return FrenetPlanner(scenario)
+
+
+def costs_of(planner: FrenetPlanner) -> Floats:
+    """J of the last plan's candidates in the kernel's own arithmetic, shape (n_candidates,)."""
+    costs = np.empty(planner._combined.shape[1:])
+    kernel.costs_of(planner._lateral, planner._longitudinal, planner._combined, planner._weights, costs)
+    return costs.ravel()
+
+
+@pytest.mark.parametrize("seed", range(tries(8, 16)))
+def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    scenario = random_scenario(random)
+    planner, reference = FrenetPlanner(scenario), ReferencePlanner(scenario)
+    parameters = random_parameters(random)
+    planner.reset(parameters)
+    reference.reset(parameters)
+    for observation in random_drive(random, scenario, plans=3):
+        assert_same(planner, reference, observation)
+
+
+def test_plans_that_come_to_their_end_are_judged_as_by_the_reference() -> None:
+    went_on = set()
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        scenario = random_scenario(random)
+        planner, reference = FrenetPlanner(scenario), ReferencePlanner(scenario)
+        parameters = random_parameters(random)
+        planner.reset(parameters)
+        reference.reset(parameters)
+        observation = random_drive(random, scenario, plans=1)[0]
+        for _ in range(5):
+            assert_same(planner, reference, observation)
+            assert reference.before is not None
+            time, ahead, aside = reference.before
+            elapsed = 0.5 * (ahead.horizon + aside.horizon)
+            ego = [*(ahead(elapsed, order) for order in range(3)), *(aside(elapsed, order) for order in range(3))]
+            observation = Observation(time + elapsed, np.array(ego), observation.neighbours)
+            went_on.add((reference.goes_on_aside, reference.goes_on_ahead))
+    assert went_on & {(True, False), (False, True)}, "only one of the two has come to its end"
+
+
+def test_random_situations_reach_every_feature_and_infeasible_candidates() -> None:
+    occurrences = np.zeros(12)
+    infeasible = 0
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+        scenario = random_scenario(random)
+        planner = FrenetPlanner(scenario)
+        planner.reset(random_parameters(random))
+        for observation in random_drive(random, scenario, plans=3):
+            planner.plan(observation)
+            features = planner.features()
+            assert features.min() >= 0.0
+            occurrences += features.max(axis=0) > 0.1
+            infeasible += bool(planner.infeasible.any())
+    assert occurrences.min() >= 5
+    assert infeasible >= 3
+
+
+def values_of(parameter: Parameter) -> st.SearchStrategy[float]:
+    return st.integers(0, parameter.n_values - 1).map(lambda index: float(parameter.value(index)))
+
+
+parameters_of_table6 = st.tuples(*(values_of(parameter) for parameter in HIGHWAY))
+
+
+@given(parameters_of_table6, parameters_of_table6, st.integers(0, 10_000))
+def test_features_depend_on_no_parameter_and_costs_are_linear_in_the_weights(
+    some: tuple[float, ...], others: tuple[float, ...], seed: int
+) -> None:
+    observation = random_drive(np.random.default_rng(seed), CHANGING, plans=1)[0]
+    planner = planner_of(CHANGING)
+    planner.reset(some)
+    planner.plan(observation)
+    features = planner.features()
+    np.testing.assert_allclose(costs_of(planner), features @ weights(some), rtol=1e-12)
+    planner.reset(others)
+    planner.plan(observation)
+    assert planner.features().tobytes() == features.tobytes()
+    np.testing.assert_allclose(costs_of(planner), features @ weights(others), rtol=1e-12)
+    assert not np.shares_memory(features, planner.features())
+
+
+@given(parameters_of_table6, st.integers(0, 10_000), st.sampled_from([0.25, 2.0, 1024.0]))
+def test_scaling_all_weights_changes_no_decision(parameters: tuple[float, ...], seed: int, factor: float) -> None:
+    planner = planner_of(CHANGING)
+    planner.reset(parameters)
+    observation = random_drive(np.random.default_rng(seed), CHANGING, plans=1)[0]
+    planner.plan(observation)
+    chosen, costs = planner.chosen, costs_of(planner)
+    planner.reset(parameters)
+    planner._weights = planner._weights * factor
+    planner.plan(observation)
+    assert planner.chosen == chosen
+    assert (costs_of(planner) == factor * costs).all()
+
+
+def test_ties_go_to_the_lowest_index_that_is_feasible() -> None:
+    costs = np.array([[3.0, 1.0, 2.0], [1.0, 1.0, np.nan]])
+    infeasible = np.zeros(6, dtype=np.bool_)
+    for expected in (1, 3, 4, 2, 0, -1):
+        assert kernel.cheapest(costs, infeasible) == expected
+        infeasible[expected] = True
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_vehicle_that_has_nothing_to_do_takes_candidate_0_whatever_the_parameters(seed: int) -> None:
+    planner = planner_of(KEEPING)
+    planner.reset(random_parameters(np.random.default_rng(seed)))
+    planner.plan(seen())
+    assert planner.chosen == 0
+    assert (planner.features()[:: planner.n_lateral] @ np.ones(12) == 0).sum() > 1, "there is no tie to break"
+
+
+MIRROR = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+AXIS = np.array([0.0, 0.0, 0.0, 2 * LANE, 0.0, 0.0])
+
+
+@given(st.integers(0, 10_000), parameters_of_table6)
+def test_a_mirrored_situation_costs_the_same_on_the_other_side(seed: int, parameters: tuple[float, ...]) -> None:
+    planner = planner_of(KEEPING)
+    (observation,) = random_drive(np.random.default_rng(seed), KEEPING, plans=1)
+    mirrored = Observation(0.0, AXIS + MIRROR * observation.ego, observation.neighbours.copy())
+    mirrored.neighbours[:, 1] = 2 * LANE - mirrored.neighbours[:, 1]
+    mirrored.neighbours[:, 3] *= -1.0
+    ends = planner._lateral_ends[0]
+    partner = [int(np.flatnonzero(((ends.T - [2 * LANE - d, horizon]) ** 2).sum(axis=1) < 1e-9)[0]) for d, horizon in ends.T]
+    planner.reset(parameters)
+    shape = (-1, planner.n_lateral, 12)
+    here = planner.features(observation).reshape(shape)
+    there = planner.features(mirrored).reshape(shape)[:, partner]
+    np.testing.assert_allclose(here, there, atol=1.01 * GRID, rtol=1e-9)
+
+
+def test_the_same_instant_gives_the_same_bits_in_another_process() -> None:
+    program = (
+        "import numpy as np\n"
+        "from drivecal.highway.planner.planner import FrenetPlanner\n"
+        "from tests.unit.highway.planner.situations import BENDING, MIDDLE, random_drive\n"
+        "planner = FrenetPlanner(BENDING)\n"
+        "planner.reset(MIDDLE)\n"
+        "for observation in random_drive(np.random.default_rng(7), BENDING, plans=5):\n"
+        "    trajectory = planner.plan(observation)\n"
+        "    print(planner.chosen, trajectory.tobytes().hex(), planner.features().tobytes().hex())\n"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    other = FrenetPlanner(BENDING)
+    other.reset(random_parameters(np.random.default_rng(0)))
+    other.plan(seen(vehicle(130, 1, 22)))
+    other.reset(MIDDLE)
+    for line, observation in zip(
+        run.stdout.splitlines(), random_drive(np.random.default_rng(7), BENDING, plans=5), strict=True
+    ):
+        trajectory = other.plan(observation)
+        assert line == f"{other.chosen} {trajectory.tobytes().hex()} {other.features().tobytes().hex()}"

@@ -1,0 +1,100 @@
+"""The built-in catalogue and its networks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from drivecal.domain.roads import reference_line
+from drivecal.domain.scenarios import Manoeuvre, Scenario
+from drivecal.highway.scenarios.build import build, edge_ranges, without_origin
+from drivecal.highway.scenarios.highway import HIGHWAY
+
+SCENARIOS = list(HIGHWAY.scenarios.values())
+
+
+def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order() -> None:
+    assert list(HIGHWAY.scenarios) == ["S1", "S2", "S3", "S4", "S5", "S6"]
+    assert [scenario.manoeuvre for scenario in SCENARIOS] == [
+        Manoeuvre.LANE_CHANGE,
+        Manoeuvre.LANE_CHANGE,
+        Manoeuvre.LANE_KEEPING,
+        Manoeuvre.LANE_KEEPING,
+        Manoeuvre.SPEED_CHANGE,
+        Manoeuvre.SPEED_CHANGE,
+    ]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_the_committed_network_is_what_its_road_builds(scenario: Scenario) -> None:
+    assert build(scenario.road) == scenario.network, "run `make networks`"
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_every_scenario_keeps_to_the_frame_of_the_catalogue(scenario: Scenario) -> None:
+    assert 15.0 <= scenario.duration <= 25.0
+    assert scenario.step == 0.1
+    assert scenario.road.lanes == 3
+    assert 1 <= len(scenario.traffic) <= 6
+    fastest = max(knot.speed for knot in scenario.road.limits)
+    assert scenario.ego.s + scenario.duration * fastest < scenario.road.length - 50.0, "the road ends too early"
+    assert scenario.task.speeds[0].s == 0.0
+    assert scenario.road.limits[0].s == 0.0
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario) -> None:
+    width = scenario.road.lane_width
+    outlines = [(scenario.ego.s, scenario.ego.d, scenario.ego.length)]
+    outlines += [(vehicle.s, vehicle.lane * width, vehicle.length) for vehicle in scenario.traffic]
+    for index, (s, d, length) in enumerate(outlines):
+        for other_s, other_d, other_length in outlines[:index]:
+            assert abs(d - other_d) > 2.5 or abs(s - other_s) > (length + other_length) / 2 + 10.0
+
+
+def test_the_even_scenarios_of_lane_change_and_keeping_are_curved_and_the_odd_ones_straight() -> None:
+    bent = {scenario.id: bool(abs(reference_line(scenario.road)[:, 4]).max() > 0) for scenario in SCENARIOS}
+    assert bent == {"S1": False, "S2": True, "S3": False, "S4": True, "S5": False, "S6": True}
+
+
+def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s6() -> None:
+    rising = HIGHWAY.scenarios["S5"]
+    assert rising.road.limits[1].speed > rising.road.limits[0].speed
+    falling = HIGHWAY.scenarios["S6"]
+    drop = falling.task.speeds[1]
+    assert drop.speed < falling.task.speeds[0].speed
+    line = reference_line(falling.road)
+    sharp = line[abs(line[:, 4]) > 0.9 * abs(line[:, 4]).max(), 0]
+    assert drop.s < sharp[0]
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_edges_cover_the_road_and_change_at_every_speed_limit(scenario: Scenario) -> None:
+    ranges = edge_ranges(scenario.road, reference_line(scenario.road))
+    assert [begin for begin, _, _ in ranges] == [0.0, *(end for _, end, _ in ranges[:-1])]
+    assert ranges[-1][1] == scenario.road.length
+    assert {(knot.s, knot.speed) for knot in scenario.road.limits} <= {(begin, speed) for begin, _, speed in ranges}
+
+
+def test_the_digest_follows_definition_and_network() -> None:
+    scenario = SCENARIOS[0]
+    others = [replace(scenario, network=scenario.network + b" "), replace(scenario, duration=17.0), replace(scenario, seed=2)]
+    assert len({variant.digest for variant in [scenario, *others]}) == 4
+    assert replace(scenario).digest == scenario.digest
+
+
+def test_only_the_comment_about_the_origin_is_taken_out_of_a_network() -> None:
+    network = b'<?xml version="1.0"?>\n\n<!-- generated on 2020-01-01 by X\n<a/>\n-->\n\n<net><!-- kept --></net>\n'
+    assert without_origin(network) == b'<?xml version="1.0"?>\n\n<net><!-- kept --></net>\n'
+
+
+def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:
+    code = (
+        "import sys; from drivecal.highway.scenarios.highway import HIGHWAY; HIGHWAY.scenarios; "
+        "print('libsumo' in sys.modules, 'numba' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]

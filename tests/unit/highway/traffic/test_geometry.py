@@ -1,0 +1,111 @@
+"""The compiled geometry against independent ways to compute the same."""
+
+from __future__ import annotations
+
+from math import cos, degrees, hypot, pi, sin
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.support.effort import examples
+
+from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.traffic.geometry import foot, hits, locate, place, with_directions
+
+S4 = HIGHWAY.scenarios["S4"]
+LINE = reference_line(S4.road)
+TABLE = with_directions(LINE)
+OUTLINE = np.array([2.4, 0.9, S4.road.right_edge, S4.road.left_edge])
+stations = st.floats(-20.0, S4.road.length + 20.0)
+offsets = st.floats(-5.0, 12.0)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(stations, offsets, st.floats(-8.0, 8.0))
+def test_the_compiled_projection_is_the_domain_s(s: float, d: float, away: float) -> None:
+    x, y, _ = to_cartesian(LINE, s, d)
+    assert foot(TABLE, x, y, s + away)[:2] == pytest.approx(project(LINE, x, y, s + away), abs=1e-7)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(stations, offsets, st.floats(-0.4, 0.4), st.floats(5.0, 45.0), st.floats(-3.0, 3.0), st.floats(-4.0, 4.0))
+def test_the_ego_vehicle_s_motion_is_the_domain_s(
+    s: float, d: float, slip: float, speed: float, along: float, across: float
+) -> None:
+    x, y, road = to_cartesian(LINE, s, d)
+    heading = road + 0.1
+    motion, front = np.zeros(6), np.zeros(3)
+    place(TABLE, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, OUTLINE, motion, front)
+    assert front.tolist() == [x + 2.4 * cos(heading), y + 2.4 * sin(heading), 90.0 - degrees(heading)]
+    velocity = (speed * cos(heading + slip), speed * sin(heading + slip))
+    acceleration = (along * cos(heading) - across * sin(heading), along * sin(heading) + across * cos(heading))
+    assert motion.tolist() == pytest.approx(list(to_frenet(LINE, (x, y), velocity, acceleration, s + 1.0)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("d", "yaw", "on_road"),
+    [(0.0, 0.0, True), (-0.97, 0.0, True), (-0.98, 0.0, False), (-0.97, 0.1, False), (8.5, 0.0, False)],
+)
+def test_a_vehicle_is_off_the_road_as_soon_as_a_corner_is(d: float, yaw: float, *, on_road: bool) -> None:
+    x, y, heading = to_cartesian(LINE, 400.0, d)
+    pose = np.array([x, y, heading + yaw, 30.0, 0.0, 0.0, 0.0, 0.0])
+    assert place(TABLE, pose, 400.0, OUTLINE, np.zeros(6), np.zeros(3)) is on_road
+
+
+def corners(x: float, y: float, heading: float, half_length: float, half_width: float) -> Floats:
+    signs = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)])
+    along, across = signs[:, 0] * half_length, signs[:, 1] * half_width
+    return np.column_stack([x + along * cos(heading) - across * sin(heading), y + along * sin(heading) + across * cos(heading)])
+
+
+def overlap_by_sampling(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Does any of a dense set of points of one rectangle, its border included, lie in the other?"""
+    a, b, _, d = corners(*one)
+    u, v = np.meshgrid(np.linspace(0, 1, 60), np.linspace(0, 1, 60))
+    points = a + u[..., None] * (b - a) + v[..., None] * (d - a)
+    x, y, heading, half_length, half_width = other
+    along = (points[..., 0] - x) * cos(heading) + (points[..., 1] - y) * sin(heading)
+    across = (points[..., 1] - y) * cos(heading) - (points[..., 0] - x) * sin(heading)
+    return bool(((abs(along) <= half_length) & (abs(across) <= half_width)).any())
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(st.floats(-8, 8), st.floats(-5, 5), st.floats(-pi, pi), st.floats(1.5, 6.0), st.floats(0.7, 1.3), st.floats(-pi, pi))
+def test_rectangles_hit_where_points_of_one_lie_in_the_other(
+    x: float, y: float, heading: float, half_length: float, half_width: float, ego_heading: float
+) -> None:
+    ego = (0.0, 0.0, ego_heading, 2.4, 0.9)
+    shrunk, grown = ((x, y, heading, half_length + by, half_width + by) for by in (-0.15, 0.15))
+    pose = np.array([0.0, 0.0, ego_heading, 0.0, 0.0, 0.0, 0.0, 0.0])
+    hit = hits(np.array([(x, y, heading, half_length, half_width)]), pose, OUTLINE)
+    if overlap_by_sampling(shrunk, ego):
+        assert hit
+    if not overlap_by_sampling(grown, ego) and not overlap_by_sampling(ego, grown):
+        assert not hit
+
+
+def test_nothing_is_hit_where_nothing_is() -> None:
+    assert not hits(np.zeros((0, 5)), np.zeros(8), OUTLINE)
+
+
+def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:
+    s, d, length = 420.0, 3.75, 12.0
+    x, y, _ = to_cartesian(LINE, s, d)
+    neighbours = np.array([[s - 6.0, d - 0.1, 0.0, 0.0, length, 2.5]])
+    outlines = np.zeros((1, 5))
+    locate(TABLE, np.array([[x, y, 25.0, d]]), neighbours, outlines, 0.1)
+    centre_s, centre_d, speed, sideways = neighbours[0, :4]
+    assert centre_d == pytest.approx(d)
+    assert sideways == pytest.approx(1.0)
+    assert speed == pytest.approx(25.0, rel=0.01)
+    expected_x, expected_y, heading = to_cartesian(LINE, centre_s, centre_d)
+    assert hypot(outlines[0, 0] - expected_x, outlines[0, 1] - expected_y) < 0.06
+    assert outlines[0, 2:] == pytest.approx([heading, 6.0, 1.25], abs=1e-3)
+
+
+def test_nothing_moves_sideways_when_there_is_no_earlier_state() -> None:
+    neighbours = np.array([[100.0, 1.0, 0.0, 0.0, 5.0, 2.0]])
+    locate(TABLE, np.array([[102.5, 0.0, 20.0, 0.0]]), neighbours, np.zeros((1, 5)), 0.0)
+    assert neighbours[0, 3] == 0.0

@@ -1,0 +1,85 @@
+"""The plant and its trackers of commands: steering angle, curvature, path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle.model import SingleTrackModel
+from drivecal.highway.vehicle.parameters import NOMINAL, understeer_gradient
+
+
+def vehicle(speed: float = 25.0) -> SingleTrackModel:
+    model = SingleTrackModel(NOMINAL)
+    model.start(0.0, 0.0, 0.0, speed)
+    return model
+
+
+def arc(radius: float, speed: float, seconds: float) -> np.ndarray:
+    """A left curve from the origin on, as a trajectory."""
+    times = np.arange(0.0, seconds + 0.05, 0.05)
+    angles = speed * times / radius
+    columns = [times, radius * np.sin(angles), radius * (1 - np.cos(angles)), angles]
+    return np.column_stack([*columns, np.full(len(times), 1 / radius), np.full(len(times), speed), np.zeros(len(times))])
+
+
+def test_a_steering_angle_gives_its_steady_curvature() -> None:
+    model = vehicle()
+    dynamics = np.zeros((500, 5))
+    assert model.step(0.01, 0.0, dynamics)
+    curvature = 0.01 / (NOMINAL.wheelbase + understeer_gradient(NOMINAL) * 25.0**2)
+    assert model.pose[5] / model.pose[3] == pytest.approx(curvature, rel=1e-3)
+    assert model.steering == pytest.approx(0.01, rel=1e-6)
+    assert dynamics[-1, 3] == model.pose[5]
+
+
+def test_an_acceleration_is_reached_after_a_lag_and_cut_off() -> None:
+    for wanted, reached in ((2.0, 2.0), (-20.0, -9.0), (20.0, 4.0)):
+        model = vehicle()
+        dynamics = np.zeros((100, 5))
+        assert model.step(0.0, wanted, dynamics)
+        assert dynamics[-1, 1] == pytest.approx(reached, rel=0.01)
+        assert dynamics[14, 1] == pytest.approx(reached * (1 - math.exp(-1)), rel=0.02)
+
+
+def test_brakes_hold_a_standing_vehicle() -> None:
+    model = vehicle(2.0)
+    assert model.step(0.0, -5.0, np.zeros((300, 5)))
+    assert model.pose[3] == pytest.approx(0, abs=1e-9)
+    assert model.pose[0] == pytest.approx(0.7, abs=0.3)
+
+
+@pytest.mark.parametrize("curvature", [0.001, -0.004])
+def test_a_curvature_is_reached_from_its_command(curvature: float) -> None:
+    model = vehicle()
+    assert model.turn(curvature, 0.0, np.zeros((300, 5)))
+    assert model.pose[5] / model.pose[3] == pytest.approx(curvature, rel=0.02)
+
+
+def test_a_path_is_kept_whatever_the_acceleration() -> None:
+    model = vehicle()
+    path = arc(400.0, 25.0, 12.0)
+    for tenth in range(100):
+        assert model.keep(path, 0.1 * tenth, 0.0, np.zeros((10, 5)))
+    x, y = model.pose[:2]
+    assert abs(math.hypot(x, y - 400.0) - 400.0) < 0.1
+
+
+def test_an_unstable_vehicle_keeps_its_last_valid_state() -> None:
+    model = vehicle(40.0)
+    dynamics = np.full((300, 5), np.nan)
+    assert not model.step(0.4, 0.0, dynamics)
+    assert np.isfinite(dynamics).all()
+    assert np.abs(dynamics[:, 2]).max() <= kernels.ADHESION_LIMIT
+    assert not vehicle().turn(float("nan"), 0.0, np.zeros((10, 5)))
+
+
+def test_steps_may_be_cut_anywhere() -> None:
+    whole, parts = vehicle(), vehicle()
+    assert whole.turn(0.002, 1.0, np.zeros((100, 5)))
+    for _ in range(10):
+        assert parts.turn(0.002, 1.0, np.zeros((10, 5)))
+    assert whole.pose.tolist() == parts.pose.tolist()

@@ -1,0 +1,147 @@
+"""The tracking controller: designed for the nominal vehicle, kept for every other one of Table 8's box."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.unit.highway.vehicle.stability import critical_speed
+
+from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
+from drivecal.plugins.ports import Floats
+
+SPEEDS = (10.0, 20.0, 30.0, 40.0)
+CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.minimum, p.maximum) for p in TABLE_8))]
+
+
+def stable_without_controller(vehicle: SingleTrackParameters, speed: float) -> bool:
+    critical = critical_speed(vehicle)
+    return critical is None or speed < critical
+
+
+def closed_loop(p: SingleTrackParameters, v: float) -> Floats:
+    """Linear dynamics of (lateral error, heading error, side slip, yaw rate, steering angle) along a straight trajectory."""
+    front, rear, ahead, behind = p.cornering_stiffness_front, p.cornering_stiffness_rear, p.distance_front, p.distance_rear
+    steady = NOMINAL.wheelbase + understeer_gradient(NOMINAL) * v**2
+    course = kernels.LATERAL_DAMPING / v
+    gains = steady * np.array([kernels.LATERAL_STIFFNESS / v**2, course, course, kernels.YAW_RATE_GAIN / v, 0.0])
+    slip = [-(front + rear) / (p.mass * v), (behind * rear - ahead * front) / (p.mass * v**2) - 1.0, front / (p.mass * v)]
+    yaw = [
+        (behind * rear - ahead * front) / p.yaw_inertia,
+        -(ahead**2 * front + behind**2 * rear) / (p.yaw_inertia * v),
+        ahead * front / p.yaw_inertia,
+    ]
+    steering = (-gains - np.array([0.0, 0.0, 0.0, 0.0, 1.0])) / kernels.STEERING_LAG
+    return np.array([[0.0, v, v, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, *slip], [0.0, 0.0, *yaw], steering])
+
+
+@pytest.mark.parametrize("speed", np.arange(10.0, 41.0, 2.5))
+def test_with_the_nominal_vehicle_the_loop_is_well_damped(speed: float) -> None:
+    eigenvalues = np.linalg.eigvals(closed_loop(NOMINAL, speed))
+    assert eigenvalues.real.max() < -0.5
+    assert (-eigenvalues.real / np.abs(eigenvalues)).min() > 0.55
+
+
+@pytest.mark.parametrize("speed", np.arange(10.0, 41.0, 2.5))
+def test_every_corner_of_the_box_that_is_stable_alone_is_stable_in_the_loop(speed: float) -> None:
+    for corner in CORNERS:
+        if stable_without_controller(corner, speed):
+            eigenvalues = np.linalg.eigvals(closed_loop(corner, speed))
+            assert eigenvalues.real.max() < -0.15, corner
+            assert (-eigenvalues.real / np.abs(eigenvalues)).min() > 0.2, corner
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_every_corner_of_the_box_that_is_stable_alone_completes_a_lane_change(
+    lane_change: Callable[..., Floats], drive: type[Any], speed: float
+) -> None:
+    trajectory = lane_change(speed, 5.0, 20.0)
+    for corner in CORNERS:
+        if stable_without_controller(corner, speed):
+            run = drive(trajectory, corner)
+            assert run.stable, corner
+            assert np.abs(run.across).max() < 1.0, corner
+            assert np.abs(run.across[-20:]).max() < 0.15, corner
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize(("takes", "within"), [(3.0, 0.07), (5.0, 0.03)])
+def test_a_lane_change_is_kept_within_centimetres(
+    lane_change: Callable[..., Floats], drive: type[Any], speed: float, takes: float, within: float
+) -> None:
+    trajectory = lane_change(speed, takes, 16.0)
+    run = drive(trajectory)
+    assert run.stable
+    assert np.abs(run.across).max() < within
+    assert np.abs(run.along).max() < 0.02
+    assert np.abs(run.across[-10:]).max() < 0.005
+    planned = np.abs(trajectory[:, 4] * speed**2).max()
+    assert np.abs(run.dynamics[:, 2]).max() == pytest.approx(planned, rel=0.1)
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_a_constant_radius_is_kept_within_centimetres_without_any_ripple(
+    curve: Callable[..., Floats], drive: type[Any], speed: float
+) -> None:
+    run = drive(curve(speed, 2.0, 25.0))
+    assert run.stable
+    assert np.abs(run.across).max() < 0.05
+    assert np.abs(run.across[-50:]).max() < 0.01
+    settled = run.dynamics[-500:]
+    assert settled[:, 2] == pytest.approx(2.0, abs=0.005)
+    assert np.ptp(settled[:, 4]) < 1e-5
+    assert settled[-1, 4] == pytest.approx((NOMINAL.wheelbase / speed**2 + understeer_gradient(NOMINAL)) * 2.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+def test_an_initial_offset_decays_without_noticeable_overshoot(
+    straight: Callable[..., Floats], drive: type[Any], speed: float
+) -> None:
+    run = drive(straight(speed, 15.0), start=np.array([0.0, 0.5, 0.0, speed]))
+    assert run.across.min() > -0.03
+    assert np.abs(run.across[-10:]).max() < 0.005
+
+
+def test_a_planned_acceleration_is_followed(straight: Callable[..., Floats], drive: type[Any]) -> None:
+    run = drive(straight(20.0, 8.0, acceleration=1.5))
+    assert np.abs(run.along).max() < 0.2
+    assert run.dynamics[-1, 0] == pytest.approx(32.0, abs=0.05)
+    assert run.dynamics[-1, 1] == pytest.approx(1.5, abs=0.01)
+
+
+def test_a_position_error_is_made_up_for_without_overshoot(straight: Callable[..., Floats], drive: type[Any]) -> None:
+    run = drive(straight(30.0, 25.0), start=np.array([-2.0, 0.0, 0.0, 30.0]))
+    assert run.along[0] < -1.9
+    assert run.along.max() < 0.05
+    assert abs(run.along[-1]) < 0.01
+
+
+def test_braking_to_a_standstill_ends_at_rest(straight: Callable[..., Floats], drive: type[Any]) -> None:
+    trajectory = straight(12.0, 10.0)
+    time = trajectory[:, 0]
+    speed = np.maximum(12.0 - 2.0 * time, 0.0)
+    trajectory[:, 1] = np.where(time < 6.0, 12.0 * time - time**2, 36.0)
+    trajectory[:, 5] = speed
+    trajectory[:, 6] = np.where(time < 6.0, -2.0, 0.0)
+    run = drive(trajectory)
+    assert run.stable
+    assert run.dynamics[:, 0].min() >= 0.0
+    assert run.dynamics[-1, 0] < 0.05
+    assert run.poses[-1, 0] == pytest.approx(36.0, abs=0.3)
+    assert np.abs(run.dynamics[:, 2:]).max() == 0.0
+
+
+def test_a_small_jump_at_a_replanning_instant_is_smoothed(straight: Callable[..., Floats], drive: type[Any]) -> None:
+    """5 cm to the side and 0.2 m/s faster: half a second later the acceleration has moved by less than a passenger notices."""
+    trajectory = straight(30.0, 10.0)
+    trajectory[30:, 2] += 0.05
+    trajectory[30:, 5] += 0.2
+    run = drive(trajectory)
+    lateral, longitudinal = run.dynamics[:, 2], run.dynamics[:, 1]
+    assert np.abs(np.diff(lateral)).max() < 0.03
+    assert np.abs(np.diff(longitudinal)).max() < 0.03
+    assert np.abs(lateral).max() < 0.15

@@ -1,0 +1,49 @@
+"""Plug-in of the learned evaluator. Light enough for the coordinator: workers import the kernels when they rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from drivecal.domain.evaluations import Rating
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.comfort.regression_arrays import arrays_of, shipped
+from drivecal.plugins.arrays import content_digest
+from drivecal.plugins.ports import Evaluator, Series
+
+if TYPE_CHECKING:
+    from drivecal.highway.comfort.regression import Rater
+
+
+class Learned:
+    """Rates time series by MiniRocket features and ridge regression, after Moser et al. [38]; see `learned.md` beside this file."""
+
+    name = "learned"
+
+    @cached_property
+    def version(self) -> str:
+        """Version derived from the arrays. Raises DamagedArraysError if they cannot be used."""
+        return f"1.{content_digest(arrays_of(shipped()))[:8]}"
+
+    @cached_property
+    def _rater(self) -> Rater:
+        from drivecal.highway.comfort.regression import Rater  # numba belongs to workers
+
+        return Rater(shipped())
+
+    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+        """Raises ValueError: metrics are no substitute for time series."""
+        raise ValueError(
+            f"a {manoeuvre.value} with {len(metrics)} metrics and no time series cannot be rated; simulate it again"
+        )
+
+    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+        """Rates a run that did not fail.
+
+        Raises ValueError if it is shorter than 10 s or longer than 30 s, and DamagedArraysError if the arrays cannot be used.
+        """
+        return self._rater.rate(manoeuvre, series)
+
+
+LEARNED: Evaluator = Learned()

@@ -1,0 +1,246 @@
+"""Triggered actions of the traffic's vehicles: they brake, cut in or drift at a time, a gap or a place."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+from typing import NamedTuple
+
+from drivecal.bundles.highway import TrafficEntry
+from drivecal.bundles.highway_actions import EGO, Action, Brake, CutIn, Drift
+from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.roads import Floats
+from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
+
+try:
+    import libsumo
+except ImportError as error:
+    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
+
+DEFAULT_RATE, DEFAULT_SECONDS = 4.0, 3.0
+SHORTEST, SLOWEST = 0.1, 0.1
+"""Seconds of a motion to the side at least; speed (m/s) by which a distance is divided at least."""
+PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
+"""Largest speed and acceleration of a motion of least jerk, per its mean speed, and per way / seconds²."""
+FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
+"""SUMO's speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
+
+
+class ActionError(DrivecalError):
+    """A vehicle cannot do what the scenario says, e.g. cut into a lane that does not exist."""
+
+
+class EgoPlace(NamedTuple):
+    """Where the ego vehicle is: s of its centre (m), metres of its way per metre of s, its speed (m/s), and d (m)."""
+
+    s: float
+    stretch: float
+    speed: float = 0.0
+    d: float = 0.0
+
+
+Lateral = Callable[[float, float, float], float]
+"""Returns d at an s (last) of the centre of the lane that holds a place (s, d)."""
+
+
+@dataclass(slots=True)
+class _Speeding:
+    """A running `brake`: the speed now, the one to be reached, the rate, and the time at which it is given back to the model, if known.
+
+    A `constant` vehicle has no model: it comes back to its own speed at the rate of the brake.
+    """
+
+    brake: Brake
+    speed: float
+    target: float
+    rate: float
+    until: float | None = None
+
+
+@dataclass(slots=True)
+class _Shift:
+    """A running motion to the side: from `start` by `way` (m), in `seconds` from `begin`; `steps`: lanes still to be entered."""
+
+    action: str | None
+    begin: float
+    seconds: float
+    start: float
+    way: float
+    steps: int = 0
+    passed: float = 0.0
+
+    def at(self, time: float) -> float:
+        """Returns the offset at a time: least jerk, from rest to rest."""
+        u = min(max((time - self.begin) / self.seconds, 0.0), 1.0)
+        return self.start + self.way * u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+
+
+class Actions:
+    """The actions of all vehicles of a scenario."""
+
+    def __init__(self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d) -> None:
+        """`vehicles`: by id; `lateral`: on the road."""
+        self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
+        self._vehicles, self._lateral = vehicles, lateral
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets what has happened, for another run."""
+        self._waiting: list[tuple[str, Action, Watch | None]] = [(name, action, None) for name, action in self._entries]
+        self._late: list[tuple[str, CutIn]] = []
+        self._speeding: dict[str, _Speeding] = {}
+        self._shifts: dict[str, _Shift] = {}
+        self._events = Events()
+
+    @property
+    def pending(self) -> bool:
+        """Whether something is still to be done."""
+        return bool(self._waiting or self._late or self._speeding or self._shifts)
+
+    def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
+        """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
+
+        Vehicles that have left the network do nothing. Those that are due to cut in inside of a junction do so behind it, on the edge whose
+        lanes the scenario numbers.
+        """
+        vehicles = {
+            name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
+        }
+        moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch)
+        for name, vehicle in moment.vehicles.items():
+            self._events.starts.setdefault(name, vehicle.s)
+        waiting: list[tuple[str, Action, Watch | None]] = []
+        due: list[tuple[str, Action]] = [*self._late]
+        for name, action, known in self._waiting:
+            watch = Watch(name, action, step) if known is None else known
+            if watch.is_due(moment, self._events) and name in vehicles:
+                due.append((name, action))
+            else:
+                waiting.append((name, action, watch))
+        self._waiting, self._late = waiting, []
+        for name, action in due:
+            if isinstance(action, CutIn) and (name not in vehicles or libsumo.vehicle.getRoadID(name).startswith(":")):
+                self._late.append((name, action))
+            else:
+                self._begin(name, action, moment)
+        for name in [name for name in self._speeding if name in vehicles]:
+            self._speed(name, moment, step)
+        for name in [name for name in self._shifts if name in vehicles]:
+            self._shift(name, time + step)
+
+    def _begin(self, name: str, action: Action, moment: Moment) -> None:
+        vehicle = libsumo.vehicle
+        self._events.begun.add(action.id or "")
+        if isinstance(action, Brake):
+            if name in self._speeding:
+                self._events.done.add(self._speeding[name].brake.id or "")
+            speed = vehicle.getSpeed(name)
+            target = _target(action, moment, speed)
+            self._speeding[name] = _Speeding(action, speed, target, _rate(action, speed, target))
+            vehicle.setSpeedMode(name, FREE if self._vehicles[name].model == "constant" else FREE_BUT_SAFE)
+            return
+        if name in self._shifts:
+            self._events.done.add(self._shifts[name].action or "")
+        offset = vehicle.getLateralLanePosition(name)
+        if isinstance(action, Drift):
+            way = action.offset - offset
+            seconds = action.seconds or DEFAULT_SECONDS
+            if action.lateral_acceleration is not None:
+                seconds = max(sqrt(PEAK_ACCELERATION * abs(way) / action.lateral_acceleration), SHORTEST)
+            self._shifts[name] = _Shift(action.id, moment.time, seconds, offset, way)
+            return
+        edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
+        count = libsumo.edge.getLaneNumber(edge)
+        centres = [0.0]
+        for lane in range(1, count):
+            centres.append(centres[-1] + 0.5 * (_width(edge, lane - 1) + _width(edge, lane)))
+        target_lane = action.lane
+        if target_lane is None:
+            left = 0.0
+            if action.beside is not None:
+                left = self._left(name, action.beside, moment) + offset
+            base = min(range(count), key=lambda lane: abs(centres[lane] - centres[index] - left))
+            target_lane = base + (action.by or 0)
+        if not 0 <= target_lane < count:
+            raise ActionError(
+                f"{name} cannot cut into lane {target_lane} of edge {edge} at {moment.time:g} s, which has {count} lanes"
+            )
+        way = centres[target_lane] - centres[index] - offset
+        seconds = action.seconds or DEFAULT_SECONDS
+        if action.metres is not None:
+            seconds = action.metres / max(vehicle.getSpeed(name), SLOWEST)
+        elif action.lateral_speed is not None:
+            seconds = PEAK_SPEED * abs(way) / action.lateral_speed
+        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
+
+    def _left(self, name: str, other: str, moment: Moment) -> float:
+        """Returns how far to the left of a vehicle the lane of another one is (m)."""
+        if other not in moment.vehicles:
+            raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the network")
+        own, there = moment.vehicles[name], moment.vehicles[other]
+        return self._lateral(there.s, there.d, own.s) - own.d
+
+    def _speed(self, name: str, moment: Moment, step: float) -> None:
+        running, time = self._speeding[name], moment.time
+        if running.until is not None and time >= running.until - 1e-9:
+            self._events.done.add(running.brake.id or "")
+            vehicle = self._vehicles[name]
+            if vehicle.model != "constant":
+                libsumo.vehicle.setSpeedMode(name, MODEL)
+                libsumo.vehicle.setSpeed(name, -1)
+                del self._speeding[name]
+                return
+            running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
+            running.target, running.until = vehicle.speed, None
+        if running.brake.continuous:
+            running.target = _target(running.brake, moment, running.target)
+        change, target = running.rate * step, running.target
+        speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
+        running.speed = speed
+        libsumo.vehicle.setSpeed(name, speed)
+        if speed != target or running.until is not None:
+            return
+        if running.brake.hold is not None:
+            running.until = time + step + running.brake.hold
+        elif not running.brake.continuous:
+            self._events.done.add(running.brake.id or "")
+
+    def _shift(self, name: str, time: float) -> None:
+        """Moves a vehicle sideways, and into the next lane when its centre crosses the marking, or after the junction."""
+        running, vehicle = self._shifts[name], libsumo.vehicle
+        offset = running.at(time) - running.passed
+        side = (running.steps > 0) - (running.steps < 0)
+        if side:
+            edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
+            half = 0.5 * _width(edge, index)
+            if side * offset > half and not edge.startswith(":") and 0 <= index + side < libsumo.edge.getLaneNumber(edge):
+                vehicle.moveTo(name, f"{edge}_{index + side}", vehicle.getLanePosition(name))
+                way = side * (half + 0.5 * _width(edge, index + side))
+                running.passed += way
+                running.steps -= side
+                offset -= way
+        vehicle.setLateralLanePosition(name, offset)
+        if time >= running.begin + running.seconds and not running.steps:
+            self._events.done.add(running.action or "")
+            del self._shifts[name]
+
+
+def _target(brake: Brake, moment: Moment, otherwise: float) -> float:
+    """Returns the speed to be reached, `otherwise` if the vehicle to compare with has left the network."""
+    if brake.like is None:
+        return brake.speed
+    other = moment.vehicles.get(brake.like)
+    return otherwise if other is None else max(brake.factor * other.speed + brake.speed, 0.0)
+
+
+def _rate(brake: Brake, speed: float, target: float) -> float:
+    """Returns the rate (m/s²) of a change of speed."""
+    if brake.seconds is not None:
+        return abs(target - speed) / brake.seconds if brake.seconds > 0.0 else inf
+    if brake.metres is not None:
+        return abs(target**2 - speed**2) / (2.0 * brake.metres)
+    return DEFAULT_RATE if brake.rate is None else brake.rate
+
+
+def _width(edge: str, lane: int) -> float:
+    width: float = libsumo.lane.getWidth(f"{edge}_{lane}")
+    return width

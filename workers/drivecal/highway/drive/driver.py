@@ -1,0 +1,69 @@
+"""The child of simulator kind `highway`: loads the network, SUMO and the controller, and serves runs.
+
+Runs as `python -I -B -m ... SETTINGS`, where SETTINGS is a file with the object that `drivecal.adapters.highway` writes.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivecal.adapters.driver import Evaluate, serve
+
+
+def prepare(settings: Mapping[str, Any]) -> Evaluate:
+    """Reads the network and starts SUMO and the controller."""
+    from drivecal.bundles.highway import HighwaySimulator, VehicleEntry
+    from drivecal.bundles.traffic.description import described_in
+    from drivecal.highway.drive.controllers import controller
+    from drivecal.highway.drive.loop import Loop
+    from drivecal.highway.drive.measures import measures, series
+    from drivecal.highway.drive.road import HighwayRoad
+    from drivecal.highway.drive.traffic import Traffic
+    from drivecal.highway.vehicle.model import SingleTrackModel
+    from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
+    from drivecal.roads.corridor import corridor
+    from drivecal.roads.network import network_file, read_network
+
+    simulator = HighwaySimulator.model_validate(settings["simulator"])
+    folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
+    scenario = described_in(folder, settings["data"], simulator.step)
+    network = folder / network_file(scenario.network)
+    road = HighwayRoad(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
+    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
+    parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
+    # The last message before a crash names its cause: SUMO can die of a damaged network.
+    print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
+    traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
+    print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
+    section = simulator.controller.model_dump(mode="json", exclude_none=True)
+    control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
+    loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)
+    loop.prepare()
+
+    def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
+        outcome = loop.run(request["parameters"])
+        values = measures(outcome.record)
+        answer: dict[str, Any] = {"measures": {measure: values[measure] for measure in settings["measures"]}}
+        if outcome.failure is not None:
+            answer["failure"] = outcome.failure
+        if "series" in request:
+            answer["series"] = series(outcome.record, settings["series"])
+        return answer
+
+    return evaluate
+
+
+def main() -> None:
+    """Serves the scenario of the settings in the first argument's file."""
+    settings = json.loads(Path(sys.argv[1]).read_bytes())
+    sys.argv[1:] = []
+    if settings["kernels"] is not None:
+        os.environ["NUMBA_CACHE_DIR"] = settings["kernels"]
+    serve(lambda: prepare(settings))
+
+
+if __name__ == "__main__":
+    main()

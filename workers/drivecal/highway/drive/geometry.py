@@ -1,0 +1,368 @@
+"""Compiled geometry of a run: where vehicles are on the corridor, what the ego vehicle observes, the path it keeps, collisions.
+
+Functions that call each other share this module, because numba's cache does not notice edits in imported modules. Arrays:
+
+`line`, shape (n, 7): the corridor's reference line (s, x, y, heading, curvature) with cosine and sine of the heading. `lanes`, shape
+(n, m, 5): centre, width, limit and slope of the centre of each of m tracks at these rows, NaN if the track does not exist, and the position
+along its lanes as SUMO counts. `pose`: as from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of
+other vehicles' centres, their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6):
+their x, y, heading, half length, half width, and speed.
+"""
+
+from math import atan, cos, inf, isnan, pi, sin
+
+import numpy as np
+from numba import njit
+
+from drivecal.domain.roads import Floats
+
+TOLERANCE = 1e-9
+"""Step (m) at which Newton's iteration ends."""
+FARTHEST = 25.0
+"""Distance (m) from the line beyond which the foot point is searched anew: the vehicle drives elsewhere, or the iteration went astray."""
+OVERLAP = 0.3
+"""A vehicle is in each lane into which it reaches by more than this (m)."""
+VERGE = 0.5
+"""Distance (m) beyond the outermost lanes at which a vehicle is off the road."""
+FAR = 1000.0
+"""Gap without a vehicle; `highway_catalogue.FAR`."""
+OWN, BESIDE = 20, 7
+"""Number of signals of the vehicle itself, and of each lane beside its own; the own lane has one less. Order: see `observe`."""
+SIGNALS = OWN + 3 * BESIDE - 1
+RECORDED = 17
+"""Columns of a record, see `record`."""
+S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH, ALONG = range(9)
+"""Entries of `motion`."""
+
+
+@njit(cache=True)
+def nearest(line: Floats, x: float, y: float) -> float:
+    """Returns s of the row that is closest to a point."""
+    best, least = 0, inf
+    for row in range(len(line)):
+        dx, dy = x - line[row, 1], y - line[row, 2]
+        square = dx * dx + dy * dy
+        if square < least:
+            best, least = row, square
+    return line[best, 0]
+
+
+@njit(cache=True)
+def point(line: Floats, s: float) -> tuple[float, float, float, float]:
+    """Returns x, y, heading and curvature of the line at s, interpolated as in `drivecal.domain.roads`; straight beyond its ends."""
+    spacing = line[1, 0]
+    last = len(line) - 1
+    if s < 0.0 or s > last * spacing:
+        row = 0 if s < 0.0 else last
+        ahead = s - row * spacing
+        return line[row, 1] + ahead * line[row, 5], line[row, 2] + ahead * line[row, 6], line[row, 3], 0.0
+    row = min(int(s / spacing), last - 1)
+    u = s - line[row, 0]
+    bend = (line[row + 1, 4] - line[row, 4]) / spacing
+    w = u / spacing
+    from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
+    blend = w * w * (3.0 - 2.0 * w)
+    x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1]) + from_start * line[row, 5] + from_end * line[row + 1, 5]
+    y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2]) + from_start * line[row, 6] + from_end * line[row + 1, 6]
+    return x, y, line[row, 3] + u * (line[row, 4] + 0.5 * bend * u), line[row, 4] + bend * u
+
+
+@njit(cache=True)
+def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float]:
+    """Returns s, d, and the line's heading and curvature at the foot point of (x, y), by Newton's iteration from s = `near`."""
+    s = near
+    d = heading = curvature = 0.0
+    for _ in range(30):
+        foot_x, foot_y, heading, curvature = point(line, s)
+        along, across = cos(heading), sin(heading)
+        dx, dy = x - foot_x, y - foot_y
+        d = dy * along - dx * across
+        step = (dx * along + dy * across) / max(1.0 - curvature * d, 0.1)
+        if abs(step) < TOLERANCE:
+            break
+        s += step
+    return s, d, heading, curvature
+
+
+@njit(cache=True)
+def searched(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float]:
+    """Returns the same as `foot`, searched along the whole line if the vehicle is not near it at s = `near`."""
+    s, d, heading, curvature = foot(line, x, y, near)
+    if not (abs(d) <= FARTHEST and -FARTHEST <= s <= line[-1, 0] + FARTHEST):
+        s, d, heading, curvature = foot(line, x, y, nearest(line, x, y))
+    return s, d, heading, curvature
+
+
+@njit(cache=True)
+def _row(line: Floats, s: float) -> tuple[int, float]:
+    """Returns the row at or before s and the share of the way to the next one."""
+    position = s / line[1, 0]
+    row = min(max(int(position), 0), len(line) - 2)
+    return row, min(max(position - row, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> float:
+    """Returns a column of a track between rows; the row that exists if the track begins or ends there, else NaN."""
+    here, there = lanes[row, track, column], lanes[row + 1, track, column]
+    if isnan(there):
+        return here
+    if isnan(here):
+        return there
+    value: float = here + share * (there - here)
+    return value
+
+
+@njit(cache=True)
+def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
+    """Returns the track whose centre is closest to d, -1 if there is none."""
+    row, share = _row(line, s)
+    best, least = -1, inf
+    for track in range(lanes.shape[1]):
+        distance = abs(d - _lane(lanes, row, share, track, 0))
+        if distance < least:
+            best, least = track, distance
+    return best
+
+
+@njit(cache=True)
+def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, motion: Floats, front: Floats) -> bool:
+    """Writes the ego vehicle's place in the corridor and SUMO's position of it; returns whether it is on the road.
+
+    `motion`: s, d, track, offset from its centre, heading error, metres of the lane per metre of s, limit and width of the lane, and the
+    position of the vehicle's front along the track's lanes as SUMO counts. `front`: SUMO's position, i.e. x and y of the front and the
+    angle in degrees clockwise from north, shape (3,). `size`: half length, half width.
+    """
+    s, d, heading, curvature = foot(line, pose[0], pose[1], near)
+    row, share = _row(line, s)
+    track = track_at(line, lanes, s, d)
+    motion[S], motion[D], motion[TRACK] = s, d, track
+    front[0] = pose[0] + size[0] * cos(pose[2])
+    front[1] = pose[1] + size[0] * sin(pose[2])
+    front[2] = 90.0 - pose[2] * (180.0 / pi)
+    if track < 0:
+        return False
+    stretch = 1.0 - curvature * d
+    slope = atan(_lane(lanes, row, share, track, 3) / stretch)
+    yaw = pose[2] - heading
+    yaw -= 2.0 * pi * np.floor((yaw + pi) / (2.0 * pi))
+    motion[OFFSET] = d - _lane(lanes, row, share, track, 0)
+    motion[HEADING_ERROR], motion[STRETCH] = yaw - slope, stretch
+    motion[LIMIT], motion[WIDTH] = _lane(lanes, row, 0.0, track, 2), _lane(lanes, row, 0.0, track, 1)
+    row_ahead, share_ahead = _row(line, s + size[0] / stretch)
+    motion[ALONG] = _lane(lanes, row_ahead, share_ahead, track, 4)
+    right, left = inf, -inf
+    for other in range(lanes.shape[1]):
+        centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
+        if centre - half < right:
+            right = centre - half
+        if centre + half > left:
+            left = centre + half
+    reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
+    return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
+
+
+@njit(cache=True)
+def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
+    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3).
+
+    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0.
+    """
+    for i in range(len(raw)):
+        half = 0.5 * others[i, 4]
+        x, y, speed = raw[i, 0], raw[i, 1], raw[i, 2]
+        if step > 0.0:
+            s, d, heading, curvature = searched(line, x, y, others[i, 0] + half + others[i, 2] * step)
+            others[i, 3] = (speed - outlines[i, 5]) / step
+        else:
+            s, d, heading, curvature = foot(line, x, y, nearest(line, x, y))
+            others[i, 3] = 0.0
+        stretch = max(1.0 - curvature * d, 0.1)
+        heading -= half * curvature / stretch
+        others[i, 0] = s - half / stretch
+        others[i, 1] = d
+        others[i, 2] = speed
+        outlines[i, 0] = x - half * cos(heading)
+        outlines[i, 1] = y - half * sin(heading)
+        outlines[i, 2] = heading
+        outlines[i, 3] = half
+        outlines[i, 4] = 0.5 * others[i, 5]
+        outlines[i, 5] = speed
+
+
+@njit(cache=True)
+def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
+    """Returns the first of `outlines` that overlaps the ego vehicle's rectangle, -1 if there is none; separating axis theorem."""
+    c, s = cos(pose[2]), sin(pose[2])
+    for i in range(len(outlines)):
+        dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
+        reach = size[0] + size[1] + outlines[i, 3] + outlines[i, 4]
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        other_c, other_s = cos(outlines[i, 2]), sin(outlines[i, 2])
+        along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
+        length, width = outlines[i, 3], outlines[i, 4]
+        if (
+            abs(dx * c + dy * s) <= size[0] + length * along + width * across
+            and abs(dy * c - dx * s) <= size[1] + length * across + width * along
+            and abs(dx * other_c + dy * other_s) <= length + size[0] * along + size[1] * across
+            and abs(dy * other_c - dx * other_s) <= width + size[0] * across + size[1] * along
+        ):
+            return i
+    return -1
+
+
+@njit(cache=True)
+def _neighbours(
+    line: Floats,
+    lanes: Floats,
+    others: Floats,
+    track: int,
+    motion: Floats,
+    half: float,
+    speed: float,
+    lead: float,
+    seen: Floats,
+) -> None:
+    """Writes gap, speed and acceleration of the leader and of the follower in a track to `seen`, shape (6,).
+
+    `lead`: seconds since `others` were read, for which they are moved on.
+    """
+    seen[0], seen[1], seen[2] = FAR, speed, 0.0
+    seen[3], seen[4], seen[5] = FAR, speed, 0.0
+    if track < 0:
+        return
+    for i in range(len(others)):
+        s = others[i, 0]
+        if lead > 0.0:
+            s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
+        if not 0.0 <= s <= line[-1, 0]:
+            continue
+        row, share = _row(line, s)
+        reach = 0.5 * (_lane(lanes, row, 0.0, track, 1) + others[i, 5]) - OVERLAP
+        if not abs(others[i, 1] - _lane(lanes, row, share, track, 0)) < reach:
+            continue
+        ahead = (s - motion[S]) * motion[STRETCH]
+        gap = abs(ahead) - half - 0.5 * others[i, 4]
+        first = 0 if ahead >= 0.0 else 3
+        if gap < seen[first]:
+            seen[first], seen[first + 1], seen[first + 2] = gap, others[i, 2], others[i, 3]
+
+
+@njit(cache=True)
+def _curvature(line: Floats, lanes: Floats, track: int, s: float) -> float:
+    """Returns the curvature of a track's centre."""
+    row, share = _row(line, s)
+    curvature = line[row, 4] + share * (line[row + 1, 4] - line[row, 4])
+    centre = _lane(lanes, row, share, track, 0)
+    bend = (lanes[row + 1, track, 3] - lanes[row, track, 3]) / line[1, 0]
+    if isnan(centre):
+        return curvature
+    return curvature / (1.0 - curvature * centre) + (0.0 if isnan(bend) else bend)
+
+
+@njit(cache=True)
+def observe(
+    line: Floats, lanes: Floats, ends: Floats, others: Floats, motion: Floats, pose: Floats, steering: float, half: float,
+    time: float, lead: float, signals: Floats,
+) -> None:  # fmt: skip
+    """Writes the ego vehicle's observation. The order of `signals`, shape (SIGNALS,), is that of `observation.NAMES`.
+
+    `ends`: s at which each track ends, shape (m,); `half`: half the vehicle's length; `lead`: as in `_neighbours`.
+    """
+    s, speed, track = motion[S], pose[3], int(motion[TRACK])
+    signals[0], signals[1], signals[2], signals[3] = time, speed, pose[6], pose[7]
+    signals[4], signals[5], signals[6] = pose[5], pose[4], steering
+    signals[7], signals[8], signals[9], signals[10] = s, motion[TRACK], motion[OFFSET], motion[HEADING_ERROR]
+    signals[11] = motion[WIDTH]
+    signals[12], signals[13] = min((ends[track] - s) * motion[STRETCH], FAR), line[-1, 0] - s
+    signals[14] = signals[15] = motion[LIMIT]
+    last = s + max(3.0 * speed, 50.0)
+    row = _row(line, s)[0]
+    while row < len(line) and line[row, 0] <= last:
+        if lanes[row, track, 2] < signals[15]:
+            signals[15] = lanes[row, track, 2]
+        row += 4
+    for i, seconds in enumerate((0.0, 1.0, 2.0, 4.0)):
+        signals[16 + i] = _curvature(line, lanes, track, min(s + seconds * speed, line[-1, 0]))
+    row, share = _row(line, s)
+    own = _lane(lanes, row, share, track, 0)
+    left, right, above, below = -1, -1, inf, -inf
+    for other in range(lanes.shape[1]):
+        centre = _lane(lanes, row, share, other, 0)
+        if own + 0.5 < centre < above:
+            left, above = other, centre
+        if own - 0.5 > centre > below:
+            right, below = other, centre
+    _neighbours(line, lanes, others, track, motion, half, speed, lead, signals[OWN : OWN + 6])
+    first = OWN + 6
+    for side in (left, right):
+        signals[first] = 0.0 if side < 0 else 1.0
+        _neighbours(line, lanes, others, side, motion, half, speed, lead, signals[first + 1 : first + BESIDE])
+        first += BESIDE
+
+
+@njit(cache=True)
+def record(
+    line: Floats,
+    lanes: Floats,
+    others: Floats,
+    motion: Floats,
+    pose: Floats,
+    steering: float,
+    half: float,
+    time: float,
+    lead: float,
+    row: Floats,
+) -> None:
+    """Writes a row of the run's record, shape (RECORDED,), in the order of `drivecal.highway.drive.measures.COLUMNS`.
+
+    `lead`: as in `_neighbours`.
+    """
+    row[0], row[1], row[2], row[3] = time, pose[0], pose[1], pose[2]
+    row[4], row[5], row[6] = motion[S], motion[OFFSET], motion[TRACK]
+    row[7], row[8], row[9], row[10], row[11] = pose[3], pose[6], pose[7], steering, motion[LIMIT]
+    seen = np.empty(6)
+    _neighbours(line, lanes, others, int(motion[TRACK]), motion, half, pose[3], lead, seen)
+    row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
+
+
+@njit(cache=True)
+def settle(
+    line: Floats, lanes: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, motion: Floats, pose: Floats,
+    steering: float, size: Floats, time: float, row: Floats,
+) -> int:  # fmt: skip
+    """Combines `locate`, `record` and `hit` in one call."""
+    locate(line, raw, others, outlines, step)
+    record(line, lanes, others, motion, pose, steering, size[0], time, 0.0, row)
+    return hit(outlines, pose, size)
+
+
+@njit(cache=True)
+def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, path: Floats) -> None:
+    """Writes the path along a track's centre at a constant speed from s on, as a trajectory (t, x, y, heading, curvature, speed, 0).
+
+    `path`, shape (n, 7), has its times. Where the track does not exist, the path goes on at the last offset.
+    """
+    last = _row(line, s)[0]
+    while last > 0 and isnan(lanes[last, track, 0]):
+        last -= 1
+    offset = 0.0 if isnan(lanes[last, track, 0]) else lanes[last, track, 0]
+    before = 0.0
+    stretch = 1.0
+    for i in range(len(path)):
+        s += speed * (path[i, 0] - before) / stretch
+        before = path[i, 0]
+        x, y, heading, curvature = point(line, s)
+        row, share = _row(line, s)
+        centre, slope = _lane(lanes, row, share, track, 0), _lane(lanes, row, share, track, 3)
+        exists = not isnan(centre)
+        if not exists:
+            centre, slope = offset, 0.0
+        offset = centre
+        stretch = max(1.0 - curvature * centre, 0.1)
+        path[i, 1], path[i, 2] = x - centre * sin(heading), y + centre * cos(heading)
+        path[i, 3] = heading + atan(slope / stretch)
+        path[i, 4] = _curvature(line, lanes, track, s) if exists else curvature / stretch
+        path[i, 5] = speed
+        path[i, 6] = 0.0

@@ -1,0 +1,243 @@
+"""SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
+
+libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
+between runs if nothing is random; else SUMO loads everything anew, with the same seed.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEntry
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
+from drivecal.domain.roads import Floats
+from drivecal.highway.drive import geometry
+from drivecal.highway.drive.actions import FREE, Actions, EgoPlace
+from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.routes import EGO, drivers, is_exact, options, route_id, routes_file
+from drivecal.roads.corridor import LanePiece
+
+try:
+    import libsumo
+    from libsumo import _libsumo as compiled
+except ImportError as error:
+    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
+
+GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
+STEP, DEPARTED, ARRIVED = compiled.simulation_step, compiled.simulation_getDepartedNumber, compiled.simulation_getArrivedNumber
+SET_SPEED = compiled.vehicle_setSpeed
+"""Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call."""
+SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+MAPPED_ANYWHERE = 2
+"""moveToXY's `keepRoute`: places the vehicle at exactly these coordinates."""
+MAPPED_WITHIN = 10.0
+"""moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
+CHECKED_STEPS = 50
+"""Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
+
+
+class TrafficError(DrivecalError):
+    """SUMO refused a network, a route or a vehicle; the message quotes SUMO."""
+
+
+class Traffic:
+    """The other vehicles of a scenario. Arrays as in `geometry`; they are replaced when vehicles enter or leave.
+
+    `names`: ids of the other vehicles, in the order of the rows of `raw`, `others` and `outlines`.
+    """
+
+    def __init__(
+        self, name: str, scenario: HighwayScenario, network: Path, road: HighwayRoad, step: float, folder: Path
+    ) -> None:
+        """Starts SUMO. `name`: the scenario's; `folder`: for its route file. Raises TrafficError and InvalidInputError."""
+        self._name, self._scenario, self._road, self._step = name, scenario, road, step
+        vehicles, flows = drivers(scenario)
+        self._vehicles = list(vehicles)
+        self._drivers: dict[str, Driver] = {**vehicles, **flows}
+        field = f"scenarios.{name}"
+        ego = scenario.ego
+        self.start_s, start_d = _centre(road, ego, f"{field}.ego")
+        self.start_d = start_d + ego.offset
+        route_file = folder / "traffic.rou.xml"
+        try:
+            route_file.write_bytes(routes_file(scenario))
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
+        self._options = options(scenario, str(network), str(route_file), step)
+        self._is_exact = is_exact(scenario)
+        try:
+            libsumo.start(["sumo", *self._options])
+            self._loaded = True
+            self._places = [
+                (key, *_front(road, vehicle, vehicle.length, f"{field}.traffic[{index}]"), vehicle.speed, vehicle.offset)
+                for index, (key, vehicle) in enumerate(vehicles.items())
+            ]
+            self._places.append((EGO, *_front(road, ego, ego.length, f"{field}.ego"), ego.speed, 0.0))
+        except SUMO_ERRORS as error:
+            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
+        self._actions = Actions(vehicles, road.lateral)
+        curvature = geometry.point(road.line, self.start_s)[3]
+        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
+        """Where the ego vehicle was when `others` were read."""
+        self._track, self._placed = -1, 0.0
+        """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
+        self.names: list[str] = []
+        self.raw: Floats = np.zeros((0, 3))
+        self.others: Floats = np.zeros((0, 6))
+        self.outlines: Floats = np.zeros((0, 6))
+        self._cells: Any = self.raw.reshape(-1).data
+
+    def reset(self) -> None:
+        """Puts all vehicles to their starts. Raises TrafficError if SUMO refuses one."""
+        vehicle = libsumo.vehicle
+        try:
+            if not self._loaded or not self._is_exact:
+                self._loaded = False
+                libsumo.load(self._options)
+                self._loaded = True
+            else:
+                for name in vehicle.getLoadedIDList():
+                    vehicle.remove(name)
+            for name, lane, position, speed, offset in self._places:
+                vehicle.add(name, route_id(name), typeID=name)
+                vehicle.moveTo(name, lane, position)
+                vehicle.setPreviousSpeed(name, speed)
+                if offset:
+                    vehicle.setLateralLanePosition(name, offset)
+            vehicle.setLaneChangeMode(EGO, 0)
+            vehicle.setSpeedMode(EGO, FREE)
+            missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
+            self.names = []
+            self._enlist(self._vehicles)
+        except SUMO_ERRORS as error:
+            self._loaded = False
+            raise TrafficError(f"scenarios.{self._name}: SUMO cannot place the vehicles: {error}") from error
+        if missing:
+            self._loaded = False
+            names = ", ".join(sorted(missing))
+            raise TrafficError(f"scenarios.{self._name}: SUMO does not take the vehicles {names}; place them farther apart")
+        self._actions.reset()
+        self._track, self._ego = -1, self._ego_start
+        self._read()
+        geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
+
+    def advance(self, index: int, motion: Floats, front: Floats, speed: float) -> bool:
+        """Simulates step number `index`, at whose end the ego vehicle is at `front` (see `geometry.place`), and reads all vehicles.
+
+        `geometry.settle` must follow. Returns False if SUMO has taken the ego vehicle off the end of its route. Raises TrafficError if SUMO
+        fails.
+        """
+        time = index * self._step
+        try:
+            if self._actions.pending:
+                self._actions.act(time, self._step, self.names, self.others, self._ego, self._scenario.ego.length)
+            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH), speed, motion.item(geometry.D))
+            self._guide(index, motion, front, speed)
+            STEP()
+            if DEPARTED() or ARRIVED():
+                present = set(libsumo.vehicle.getIDList())
+                if EGO not in present:
+                    self._loaded = False
+                    if motion.item(0) > self._road.length - self._scenario.ego.length - speed * self._step:
+                        return False
+                    raise TrafficError(f"scenarios.{self._name}: SUMO has removed the ego vehicle at {time:g} s")
+                if present != {EGO, *self.names}:
+                    kept = [name for name in self.names if name in present]
+                    self._enlist(kept + sorted(present - {EGO, *kept}))
+            self._read()
+        except SUMO_ERRORS as error:
+            self._loaded = False
+            raise TrafficError(f"scenarios.{self._name}: SUMO failed at {time:g} s: {error}") from error
+        return True
+
+    def _guide(self, index: int, motion: Floats, front: Floats, speed: float) -> None:
+        """Lets SUMO move the ego vehicle's front to its place at the end of the step.
+
+        Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
+        by name; by coordinates if SUMO has it elsewhere, and inside of junctions into which it changed lanes.
+        """
+        track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
+        if track == self._track and index % CHECKED_STEPS:
+            way = max(along - self._placed, 0.0)
+            self._placed += way
+            SET_SPEED(EGO, way / self._step)
+            return
+        edge, lane, position = self._road.sumo.place(track, along)
+        self._track = track
+        if edge.startswith(":"):
+            self._track = -1
+            MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
+            return
+        begin = max(position - speed * self._step, 0.0)
+        libsumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
+        SET_SPEED(EGO, (position - begin) / self._step)
+        self._placed = along
+
+    def _enlist(self, names: list[str]) -> None:
+        """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
+        raw, others, outlines = np.zeros((len(names), 3)), np.zeros((len(names), 6)), np.zeros((len(names), 6))
+        rows = {name: row for row, name in enumerate(self.names)}
+        for row, name in enumerate(names):
+            if name in rows:
+                others[row], outlines[row] = self.others[rows[name]], self.outlines[rows[name]]
+                continue
+            driver = self._drivers[name if name in self._drivers else name.rpartition(".")[0]]
+            others[row, 4:] = driver.length, driver.width
+            others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
+            outlines[row, 5] = GET_SPEED(name)
+            if driver.lane_change == "none":
+                libsumo.vehicle.setLaneChangeMode(name, 0)
+            if driver.model == "constant":
+                libsumo.vehicle.setSpeedMode(name, FREE)
+                libsumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else outlines.item(row, 5))
+        self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
+        self._cells = raw.reshape(-1).data  # a memoryview assigns single items several times faster than numpy
+
+    def _read(self) -> None:
+        position, speed, cells = GET_POSITION, GET_SPEED, self._cells
+        cell = 0
+        for name in self.names:
+            cells[cell], cells[cell + 1] = position(name)
+            cells[cell + 2] = speed(name)
+            cell += 3
+
+
+def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
+    """Returns s and d of a vehicle's centre. Raises InvalidInputError."""
+    try:
+        if placed.edge is not None:
+            return road.corridor.position(placed.edge, placed.lane, placed.s)
+        piece = road.corridor.piece(placed.s, placed.lane)
+        return road.corridor.position(piece.edge, piece.index, _along(road, piece, placed.s))
+    except InvalidInputError as error:
+        raise _prefixed(error, field) from error
+
+
+def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tuple[str, float]:
+    """Returns lane and position along it of a vehicle's front. Raises InvalidInputError."""
+    edge, lane, position = placed.edge, placed.lane, placed.s + 0.5 * length
+    if edge is None:
+        try:
+            piece = road.corridor.piece(placed.s, lane)
+        except InvalidInputError as error:
+            raise _prefixed(error, field) from error
+        edge, position = piece.edge, _along(road, piece, placed.s) + 0.5 * length
+    edge, lane, position = road.sumo.ahead(edge, lane, position)
+    name = f"{edge}_{lane}"
+    try:
+        return name, min(position, libsumo.lane.getLength(name))
+    except SUMO_ERRORS as error:
+        message = f"the network has no lane {name}"
+        raise InvalidInputError(Problem(f"{field}.lane", message, "give an edge and a lane of the network")) from error
+
+
+def _along(road: HighwayRoad, piece: LanePiece, s: float) -> float:
+    """Returns the position along a lane (m, as SUMO counts) at s of the corridor."""
+    places = road.corridor.places[piece.edge, piece.index]
+    return float(np.interp(s, places[:, 1], places[:, 0]))
+
+
+def _prefixed(error: InvalidInputError, field: str) -> InvalidInputError:
+    return InvalidInputError(*(replace(problem, field=f"{field}.{problem.field}") for problem in error.problems))

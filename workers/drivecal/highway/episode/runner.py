@@ -1,0 +1,66 @@
+"""Simulation and rating of parameter sets in one scenario."""
+
+from collections.abc import Mapping, Sequence
+
+from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
+from drivecal.domain.scenarios import Scenario
+from drivecal.highway.comfort.metrics import comfort_metrics
+from drivecal.highway.episode.loop import ClosedLoop, Drive
+from drivecal.highway.episode.task import fulfilled, speed_errors, target_offsets
+from drivecal.highway.episode.trace import Recorder, Trace
+from drivecal.highway.traffic.simulation import simulation
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, Series, SeriesEvaluator, VehicleModel
+
+
+class EpisodeRunner:
+    """Simulates and rates parameter sets in one scenario, in the only SUMO simulation of this process.
+
+    Runners of several scenarios may coexist; switching between them costs a reload of some milliseconds. Equal parameters give equal bits,
+    independent of earlier runs.
+    """
+
+    def __init__(
+        self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
+    ) -> None:
+        """Creates a runner. `vehicle`: as from `Vehicle.create`; runners must not share it."""
+        self._scenario = scenario
+        self._evaluator = evaluator
+        self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # isinstance takes microseconds
+        self._vehicle = vehicle
+        self.planner = driving_function.create(scenario)
+        self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
+
+    def run(self, parameters: Sequence[float], planner: Planner | None = None) -> RunResult:
+        """Runs one simulation with these parameter values, in the order of the driving function's parameters.
+
+        `planner` replaces the runner's own. Raises SimulationError if SUMO fails, which is not a result, unlike a `failure` of the driving
+        function.
+        """
+        return self._result(self._loop.drive(parameters, planner=planner))
+
+    def trace(self, parameters: Sequence[float]) -> Trace:
+        """Runs the same simulation and returns its time series, too."""
+        recorder = Recorder(self._scenario)
+        drive = self._loop.drive(parameters, recorder)
+        return recorder.trace(drive, self._result(drive))
+
+    def _result(self, drive: Drive) -> RunResult:
+        offsets = target_offsets(drive.motion, self._scenario)
+        series = Series(drive.dynamics, offsets[1:])
+        metrics = comfort_metrics(series.dynamics, series.offset) | {
+            "driven_s": (len(drive.motion) - 1) * self._scenario.step,
+            "final_offset_m": offsets.item(-1),
+            "final_speed_error_mps": speed_errors(drive.motion[-1:], self._scenario).item(),
+        }
+        measured = getattr(self._vehicle, "metrics", None)  # `SelfMeasuring`, in some vehicles only after a run
+        if measured is not None:
+            metrics |= measured
+        failure = drive.failure
+        if failure is None and not fulfilled(drive.motion, self._scenario):
+            failure = Failure.TASK_MISSED
+        return RunResult(FAILED_RATING if failure else self._rating(metrics, series), metrics, failure)
+
+    def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
+        if self._series_evaluator is not None:
+            return self._series_evaluator.rate_series(self._scenario.manoeuvre, series)
+        return self._evaluator.rate(self._scenario.manoeuvre, metrics)

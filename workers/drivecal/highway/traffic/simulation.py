@@ -1,0 +1,182 @@
+"""The SUMO simulation of a process, which removes and re-adds all vehicles between runs.
+
+libsumo keeps the simulation in global state, so that every process has exactly one `Simulation`, returned by `simulation()`. A reset is
+bit-identical to a fresh start, because the simulation has no randomness (see `configuration.EXACT`) and does not depend on the clock.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
+from drivecal.domain.roads import Floats, reference_line, to_cartesian
+from drivecal.domain.scenarios import Scenario
+from drivecal.highway.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
+from drivecal.highway.traffic.geometry import locate, settle, with_directions
+
+try:
+    import libsumo
+    from libsumo import _libsumo as compiled
+except ImportError as error:
+    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
+
+GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
+STEP = compiled.simulation_step
+"""Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call; a run has two thousand calls."""
+SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+PLACE_TOLERANCE = 0.5
+"""Largest distance (m) between the start of a vehicle and the nearest position on a lane."""
+MAPPED_ANYWHERE = 2
+"""moveToXY's `keepRoute`: places the vehicle at exactly these coordinates."""
+MAPPED_WITHIN = 10.0
+"""moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
+
+
+class SimulationError(DrivecalError):
+    """SUMO failed; the message quotes SUMO."""
+
+
+class Simulation:
+    """SUMO with one scenario loaded. Create it by `simulation()` only.
+
+    `neighbours`: (s, d, s', d', length, width) of the other vehicles' centres in the order of the scenario's traffic, shape (n, 6).
+    `outlines`: their (x, y, heading, half length, half width), shape (n, 5). Both are overwritten by `reset` and `advance`.
+    """
+
+    def __init__(self) -> None:
+        self._scenario: Scenario | None = None
+        self._step = 0.0
+        self._line: Floats = np.zeros((0, 7))
+        self._places: list[tuple[str, str, float, float]] = []
+        """Id, lane, position of the front along the lane (m) and speed (m/s) at the start; the ego vehicle comes last."""
+        self._drifts: list[tuple[int, str, list[float]]] = []
+        """Row, id and offsets from the lane's centre (m) after each step, of all drifting vehicles."""
+        self._start: Floats = np.zeros((0, 6))
+        self._names: list[str] = []
+        self._lanes: list[float] = []
+        self._raw: Floats = np.zeros((0, 4))
+        self._ego: Floats = np.zeros(2)
+        """Half length and half width of the ego vehicle."""
+        self._cells: Any = self._raw.reshape(-1).data
+        """Memoryview of `_raw`, which assigns single items several times faster than numpy."""
+        self.neighbours: Floats = np.zeros((0, 6))
+        self.outlines: Floats = np.zeros((0, 5))
+
+    def load(self, scenario: Scenario) -> None:
+        """Loads `scenario` unless it is loaded already. Raises SimulationError if SUMO rejects it."""
+        if scenario is self._scenario:
+            return
+        self._scenario = None
+        with tempfile.TemporaryDirectory() as folder:
+            network, route_file = Path(folder) / "road.net.xml", Path(folder) / "road.rou.xml"
+            network.write_bytes(scenario.network)
+            try:
+                route_file.write_bytes(routes(scenario))
+            except InvalidInputError as error:
+                raise SimulationError(f"scenario {scenario.id}: {error}") from error
+            arguments = options(scenario, str(network), str(route_file))
+            try:
+                if libsumo.isLoaded():
+                    libsumo.load(arguments)
+                else:
+                    libsumo.start(["sumo", *arguments])
+            except SUMO_ERRORS as error:
+                raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
+        width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
+        self._step = scenario.step
+        self._ego = np.array([0.5 * ego.length, 0.5 * ego.width])
+        line = reference_line(scenario.road)
+        self._line = with_directions(line)
+        drifting = [(row, vehicle) for row, vehicle in enumerate(traffic) if vehicle.drift]
+        self._drifts = [(row, vehicle.id, drift_offsets(vehicle, scenario)) for row, vehicle in drifting]
+        fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
+        fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
+        try:
+            self._places = [(name, *_lane_at(line, name, s, d), speed) for name, s, d, speed in fronts]
+        except SUMO_ERRORS as error:
+            raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
+        rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
+        self._start = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        self._names = [vehicle.id for vehicle in traffic]
+        self._lanes = self._start[:, 1].tolist()
+        self._raw = np.zeros((len(rows), 4))
+        self._raw[:, 3] = self._lanes  # only the ego vehicle changes lane: `reset` disables it for others
+        self._cells = self._raw.reshape(-1).data
+        self.neighbours = self._start.copy()
+        self.outlines = np.zeros((len(rows), 5))
+        self._scenario = scenario
+
+    def reset(self) -> None:
+        """Removes all vehicles and adds them at their starts.
+
+        Raises SimulationError if a vehicle is missing afterwards, which SUMO does not report. The next `load` then reloads the scenario.
+        """
+        vehicle = libsumo.vehicle
+        try:
+            for name in vehicle.getLoadedIDList():
+                vehicle.remove(name)
+            for name, lane, position, speed in self._places:
+                vehicle.add(name, ROUTE, typeID=name)
+                vehicle.setLaneChangeMode(name, 0)
+                vehicle.moveTo(name, lane, position)
+                vehicle.setPreviousSpeed(name, speed)
+            vehicle.setSpeedMode(EGO, 0)
+            missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
+        except SUMO_ERRORS as error:
+            self._scenario = None
+            raise SimulationError(f"SUMO cannot place the vehicles: {error}") from error
+        if missing:
+            self._scenario = None
+            raise SimulationError(f"SUMO did not accept the vehicles {', '.join(sorted(missing))}; place them farther apart")
+        self.neighbours[:] = self._start
+        self._read()
+        locate(self._line, self._raw, self.neighbours, self.outlines, 0.0)
+
+    def advance(self, index: int, front: Sequence[float], pose: Floats) -> bool:
+        """Simulates step number `index` of the run; returns whether the ego vehicle has hit another vehicle.
+
+        `pose`: the ego vehicle at the end of the step; `front`: as from `geometry.place`, on the road, which SUMO does not
+        check. Raises SimulationError if a vehicle is lost; the next `load` then reloads the scenario.
+        """
+        vehicle = libsumo.vehicle
+        try:
+            for _, name, offsets in self._drifts:
+                vehicle.setLateralLanePosition(name, offsets[index])
+            MOVE_TO_XY(EGO, "", -1, front[0], front[1], front[2], MAPPED_ANYWHERE, MAPPED_WITHIN)
+            STEP()
+            self._read()
+        except SUMO_ERRORS as error:
+            self._scenario = None
+            raise SimulationError(f"SUMO lost a vehicle at step {index}: {error}") from error
+        return settle(self._line, self._raw, self.neighbours, self.outlines, self._step, pose, self._ego)
+
+    def _read(self) -> None:
+        position, speed, cells = GET_POSITION, GET_SPEED, self._cells
+        cell = 0
+        for name in self._names:
+            cells[cell], cells[cell + 1] = position(name)
+            cells[cell + 2] = speed(name)
+            cell += 4
+        for row, name, _ in self._drifts:
+            cells[4 * row + 3] = self._lanes[row] + libsumo.vehicle.getLateralLanePosition(name)
+
+
+def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:
+    """Returns SUMO's lane and the position along it, which differs from the arc length on curved edges."""
+    x, y, _ = to_cartesian(line, s, d)
+    edge, position, lane = libsumo.simulation.convertRoad(x, y)
+    mapped_x, mapped_y = libsumo.simulation.convert2D(edge, position, lane)
+    if hypot(mapped_x - x, mapped_y - y) > PLACE_TOLERANCE:
+        raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
+    return f"{edge}_{lane}", position
+
+
+@cache
+def simulation() -> Simulation:
+    """Returns the simulation of this process."""
+    return Simulation()

@@ -1,0 +1,132 @@
+"""Training of the learned comfort evaluator on manoeuvres rated by a simulated panel, and its evaluation on held-out ones."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sklearn.linear_model import RidgeCV
+from sklearn.metrics import cohen_kappa_score
+
+from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.comfort import rocket
+from drivecal.highway.comfort.channels import LENGTH, UNITS
+from drivecal.highway.comfort.regression import features_of
+from drivecal.highway.comfort.regression_arrays import Regression
+from drivecal.highway.training.panel import Panel
+from drivecal.highway.training.rated_drives import RatedDrive, group_of_profile, group_of_set, simulated, synthetic
+from drivecal.plugins.ports import Floats
+
+SEED = 1
+PARAMETER_SETS, PROFILES = 240, 600
+"""Number of simulated parameter sets, each in all scenarios, and of synthetic profiles per class."""
+HELD_OUT = 0.25
+FEATURES = 24
+"""Features per kernel; the total is 84 times as many."""
+MOST_DILATIONS = 4
+PENALTIES = np.logspace(0.0, 5.0, 21)
+GOLDEN = 0.5 * (np.sqrt(5.0) + 1.0)
+
+
+def is_held_out(group: str) -> bool:
+    """Returns whether a group of drives is held out, which applies to all its drives."""
+    return zlib.crc32(group.encode()) / 2**32 < HELD_OUT
+
+
+def drives(*, held_out: bool) -> list[RatedDrive]:
+    """Returns the training manoeuvres or the held-out manoeuvres."""
+    numbers = [number for number in range(PARAMETER_SETS) if is_held_out(group_of_set(number)) is held_out]
+    selected = simulated(PARAMETER_SETS, numbers, SEED)
+    for manoeuvre in Manoeuvre:
+        for number in range(PROFILES):
+            if is_held_out(group_of_profile(manoeuvre, number)) is held_out:
+                drive = synthetic(manoeuvre, number, SEED)
+                if drive is not None:
+                    selected.append(drive)
+    return selected
+
+
+def dilations_of(length: int) -> tuple[rocket.Integers, rocket.Integers]:
+    """Returns dilations, spread exponentially as in the original, and the number of features per kernel of each."""
+    longest = np.log2((length - 1) / (rocket.TAPS - 1))
+    spread = np.logspace(0.0, longest, MOST_DILATIONS, base=2.0).astype(np.int32)
+    dilations, counts = np.unique(spread, return_counts=True)
+    per_dilation = counts * (FEATURES // MOST_DILATIONS)
+    return dilations.astype(np.int32), per_dilation.astype(np.int32)
+
+
+def structure(drives: Sequence[RatedDrive], rng: np.random.Generator) -> Regression:
+    """Returns a regression with random channels per kernel and zero weights.
+
+    Biases are quantiles of convolutions of randomly drawn drives.
+    """
+    dilations, per_dilation = dilations_of(LENGTH)
+    count = len(rocket.KERNELS) * len(dilations)
+    n_channels = (2.0 ** rng.uniform(0.0, np.log2(len(UNITS) + 1), count)).astype(np.int32)
+    channels = np.concatenate([rng.choice(len(UNITS), n, replace=False) for n in n_channels]).astype(np.int32)
+    places = np.concatenate([[0], np.cumsum(n_channels)])
+    biases: list[Floats] = []
+    total = 0
+    for combination in range(count):
+        d, k = divmod(combination, len(rocket.KERNELS))
+        used = channels[places[combination] : places[combination + 1]]
+        drive = drives[int(rng.integers(len(drives)))]
+        convolution = rocket.convolution_of(drive.channels, rocket.KERNELS[k], int(dilations[d]), used)
+        shares = (np.arange(total + 1, total + 1 + per_dilation[d]) * GOLDEN) % 1.0
+        biases.append(np.floor(np.quantile(convolution, shares)))
+        total += int(per_dilation[d])
+    all_biases = np.concatenate(biases).astype(np.int32)
+    return Regression(dilations, per_dilation, n_channels, channels, all_biases, np.zeros(len(all_biases)), np.zeros(1))
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A regression and its scikit-learn model: `scale` (mean and deviation of the features, (2, n)) and `ridge`."""
+
+    regression: Regression
+    scale: Floats
+    ridge: RidgeCV
+
+
+def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Fit:
+    """Fits a ridge regression on standardised features, with the penalty of the smallest leave-one-out error."""
+    untrained = structure(drives, np.random.default_rng(seed))
+    features = np.array([features_of(untrained, drive.channels) for drive in drives])
+    mean, deviation = features.mean(axis=0), features.std(axis=0)
+    deviation[deviation < 1e-6] = 1.0
+    ridge = RidgeCV(alphas=PENALTIES).fit((features - mean) / deviation, targets)
+    weights = np.asarray(ridge.coef_, dtype=np.float64) / deviation
+    intercept = np.array([float(ridge.intercept_) - float(weights @ mean)])
+    return Fit(replace(untrained, weights=weights, intercept=intercept), np.vstack([mean, deviation]), ridge)
+
+
+@dataclass(frozen=True, slots=True)
+class PanelAgreement:
+    """Agreement with the panel's ratings.
+
+    Shares of equal scores and of scores at most 1 apart, quadratic weighted kappa, r.m.s. error of the rating.
+    """
+
+    count: int
+    equal: float
+    within_one: float
+    kappa: float
+    error: float
+
+    @classmethod
+    def of(cls, ratings: Floats, panel: Floats) -> PanelAgreement:
+        """Compares ratings in 0..7, each of shape (n,)."""
+        ours, theirs = np.floor(ratings + 0.5).astype(int), np.floor(panel + 0.5).astype(int)
+        distance = np.abs(ours - theirs)
+        kappa = cohen_kappa_score(ours, theirs, weights="quadratic", labels=list(range(8)))
+        error = float(np.sqrt(((ratings - panel) ** 2).mean()))
+        return cls(len(ours), float((distance == 0).mean()), float((distance <= 1).mean()), float(kappa), error)
+
+
+def rated_by_panel(drives: Sequence[RatedDrive]) -> Floats:
+    """Returns the simulated panel's ratings, shape (n,); equal drives get equal ratings."""
+    panel = Panel.of(SEED)
+    generators = (np.random.default_rng([SEED, zlib.crc32(drive.name.encode())]) for drive in drives)
+    return np.array([panel.rate(drive.rating, rng) for drive, rng in zip(drives, generators, strict=True)])

@@ -1,0 +1,93 @@
+"""Models of the single-track and the hybrid vehicle."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
+from drivecal.highway.vehicle.residual import Residual
+from drivecal.plugins.ports import Floats
+
+_NO_PATH: Floats = np.zeros((2, 7))
+
+
+class SingleTrackModel:
+    """A vehicle that follows trajectories (port `VehicleModel`) or commands. Its controller is that of the `nominal` vehicle."""
+
+    def __init__(self, parameters: SingleTrackParameters, nominal: SingleTrackParameters = NOMINAL) -> None:
+        self.parameters = parameters
+        self._plant = kernels.pack_plant(parameters)
+        self._controller = kernels.pack_controller(nominal)
+        self._state = np.zeros(9)
+        self._pose = self._state[:8]
+
+    def start(self, x: float, y: float, heading: float, speed: float) -> None:
+        """Starts a new run straight ahead, without acceleration. Centre of mass in m, heading in rad, speed in m/s."""
+        self._state[:] = 0.0
+        self._state[:4] = (x, y, heading, speed)
+
+    @property
+    def pose(self) -> Floats:
+        """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI.
+
+        A live view that changes with the vehicle; copy it to keep it. The course over ground is heading plus side-slip angle.
+        """
+        return self._pose
+
+    @property
+    def steering(self) -> float:
+        """Steering angle of the front wheels (rad)."""
+        return self._state.item(8)
+
+    def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
+        """Tracks `trajectory` from `since` seconds after its start for `duration` seconds; see `ports.VehicleModel.follow`.
+
+        Returns False if the vehicle became unstable: its state and the remaining rows keep their last valid values. Raises ValueError if
+        the trajectory ends before `since` + `duration`, or if `dynamics` does not have one row per 0.01 s.
+        """
+        steps = round(duration / kernels.STEP)
+        if dynamics.shape[0] != steps:
+            raise ValueError(f"dynamics has {dynamics.shape[0]} rows; {duration} s need {steps}")
+        status = kernels.follow(self._state, self._plant, self._controller, trajectory, since, steps, dynamics)
+        if status == kernels.TOO_SHORT:
+            raise ValueError(f"the trajectory does not cover {since} s to {since + duration} s after its start")
+        return bool(status == kernels.FOLLOWED)
+
+    def step(self, steering: float, acceleration: float, dynamics: Floats) -> bool:
+        """Moves the plant towards a steering angle (rad) and an acceleration (m/s^2) for 0.01 s per row of `dynamics`.
+
+        Here and below, `dynamics` has the columns of `follow`; returns False if the vehicle became unstable, as `follow` does.
+        """
+        return self._drive(kernels.STEERING, steering, acceleration, _NO_PATH, 0.0, dynamics)
+
+    def turn(self, curvature: float, acceleration: float, dynamics: Floats) -> bool:
+        """Steers to a curvature (1/m) instead."""
+        return self._drive(kernels.CURVATURE, curvature, acceleration, _NO_PATH, 0.0, dynamics)
+
+    def keep(self, path: Floats, since: float, acceleration: float, dynamics: Floats) -> bool:
+        """Steers along a path, given as a trajectory of shape (n, 7), from `since` seconds after its start."""
+        return self._drive(kernels.PATH, 0.0, acceleration, path, since, dynamics)
+
+    def _drive(self, by: int, lateral: float, acceleration: float, path: Floats, since: float, dynamics: Floats) -> bool:
+        return kernels.drive(
+            self._state, self._plant, self._controller, by, lateral, acceleration, path, since, len(dynamics), dynamics
+        )
+
+
+class HybridModel(SingleTrackModel):
+    """The single-track vehicle with a neural residual, which is the same for all `parameters`.
+
+    Outside the training range of the residual, it equals the single-track vehicle.
+    """
+
+    def __init__(self, parameters: SingleTrackParameters, residual: Residual) -> None:
+        super().__init__(parameters)
+        self._plant = np.concatenate([self._plant, residual.pack(parameters)])
+        self._state = np.zeros(10)
+        self._pose = self._state[:8]
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Seconds of the run outside the residual's training range, in which the vehicle fell back to the single track."""
+        return {"outside_training_range_s": self._state.item(9) * kernels.STEP}
