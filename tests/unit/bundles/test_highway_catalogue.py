@@ -33,5 +33,6 @@ def test_the_examples_of_the_page_are_valid() -> None:
     blocks: list[Any] = [yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)]
     simulator = HighwaySimulator.model_validate(blocks[0]["simulator"])
     assert list(simulator_problems(simulator)) == []
-    assert list(scenarios_problems(simulator.step, blocks[1]["scenarios"])) == []
+    for block in blocks[1:3]:
+        assert list(scenarios_problems(simulator.step, block["scenarios"])) == []
     assert HighwayScenario.model_validate(blocks[1]["scenarios"]["merge"]).flows

@@ -99,7 +99,7 @@ def described_in(folder: Path, data: Mapping[str, Any], step: float) -> HighwayS
     def read(name: str) -> bytes:
         return (folder / name).read_bytes()
 
-    names = frozenset(path.relative_to(folder).as_posix() for path in folder.rglob("*.xosc"))
+    names = frozenset(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return described(declared_scenario(data), Files(names, read), lambda name: map_of(read, name), step).scenario
 
 

@@ -63,7 +63,11 @@ class ScenarioFile:
             return self._scenario.network
         if logic is None:
             raise self._root.only("RoadNetwork").fault("it names no road", "give `network` in the scenario")
-        return bundle_path(self.name, logic.text("filepath"), logic)
+        path = bundle_path(self.name, logic.text("filepath"), logic)
+        if path not in self._files.names:
+            message = f"the folder of the problem has no file {shown(path, 200)}"
+            raise logic.fault(message, "copy it there, or give `network` in the scenario")
+        return path
 
     def described(self, roads: Map, corridor_of: Any, step: float, names: VehicleNames) -> tuple[dict[str, Any], list[Entry]]:
         """Returns network, route, duration and ego vehicle as a document, and the other vehicles.

@@ -268,7 +268,7 @@ def _start(element: Element, length: float) -> dict[str, Any]:
     if lane not in LANES:
         lane = element.integer("departLane", 0, 30)
     place, speed = (
-        text if (text := element.text(key, default)) in words else element.number(key, 0.0, LONG)
+        text if (text := element.text(key, default)) in words else element.number(key, 0.0, LONG, finite(default))
         for key, words, default in (("departPos", PLACES, "base"), ("departSpeed", SPEEDS, "0"))
     )
     if not isinstance(place, str):
