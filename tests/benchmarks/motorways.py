@@ -55,6 +55,7 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
     import libsumo
 
     from drivecal.highway.drive import driver, loop
+    from drivecal.highway.drive.controllers import Checked
     from drivecal.highway.drive.routes import EGO
 
     made: list[loop.Loop] = []
@@ -81,9 +82,11 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
 
     request = {"id": 1, "parameters": PARAMETERS}
     run = least(lambda: evaluate(request), runs)
-    current._controller.begin(PARAMETERS)
+    control = current._controller
+    assert isinstance(control, Checked)
+    control.begin(PARAMETERS)
     signals = current._signals.tolist()
-    step = least(lambda: [current._controller.step(signals) for _ in range(200)], runs) / 200
+    step = least(lambda: [control.step(signals) for _ in range(200)], runs) / 200
     return {"run": run, "bare": least(bare, runs), "reset": least(others.reset, runs), "step": 1000 * step}
 
 

@@ -8,8 +8,14 @@ from typing import Any
 
 from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
-from drivecal.bundles.highway import FmuController, HighwaySimulator, ProcessController, PythonController
-from drivecal.bundles.highway_checks import files_named, measures_problems, scenarios_problems, simulator_problems
+from drivecal.bundles.highway import FmuController, HighwaySimulator, PlannerController, ProcessController, PythonController
+from drivecal.bundles.highway_checks import (
+    files_named,
+    measures_problems,
+    planner_problems,
+    scenarios_problems,
+    simulator_problems,
+)
 from drivecal.bundles.manifest import (
     CommandSimulator,
     FmuSimulator,
@@ -90,6 +96,7 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"simulator"}, _simulator(manifest.simulator, files)),
         ({"simulator", "measures"}, _fmu_measures(manifest)),
         ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
+        ({"simulator", "parameters"}, _planner(manifest)),
         ({"simulator", "measures", "series", "failures"}, _highway_answers(manifest)),
         ({"failures"}, _failures(manifest.failures)),
         ({"scores"}, _ranges(manifest.scores)),
@@ -282,6 +289,11 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
         folder = section.wheels.removesuffix("/") + "/"
         named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
         yield from _file(f"{field}.wheels", folder, named)
+
+
+def _planner(manifest: Manifest) -> Iterator[Problem]:
+    if isinstance(manifest.simulator, HighwaySimulator) and isinstance(manifest.simulator.controller, PlannerController):
+        yield from planner_problems(manifest.simulator.controller, manifest.parameters)
 
 
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:

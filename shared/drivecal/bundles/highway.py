@@ -11,7 +11,7 @@ from drivecal.bundles.highway_actions import Action, Lane, Position, Seconds, Sp
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Choice, Identifier, Model, Number
 
-CommandName = Literal["acceleration", "curvature", "steering"]
+CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
 SignalName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\s\x00-\x1f\x7f]+$")]
@@ -42,13 +42,14 @@ class PythonController(ControllerEntry):
 class ProcessController(ControllerEntry):
     """A program that answers a frame of commands for each frame of `signals`, started once per worker and scenario.
 
-    `frames`: `json`, a JSON object per line, or `binary`, doubles in the machine's byte order.
+    `frames`: `json`, a JSON object per line, or `binary`, doubles in the machine's byte order, with `points` points of a trajectory.
     """
 
     kind: Literal["process"]
     command: Command
     signals: Annotated[list[SignalName], Field(min_length=1, max_length=100)] | None = None
     frames: Literal["json", "binary"] = "json"
+    points: Annotated[int, Field(ge=2, le=1000)] | None = None
 
 
 class FmuController(ControllerEntry):
@@ -59,7 +60,20 @@ class FmuController(ControllerEntry):
     signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=200)]
 
 
-AnyController = Annotated[PythonController | ProcessController | FmuController, Field(discriminator="kind")]
+class PlannerController(ControllerEntry):
+    """The planner of the built-in motorway, which wants the centre of `lane` (from the route's reference line, to the left) at the limit,
+    or at `speed` (m/s). Its parameters P1 to P11 are those of the problem, or among `values`.
+    """
+
+    kind: Literal["planner"]
+    output: Annotated[Outputs, Field(default_factory=lambda: ["trajectory"])]
+    period: Annotated[float, Field(gt=0, le=2)] = 0.2
+    lane: Annotated[int, Field(ge=0, le=10)] = 0
+    speed: Annotated[float, Field(gt=0, le=70)] | None = None
+    values: Annotated[dict[Identifier, Number], Field(default_factory=dict)]
+
+
+AnyController = Annotated[PythonController | ProcessController | FmuController | PlannerController, Field(discriminator="kind")]
 
 
 class VehicleEntry(Model):

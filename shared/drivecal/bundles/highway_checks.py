@@ -1,6 +1,6 @@
 """Checks of a manifest's simulator `highway`: what no field can tell by itself."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,10 +12,20 @@ from drivecal.bundles.highway import (
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
+    PlannerController,
     ProcessController,
 )
 from drivecal.bundles.highway_action_checks import actions_problems
-from drivecal.bundles.highway_catalogue import COMMANDS, FAILURES, MEASURES, SERIES, SIGNALS, TYPE_PARAMETERS, Quantity
+from drivecal.bundles.highway_catalogue import (
+    COMMANDS,
+    FAILURES,
+    MEASURES,
+    PLANNER_PARAMETERS,
+    SERIES,
+    SIGNALS,
+    TYPE_PARAMETERS,
+    Quantity,
+)
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -64,6 +74,17 @@ def _outputs(controller: AnyController) -> Iterator[Problem]:
     elif {"curvature", "steering"} <= set(output):
         remedy = "leave one of them out"
         yield Problem("simulator.controller.output", "curvature and steering both steer", remedy)
+    elif "trajectory" in output and len(output) > 1:
+        yield Problem("simulator.controller.output", "a trajectory says where and when already", "give it alone")
+    if isinstance(controller, PlannerController) and output != ["trajectory"]:
+        yield Problem("simulator.controller.output", "the planner gives a trajectory", "leave it out")
+    if "trajectory" in output and isinstance(controller, FmuController):
+        yield Problem("simulator.controller.output", "an FMU has no list of points", "give acceleration and curvature")
+    if isinstance(controller, ProcessController):
+        needs = "trajectory" in output and controller.frames == "binary"
+        if needs != (controller.points is not None):
+            remedy = "give the number of points in each frame" if needs else "leave it out"
+            yield Problem("simulator.controller.points", "it is for trajectories in binary frames", remedy)
 
 
 def _signal_table(controller: FmuController) -> Iterator[Problem]:
@@ -78,6 +99,19 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
         if name not in controller.signals:
             message = f"the FMU's variable for {name} is missing"
             yield Problem("simulator.controller.signals", message, f"add `{name}: VARIABLE`, the FMU's output")
+
+
+def planner_problems(controller: PlannerController, parameters: Collection[str]) -> Iterator[Problem]:
+    """Yields the parameters of the built-in planner that nobody gives, or that are given twice. `parameters`: the problem's."""
+    for name in PLANNER_PARAMETERS:
+        if (name in parameters) == (name in controller.values):
+            message = f"the planner's {name} is {'a parameter, too' if name in parameters else 'missing'}"
+            remedy = "leave it out here" if name in parameters else f"add {name} to the problem's parameters, or here"
+            yield Problem(f"simulator.controller.values.{name}", message, remedy)
+    for name in (*parameters, *controller.values):
+        if name not in PLANNER_PARAMETERS:
+            field = "simulator.controller.values" if name in controller.values else "parameters"
+            yield Problem(f"{field}.{name}", "the planner has no such parameter", nearest(name, PLANNER_PARAMETERS))
 
 
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:

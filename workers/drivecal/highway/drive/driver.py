@@ -15,13 +15,14 @@ from drivecal.adapters.driver import Evaluate, serve
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller."""
-    from drivecal.bundles.highway import HighwaySimulator, VehicleEntry
+    from drivecal.bundles.highway import HighwaySimulator, PlannerController, VehicleEntry
     from drivecal.bundles.traffic.description import described_in
-    from drivecal.highway.drive.controllers import controller
+    from drivecal.highway.drive.controllers import Checked, controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
+    from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor
@@ -39,7 +40,14 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
-    control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
+    if isinstance(simulator.controller, PlannerController):
+        control: Checked | TrajectorySource = PlannerTrajectories(
+            simulator.controller, scenario, road, (traffic.start_s, traffic.start_d)
+        )
+    else:
+        control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
+        if simulator.controller.output == ["trajectory"]:
+            control = ControllerTrajectories(control, road, section.get("period", simulator.step))
     loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)
     loop.prepare()
 

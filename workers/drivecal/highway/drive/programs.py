@@ -36,7 +36,8 @@ class ProgramController:
         self._indices = [NAMES.index(name) for name in self._signals]
         self._is_binary = section.get("frames") == "binary"
         self._frame = struct.Struct(f"={len(self._signals)}d")
-        self._answer = struct.Struct(f"={len(self._output)}d")
+        self._points = section.get("points")
+        self._answer = struct.Struct(f"={len(self._output) if self._points is None else 3 * self._points}d")
         self._process: subprocess.Popen[bytes] | None = None
         self._received = b""
         self._number = 0
@@ -61,7 +62,8 @@ class ProgramController:
             chosen = [signals[index] for index in self._indices]
             if self._is_binary:
                 self._send(self._frame.pack(*chosen))
-                return self._answer.unpack(self._read(self._answer.size))
+                values = self._answer.unpack(self._read(self._answer.size))
+                return values if self._points is None else [[values[row : row + 3] for row in range(0, len(values), 3)]]
             self._send(json.dumps(dict(zip(self._signals, chosen, strict=True))).encode() + b"\n")
             answer = self._line()
             if len(self._output) == 1 and isinstance(answer, (int, float)):
