@@ -76,10 +76,9 @@ class PlannerController(ControllerEntry):
 AnyController = Annotated[PythonController | ProcessController | FmuController | PlannerController, Field(discriminator="kind")]
 
 
-class VehicleEntry(Model):
-    """The controlled vehicle: the single-track model, with other values than those of Table 8."""
+class VehicleValues(Model):
+    """Values of the single-track model, by default those of Table 8."""
 
-    model: Literal["single_track"] = "single_track"
     mass: Annotated[float, Field(ge=300, le=60_000)] | None = None
     cornering_stiffness_front: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
     cornering_stiffness_rear: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
@@ -90,10 +89,64 @@ class VehicleEntry(Model):
     @property
     def changes(self) -> dict[str, float]:
         """Values that differ from the nominal ones."""
-        return self.model_dump(exclude={"model"}, exclude_none=True)
+        return self.model_dump(include=set(VehicleValues.model_fields), exclude_none=True)
+
+
+class VehicleEntry(VehicleValues):
+    """The controlled vehicle: the single-track model, with other values than those of Table 8."""
+
+    model: Literal["single_track"] = "single_track"
+
+
+StateName = Literal[
+    "x", "y", "heading", "speed", "side_slip", "yaw_rate", "longitudinal_acceleration", "lateral_acceleration", "steering_angle"
+]
+
+
+def _pose() -> list[StateName]:
+    return ["x", "y", "heading", "speed"]
+
+
+class UserVehicleEntry(VehicleValues):
+    """A vehicle of the user's, moved every 0.01 s by a steering angle and an acceleration. It starts at its own origin, along its x axis.
+
+    `state`: what a step gives, in this order. The values of the single-track model are those that lane keeper and tracker assume.
+    """
+
+    state: Annotated[list[StateName], Field(min_length=4, max_length=9, default_factory=_pose)]
+
+
+class PythonVehicle(UserVehicleEntry):
+    """A class, made of parameters, scenario and start speed for each run, with `step(steering, acceleration, dt)`."""
+
+    kind: Literal["python"]
+    file: File
+    function: Identifier = "Vehicle"
+    wheels: File | None = None
+
+
+class ProcessVehicle(UserVehicleEntry):
+    """A program that answers a frame of states for each frame of steering angle, acceleration and time step, as controllers do."""
+
+    kind: Literal["process"]
+    command: Command
+    frames: Literal["json", "binary"] = "json"
+
+
+class FmuVehicle(UserVehicleEntry):
+    """An FMI 2 or 3 co-simulation FMU. `signals`: its variable for steering, acceleration, each state, and the parameter `start_speed`."""
+
+    kind: Literal["fmu"]
+    file: File
+    signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=20)]
+
+
+UserVehicle = Annotated[PythonVehicle | ProcessVehicle | FmuVehicle, Field(discriminator="kind")]
 
 
 def _form(value: object) -> str:
+    if isinstance(value, UserVehicleEntry) or (isinstance(value, dict) and "kind" in value):
+        return "user"
     return "values" if isinstance(value, (dict, VehicleEntry)) else "name"
 
 
@@ -103,7 +156,10 @@ class HighwaySimulator(SimulatorEntry):
     kind: Literal["highway"]
     controller: AnyController
     vehicle: Annotated[
-        Annotated[Literal["single_track"], Tag("name")] | Annotated[VehicleEntry, Tag("values")], Discriminator(_form)
+        Annotated[Literal["single_track"], Tag("name")]
+        | Annotated[VehicleEntry, Tag("values")]
+        | Annotated[UserVehicle, Tag("user")],
+        Discriminator(_form),
     ] = "single_track"
     step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
 

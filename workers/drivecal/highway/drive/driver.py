@@ -15,11 +15,12 @@ from drivecal.adapters.driver import Evaluate, serve
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller."""
-    from drivecal.bundles.highway import HighwaySimulator, PlannerController, VehicleEntry
+    from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleEntry
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.controllers import Checked, controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
+    from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
     from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
@@ -48,7 +49,13 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
         if simulator.controller.output == ["trajectory"]:
             control = ControllerTrajectories(control, road, section.get("period", simulator.step))
-    loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)
+    vehicle = SingleTrackModel(parameters, parameters)
+    if isinstance(simulator.vehicle, UserVehicleEntry):
+        print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
+        entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
+        plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"])
+        vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
+    loop = Loop(name, simulator, scenario, road, traffic, vehicle, control)
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -13,6 +13,7 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.controllers import Checked
 from drivecal.highway.drive.measures import TICK, Record, way
 from drivecal.highway.drive.observation import keeper_acceleration
+from drivecal.highway.drive.plants import UserVehicleModel
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.highway.drive.trajectories import TrajectorySource
@@ -128,6 +129,8 @@ class Loop:
         by_acceleration, by_lateral, steer, plans = self._acceleration, self._lateral, self._steer, self._plans
         trajectory, planned = self._path, 0
         traffic.reset()
+        if isinstance(vehicle, UserVehicleModel):
+            vehicle.begin(parameters)
         vehicle.start(*self._start)
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
