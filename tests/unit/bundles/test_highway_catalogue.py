@@ -13,7 +13,7 @@ from drivecal.bundles.highway import HighwayScenario, HighwaySimulator
 from drivecal.bundles.highway_checks import scenarios_problems, simulator_problems
 
 PAGE = Path(catalogue.__file__).with_name("highway.md")
-TABLES = (catalogue.COMMANDS, catalogue.SIGNALS, catalogue.MEASURES, catalogue.SERIES)
+TABLES = (catalogue.COMMANDS, catalogue.VEHICLE_STATES, catalogue.SIGNALS, catalogue.MEASURES, catalogue.SERIES)
 
 
 def test_every_table_is_that_of_the_catalogue() -> None:
