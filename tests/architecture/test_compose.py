@@ -124,7 +124,7 @@ def test_every_setting_of_the_server_can_be_made_in_the_cluster() -> None:
     assert set(Settings.model_fields) - OF_CLIENTS - FIXED <= passed
 
 
-PAGES = [PROJECT / "README.md", PROJECT / "deploy" / "README.md"]
+PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs" / "pages" / "how-to").glob("*.md"))]
 INSIDE = {"exec", "run"}
 """Verbs of compose that are followed by a service and a command in it."""
 
@@ -155,8 +155,8 @@ def test_a_compose_command_in_the_documentation_names_what_there_is(line: str) -
 
 def test_a_setting_in_the_documentation_is_one() -> None:
     known = {f"DRIVECAL_{name.upper()}" for name in Settings.model_fields} | variables(COMPOSE, WORKERS, MACHINES)
-    text = (PROJECT / "deploy" / "README.md").read_text()
-    assert set(re.findall(r"DRIVECAL_[A-Z_]+", text)) <= known
+    text = "".join(page.read_text() for page in PAGES)
+    assert set(re.findall(r"DRIVECAL_[A-Z_]+[A-Z]", text)) <= known | {"DRIVECAL_BUNDLE_CACHE"}
 
 
 @cache
@@ -278,5 +278,8 @@ def test_nodes_can_run_programs_of_problems() -> None:
 
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:
     allowed = [line[1:] for line in (PROJECT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
-    assert set(allowed) == {"deploy/images", "pyproject.toml", "README.md", "LICENSE", "shared", "services", "workers"}
+    assert set(allowed) == {
+        *("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "shared", "services", "workers"),
+        *("deploy/images", "deploy/README.md", "deploy/examples", "docs", "tests/README.md"),
+    }
     assert {"deploy/secrets/", "deploy/secrets-*/", ".env", "/*.env"} <= set((PROJECT / ".gitignore").read_text().splitlines())

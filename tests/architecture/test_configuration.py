@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tokenize
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -38,7 +39,9 @@ def locked() -> dict[str, list[tuple[str, int]]]:
     for entry in entries:
         if entry.strip() and not entry.lstrip().startswith("#"):
             requirement, *hashes = entry.split("--hash=")
-            name, version = re.fullmatch(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?==([^\s;]+)\s*(?:;.*)?", requirement.strip()).groups()  # type: ignore[union-attr]
+            match = re.fullmatch(r"([A-Za-z0-9_.-]+)(?:\[[^]]*\])?==([^\s;]+)\s*(?:;.*)?", requirement.strip())
+            assert match is not None
+            name, version = match.groups()
             found.setdefault(canonicalize_name(name), []).append((version, len(hashes)))
     return found
 
@@ -63,7 +66,7 @@ def test_types_are_checked_strictly_and_everywhere() -> None:
     mypy = project()["tool"]["mypy"]
     assert mypy["strict"]
     assert mypy["explicit_package_bases"]
-    assert set(mypy["files"]) == {"shared", "services", "workers", "tests"}
+    assert set(mypy["files"]) == {"shared", "services", "workers", "tests", "docs"}
     assert set(mypy["mypy_path"]) >= {"shared", "services", "workers"}
     relaxed = {key for override in mypy.get("overrides", []) for key in override} - {"module"}
     assert relaxed <= {"ignore_missing_imports", "follow_untyped_imports", "disallow_untyped_decorators", "warn_return_any"}
@@ -82,12 +85,13 @@ def test_every_rule_of_the_linter_that_is_off_has_its_reason_beside_it() -> None
     assert [line for line in rules if "#" not in line] == []
 
 
-@pytest.mark.parametrize("path", modules(), ids=shown)
+@pytest.mark.parametrize("path", [*modules(), *sorted((PROJECT / "tests").rglob("*.py"))], ids=shown)
 def test_every_exception_in_the_code_names_its_rule_and_its_reason(path: Path) -> None:
     """`# noqa: RULE  why` and `# type: ignore[rule]  # why`."""
-    lines = path.read_text(encoding="utf-8").splitlines()
-    exceptions = [line for line in lines if re.search(r"#\s*(noqa|type:\s*ignore)", line)]
+    with path.open("rb") as file:
+        comments = [token.string for token in tokenize.tokenize(file.readline) if token.type == tokenize.COMMENT]
+    exceptions = [comment for comment in comments if re.search(r"#\s*(noqa|type:\s*ignore)", comment)]
     reasoned = re.compile(
         r"# noqa: [A-Z]+[0-9]+(, [A-Z]+[0-9]+)*\s+(# )?\S+ \S|# type: ignore\[[a-z-]+(, [a-z-]+)*\]\s+# \S+ \S"
     )
-    assert [line.strip() for line in exceptions if not reasoned.search(line)] == []
+    assert [comment for comment in exceptions if not reasoned.search(comment)] == []

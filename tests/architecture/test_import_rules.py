@@ -36,7 +36,7 @@ PLANTED = {
     "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.highway.vehicle.single_track"),
     "Only the backends and drivecal.local reach the workers": ("services/drivecal/cli", "import drivecal.runtime"),
     "The workers do not know the coordinator": ("workers/drivecal/runtime", "from drivecal.reduction import keys"),
-    "Only the motorway speaks to SUMO": ("workers/drivecal/runtime", "import libsumo"),
+    "One module speaks to SUMO": ("workers/drivecal/highway/episode", "import libsumo"),
     "The adapters import no simulator": (
         "workers/drivecal/adapters",
         "import numba",

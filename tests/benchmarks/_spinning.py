@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from tests.support.simulators import compiled, opened
+from tests.support.simulators import compiled, cpp_server, opened
 
 from drivecal.bundles.manifest import Manifest
 from drivecal.plugins.simulators import Declared
@@ -17,32 +17,19 @@ from drivecal.plugins.simulators import Declared
 WANTED_MILLISECONDS = 7.0
 NAME = "spinning"
 SCENARIOS = [f"S{number}" for number in range(1, 7)]
-PROGRAM = r"""
-#include <cmath>
-#include <iostream>
-#include <string>
-static double number(const std::string& line, const char* name) {
-    return std::stod(line.substr(line.find(name) + std::string(name).size()));
-}
-int main() {
-    std::string line;
-    std::cout.precision(17);
-    while (std::getline(std::cin, line) && line.find("\"quit\"") == std::string::npos) {
-        if (line.find("\"drivecal\"") != std::string::npos) { std::cout << "{\"ready\": true}" << std::endl; continue; }
+BODY = r"""
         const double x = number(line, "\"x\": ");
         const long rounds = long(number(line, "\"rounds\": "));
         double y = x;
         for (long round = 0; round < rounds; round++) y = std::sin(y) + x;
-        std::cout << "{\"id\": " << long(number(line, "\"id\": ")) << ", \"measures\": {\"y\": " << y << "}}" << std::endl;
-    }
-}
 """
+"""Computes `y` from the line of a request."""
 
 
 def write_problem(folder: Path) -> float:
     """Writes the problem into a new folder; returns the CPU time of a run, ms, whatever else the machine does."""
     folder.mkdir(parents=True)
-    (folder / "sim.cpp").write_text(PROGRAM)
+    (folder / "sim.cpp").write_text(cpp_server(BODY))
     compiled("g++", folder / "sim.cpp", folder / "sim", "-static")
     rounds = 100_000
     for _ in range(3):

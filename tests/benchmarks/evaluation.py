@@ -24,8 +24,8 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.sumo import EGO
 from drivecal.highway.traffic import simulation as traffic
-from drivecal.highway.traffic.configuration import EGO
 from drivecal.highway.traffic.simulation import simulation
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation

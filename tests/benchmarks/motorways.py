@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, compile_program, drive, motorway
 from tests.support.vehicles import VEHICLES, write_vehicles
@@ -62,7 +63,7 @@ def measured(
     from drivecal.highway.drive import driver, loop
     from drivecal.highway.drive.controllers import Checked
     from drivecal.highway.drive.plants import UserVehicleModel
-    from drivecal.highway.drive.routes import EGO
+    from drivecal.highway.sumo import EGO
 
     made: list[loop.Loop] = []
 
@@ -71,14 +72,14 @@ def measured(
             super().__init__(*arguments)
             made.append(self)
 
-    loop.Loop = Kept  # type: ignore[assignment, misc]
     scratch = tempfile.mkdtemp(dir=folder.parent)
     settings = {
         "folder": str(folder), "work": str(folder), "scratch": scratch, "scenario": "S", "data": dict(data), "kernels": None,
         "simulator": {"kind": "highway", "controller": CONTROLLERS[kind], "vehicle": vehicle or "single_track"},
         "measures": ["min_ttc_s"], "series": [],
     }  # fmt: skip
-    evaluate = driver.prepare(settings)
+    with mock.patch.object(loop, "Loop", Kept):
+        evaluate = driver.prepare(settings)
     current, others = made[0], made[0]._traffic
 
     def bare() -> None:

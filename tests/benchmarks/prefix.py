@@ -22,8 +22,8 @@ from tests.benchmarks.evaluation import latin_hypercube, record, runner_of
 import drivecal.highway.traffic.simulation
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.traffic.configuration import EGO
-from drivecal.highway.traffic.simulation import MAPPED_ANYWHERE, MAPPED_WITHIN, simulation
+from drivecal.highway.sumo import EGO, MAPPED_ANYWHERE, MAPPED_WITHIN
+from drivecal.highway.traffic.simulation import simulation
 
 TARGET = Path(".drivecal/bench/prefix.json")
 State = tuple[tuple[float, float], float]

@@ -17,9 +17,10 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import psutil
-from tests.support.simulators import DATA, compiled, opened, write_script
+from tests.support.simulators import DATA, compiled, cpp_server, opened, write_script
 
 from drivecal.plugins.simulators import SimulatorSession
 
@@ -50,26 +51,12 @@ for line in sys.stdin:
     sys.stdout.write(json.dumps(answer) + "\\n")
     sys.stdout.flush()
 """
-PROGRAM = r"""
-#include <cstdio>
-#include <cstdlib>
-#include <iostream>
-#include <string>
-static double number(const std::string& line, const char* name) {
-    return std::stod(line.substr(line.find(name) + std::string(name).size()));
-}
-int main() {
-    std::string line;
-    std::cout.precision(17);
-    while (std::getline(std::cin, line) && line.find("\"quit\"") == std::string::npos) {
-        if (line.find("\"drivecal\"") != std::string::npos) { std::cout << "{\"ready\": true}" << std::endl; continue; }
+BODY = r"""
         const double x = number(line, "\"x\": "), k = number(line, "\"k\": ");
         double y = 0;
         for (int step = 0; step < 200; step++) y += 0.1 * (k * x - y);
-        std::cout << "{\"id\": " << long(number(line, "\"id\": ")) << ", \"measures\": {\"y\": " << y << "}}" << std::endl;
-    }
-}
 """
+"""Computes `y` from the line of a request."""
 COMMAND = '#!/bin/sh\necho \'{"measures": {"y": 1}}\' > "$1"\n'
 
 
@@ -98,9 +85,9 @@ def milliseconds(functions: dict[str, Callable[[float], float]]) -> dict[str, fl
     return {name: median(values) for name, values in times.items()}
 
 
-def growth(session: SimulatorSession, runs: int) -> dict[str, int]:
+def growth(session: Any, runs: int) -> dict[str, int]:
     """Bytes that a number of runs add to the resident memory of this process, of the child and of its keeper."""
-    children = session._children  # type: ignore[attr-defined]
+    children = session._children
     processes = {"worker": psutil.Process(), "child": psutil.Process(children._pid), "keeper": psutil.Process(children._keeper)}
     for number in range(1000):  # what is allocated once
         session.evaluate({"x": float(number)})
@@ -119,7 +106,7 @@ def main(arguments: Sequence[str]) -> int:
         folder = Path(name)
         (folder / "model.py").write_text(FUNCTION)
         (folder / "server.py").write_text(FUNCTION + SERVER)
-        (folder / "sim.cpp").write_text(PROGRAM)
+        (folder / "sim.cpp").write_text(cpp_server(BODY))
         compiled("g++", folder / "sim.cpp", folder / "sim")
         write_script(folder / "run.sh", COMMAND)
         opening: dict[str, float] = {}

@@ -86,14 +86,106 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, *, 
     both = f"compare?a={shown.campaign.id}&b={shown.campaign.id}"
     compared, study = f"campaigns/{shown.comparison.id}", f"campaigns/{shown.study.id}"
     beside = f"compare?a={shown.study.id}&b={shown.campaign.id}"
-    paths = ("", "submit", "submit?kind=comparison", both, beside, compared, f"{compared}/runs", study, "evaluations/1")
+    three = f"compare?ids={shown.campaign.id},{shown.study.id},{shown.campaign.id}"
+    paths = (
+        "",
+        "submit",
+        "submit?kind=comparison",
+        "workers",
+        "compare",
+        both,
+        three,
+        beside,
+        compared,
+        f"{compared}/runs",
+        study,
+        "evaluations/1",
+    )
     others = [f"{shown.api.url}/#/{one}" for one in paths]
-    for address in [*others, *(shown.at(tab) for tab in TABS)]:
+    charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "slices")]
+    for address in [*others, *(shown.at(tab) for tab in TABS), *charts]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
         # What differs in the dark is contrast, and on a phone the width.
         found[address] = barriers(page, contrast_alone=small)
     assert {address: one for address, one in found.items() if one} == {}
+
+
+def test_the_overview_decides_by_a_light_and_sets_the_best_beside_the_baseline(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at())
+    light = page.get_by_role("region", name="Trust in the result")
+    judged = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/trust").json()
+    for reason in judged["reasons"]:
+        expect(light).to_contain_text(reason["text"])
+    expect(light.get_by_role("heading")).to_have_text(
+        {"green": "Trustworthy", "amber": "Check first", "red": "Do not use"}[judged["light"]]
+    )
+    best = page.get_by_role("table", name="Parameters of the set")
+    expect(best.get_by_role("row", name="P1")).to_contain_text("smoothing")
+    expect(page.get_by_text("Held: P5 0.5")).to_be_visible()
+
+
+def test_a_study_is_started_from_the_page(tmp_path: Path, opening: Opening) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}")
+        page.get_by_role("button", name="Robustness").click()
+        expect(page.get_by_text(re.compile(r"At most [\d,]+ simulations"))).to_be_visible()
+        page.get_by_role("button", name="Validate").click()
+        page.get_by_role("button", name="Start the study").click()
+        expect(page.get_by_role("heading", name="A validation")).to_be_visible()
+        made = api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
+        assert made["spec"]["optimizer"] is None
+        assert made["spec"]["sensitivity"] == {"map": campaign.influence_map_id or get(api.database, campaign).influence_map_id}
+        page.get_by_role("link", name="Campaigns").click()
+        rows = page.get_by_role("table").get_by_role("row")
+        expect(rows.nth(2)).to_contain_text("test (validation)")
+        expect(rows.nth(1)).to_contain_text(campaign.id[:8])
+
+
+def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/")
+    table, search = page.get_by_role("table"), page.get_by_label("Search campaigns")
+    expect(table.get_by_role("checkbox", name=f"Compare test {shown.study.id[:8]}")).to_be_visible()
+    search.fill(shown.comparison.id[:12])
+    expect(table.get_by_role("checkbox")).to_have_count(1)
+    search.fill("no such campaign")
+    expect(page.get_by_text("fits “no such campaign”")).to_be_visible()
+    search.fill("")
+    page.get_by_role("columnheader", name="campaign").get_by_role("button").click()
+    expect(page.get_by_role("columnheader", name="campaign")).to_have_attribute("aria-sort", "ascending")
+    expect(page.get_by_role("button", name="Compare")).to_be_disabled()
+    for campaign in (shown.campaign, shown.study, shown.comparison):
+        table.get_by_role("checkbox", name=campaign.id[:8]).check()
+    page.get_by_role("button", name="Compare 3").click()
+    expect(page.get_by_role("heading", name="Compare campaigns")).to_be_visible()
+    heads = page.get_by_role("region", name="Settings").get_by_role("columnheader")
+    expect(heads).to_have_count(4)
+    page.goto(f"{shown.api.url}/#/compare?a={shown.campaign.id}&b={shown.campaign.id}")
+    expect(page.get_by_role("img", name=re.compile("Courses of the searches")).locator("path")).to_have_count(2)
+
+
+def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.at('evaluations')}?chart=scatter&x=P1&y=score")
+    plot = page.get_by_role("img", name=re.compile("score over P1"))
+    expect(plot).to_be_visible()
+    whole = rows_shown(page)
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + box["width"] * 0.6, box["y"] + box["height"] * 0.1)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] * 0.9, box["y"] + box["height"] * 0.5, steps=3)
+    page.mouse.up()
+    expect(page.get_by_label("P1 from")).to_be_visible()
+    expect(page.get_by_label("score from")).to_be_visible()
+    some = rows_shown(page)
+    assert 0 < some[0] < whole[1] == some[1]
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="CSV").click()
+    assert len(saved.value.path().read_text().splitlines()) == some[0] + 1
+    page.get_by_role("button", name="Slices").click()
+    expect(page.get_by_role("img", name=re.compile("score over P[1-4]: "))).to_have_count(4)
+    assert rows_shown(page) == some
 
 
 def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, opening: Opening) -> None:
@@ -180,6 +272,7 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     lower.fill("-15")
     lower.blur()
     expect(page.get_by_text("runs for 120 proposed cells")).to_be_visible()
+    page.get_by_role("button", name="+ start sets").click()
     sets = page.get_by_label("start sets")
     sets.fill('[{"P1": 3')
     expect(page.get_by_role("alert")).to_contain_text("optimizer.start_sets: this is no valid JSON")
@@ -269,9 +362,12 @@ def test_every_view_comes_back_with_the_server(tmp_path: Path, opening: Opening)
     url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
     with serving(url, port) as api:
         campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
-        views = [*(f"campaigns/{campaign.id}/{tab}" for tab in TABS), "evaluations/1", "", "submit", "problems", "compare"]
+        others = ["evaluations/1", "", "submit", "problems", "compare", "workers"]
+        views = [*(f"campaigns/{campaign.id}/{tab}" for tab in TABS), *others]
         away = ("ERR_CONNECTION_REFUSED", "WebSocket", "409", "ERR_CONNECTION_RESET", "Failed to load")
         pages = [opening(f"{api.url}/#/nowhere", expected=away) for _ in views]
+        for page in pages:
+            page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
         address = api.url
     for page, view in zip(pages, views, strict=True):
         page.evaluate("window.neverReloaded = true")

@@ -9,22 +9,10 @@ from tests.support.cluster_campaign import found_embedded
 from tests.support.compose import Cluster, cluster_on_engine, engine
 from tests.support.faults.findings import Found
 
-MARK = "compose"
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves these tests out unless they are asked for by their marker: they build images, and need an engine."""
-    if MARK in config.option.markexpr:
-        return
-    ours = [one for one in items if one.get_closest_marker(MARK)]
-    if ours:
-        config.hook.pytest_deselected(items=ours)
-        items[:] = [one for one in items if not one.get_closest_marker(MARK)]
-
 
 @pytest.fixture(scope="session")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """The cluster of `docker-compose.yml` in a project of its own, built and started as the README says; nothing is left of it."""
+    """The cluster of `docker-compose.yml` in a project of its own, built and started as the documentation says; nothing is left of it."""
     found = engine()
     if found is None:
         pytest.exit("there is no Docker engine with Compose 2: start one, or name one by DOCKER_HOST", returncode=2)

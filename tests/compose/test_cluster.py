@@ -94,7 +94,7 @@ def database_bytes(cluster: Cluster) -> int:
 
 
 def restore(cluster: Cluster, file: Path) -> None:
-    """As deploy/README.md says, of a backup that was kept elsewhere."""
+    """As docs/pages/how-to/backup.md says, of a backup that was kept elsewhere."""
     cluster.compose("exec", "-T", "api", "tee", "/backups/elsewhere.db", given=file.read_bytes())
     cluster.compose("stop", "api", "dispatcher")
     cluster.compose("exec", "-T", "db", "dropdb", "-U", "drivecal", "drivecal")
@@ -122,7 +122,7 @@ def evaluate(cluster: Cluster) -> None:
 
 
 def test_what_the_images_weigh(cluster: Cluster) -> None:
-    """For the table in deploy/README.md."""
+    """For the table in docs/pages/how-to/cluster.md."""
     base = cluster.run("docker", "image", "inspect", "-f", "{{.Size}}", "python:3.11-slim-bookworm").strip()
     for role in ("api", "dispatcher", "ray-head", "ray-worker"):
         size = int(cluster.run("docker", "image", "inspect", "-f", "{{.Size}}", f"drivecal/{role}:test"))

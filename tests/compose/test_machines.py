@@ -18,7 +18,7 @@ NETWORK = f"{PROJECT_NAME}-machines"
 
 @pytest.fixture
 def head(cluster: Cluster, tmp_path: Path) -> Iterator[Cluster]:
-    """The first machine: database, API, dispatcher, head and a node, as `deploy/README.md` says where there are several. Its images are
+    """The first machine: database, API, dispatcher, head and a node, as in `how-to/cluster.md` for several. Its images are
     those of `cluster`, which goes on beside it."""
     files = (FILE, "deploy/docker-compose.machines.yml")
     settings = {"DRIVECAL_NETWORK": NETWORK, "DRIVECAL_NODES": "1"}

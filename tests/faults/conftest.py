@@ -13,19 +13,6 @@ from tests.support.faults.findings import Found
 from tests.support.faults.oracle import undisturbed
 from tests.support.faults.postgres import KillablePostgres, killable_postgres
 
-LONG = "faults"
-"""The marker of what only `make test-faults` runs."""
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leaves the long forms out unless they are asked for by their marker."""
-    if LONG in config.option.markexpr:
-        return
-    long = [one for one in items if one.get_closest_marker(LONG)]
-    if long:
-        config.hook.pytest_deselected(items=long)
-        items[:] = [one for one in items if not one.get_closest_marker(LONG)]
-
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[KillablePostgres]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.support.command import Run, command
+from tests.support.databases import migrated
 from tests.support.server import RunningApi
 
 from drivecal.storage.engine.database import Database
@@ -15,8 +16,7 @@ from drivecal.storage.engine.database import Database
 @pytest.fixture
 def database(tmp_path: Path) -> Iterator[Database]:
     """A new SQLite database."""
-    opened = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    opened.upgrade()
+    opened = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     yield opened
     opened.dispose()
 

@@ -8,16 +8,14 @@ import uuid
 from collections.abc import Iterator
 from typing import Any
 
-import httpx
 import pyarrow.parquet as pq
 import pytest
 from tests.support.found import METRICS, carry_out, carry_out_evaluation
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi, problem_of, serving
 
 from drivecal.api.live import response_cache
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage import campaigns, processes
-from drivecal.storage.engine.types import now
+from drivecal.storage import campaigns
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
@@ -34,16 +32,6 @@ def submit(api: RunningApi, specification: dict[str, Any] | None = None, **heade
     assert response.status_code == 202, response.text
     campaign: dict[str, Any] = response.json()
     return campaign
-
-
-def problem_of(response: httpx.Response, status: int) -> dict[str, Any]:
-    assert response.status_code == status, response.text
-    assert response.headers["content-type"] == "application/problem+json"
-    document: dict[str, Any] = response.json()
-    assert document["status"] == status
-    assert document["title"]
-    assert document["detail"]
-    return document
 
 
 def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: RunningApi) -> None:
@@ -361,56 +349,6 @@ def test_the_inventory_lists_scenarios_parameters_and_references(api: RunningApi
     references = api.http.get("/api/v1/references").json()["items"]
     runs = {one["scenario"]: one["runs"] for one in references}
     assert all(runs[scenario] > 0 for scenario in ("S1", "S6"))
-
-
-def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory) -> None:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('ready') / 'drivecal.db'}") as api:
-        assert api.http.get("/healthz").json() == {"status": "alive"}
-        response = api.http.get("/readyz")
-        assert (response.status_code, response.json()["problems"]) == (
-            503,
-            ["no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"],
-        )
-        detail: dict[str, Any] = {"workers": [{"id": "worker 1", "node": "here", "pid": 5, "state": "idle", "cells": 3}]}
-        with api.database.transaction() as connection:
-            processes.heartbeat(connection, "dispatcher", 1, now(), detail)
-        assert api.http.get("/readyz").json() == {"ready": True, "problems": []}
-        doing = {"scenario": "S1", "since": "2026-01-01T00:00:00Z", "cells_per_second": 30.5}
-        detail["workers"].append({"id": "worker 2", "node": "there", "state": "busy", "cells": 7, **doing})
-        with api.database.transaction() as connection:
-            processes.heartbeat(connection, "dispatcher", 1, now(), detail)
-        page = api.http.get("/api/v1/workers").json()
-        remembered = dict.fromkeys(["states", "state_mb", "state_mb_at_most"])
-        assert page["items"] == [
-            {"id": "worker 1", "node": "here", "state": "idle", "cells": 3} | dict.fromkeys(doing) | remembered,
-            {"id": "worker 2", "node": "there", "state": "busy", "cells": 7, **doing} | remembered,
-        ]
-        assert (page["fresh"], page["degraded"]) == (True, None)
-        del detail["workers"][1]
-        with api.database.transaction() as connection:
-            processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "Ray does not answer"})
-        response = api.http.get("/readyz")
-        assert (response.status_code, response.json()) == (200, {"ready": True, "problems": ["Ray does not answer"]})
-        detail["workers"][0]["state"] = "starting"
-        with api.database.transaction() as connection:
-            processes.heartbeat(connection, "dispatcher", 1, now(), detail | {"degraded": "1 of 1 workers do not start"})
-        response = api.http.get("/readyz")
-        assert (response.status_code, response.json()["problems"]) == (503, ["1 of 1 workers do not start"])
-
-
-def test_a_database_that_is_gone_is_said_to_be_unavailable(tmp_path_factory: pytest.TempPathFactory) -> None:
-    folder = tmp_path_factory.mktemp("gone")
-    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
-        api.database.dispose()
-        for file in folder.iterdir():
-            file.unlink()
-        folder.rmdir()
-        response = api.http.get("/api/v1/campaigns")
-        assert problem_of(response, 503)
-        assert int(response.headers["retry-after"]) > 0
-        assert api.http.get("/readyz").status_code == 503
-        assert api.http.get("/healthz").status_code == 200
-        folder.mkdir()
 
 
 def test_the_openapi_document_names_bodies_answers_and_problems(api: RunningApi) -> None:

@@ -36,6 +36,7 @@ GETS = [
     "/api/v1/campaigns/{}/optima",
     "/api/v1/campaigns/{}/setup",
     "/api/v1/campaigns/{}/studies",
+    "/api/v1/campaigns/{}/trust",
     "/api/v1/evaluations/{}",
     "/api/v1/evaluations/{}/explain",
     "/api/v1/evaluations/{}/trace",

@@ -13,6 +13,7 @@ from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.explanation import Explanation
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.storage import campaigns
 
 
@@ -117,6 +118,22 @@ def test_the_campaign_shows_what_was_narrowed_and_what_contradicts(ended: Ended)
     assert {"accounting"} <= set(ended.first["links"])
 
 
+def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_campaign(ended: Ended) -> None:
+    def light() -> TrustAnswer:
+        return TrustAnswer.model_validate(ended.api.http.get(ended.first["links"]["trust"]).json())
+
+    (about_the_map,) = (reason for reason in light().reasons if reason.about == "map")
+    assert about_the_map.light == "amber"
+    map_id = ended.first["links"]["influence_map"].rpartition("/")[2]
+    wanted = {"samples": 20, "references": 3, "largest": 20}
+    spec = WITH_ANALYSIS | {"sensitivity": {"map": map_id}, "optimizer": None, "validation": wanted}
+    study = _carry_out(ended.api, ended.api.http.post("/api/v1/campaigns", json=spec).json())
+    assert study["state"] == "succeeded"
+    (validated,) = (reason for reason in light().reasons if reason.about == "map")
+    assert validated.light == "green"
+    assert TrustAnswer.model_validate(ended.api.http.get(study["links"]["trust"]).json()) == TrustAnswer(light=None, reasons=[])
+
+
 def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:
     def expected(**changes: Any) -> dict[str, Any]:
         response = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=WITH_ANALYSIS | changes)
@@ -126,6 +143,8 @@ def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ende
 
     usual = expected()
     assert usual["break_even_share"] == usual["sensitivity"] / usual["calibration_at_most"]
+    assert (usual["measured"], usual["milliseconds"]) == (True, pytest.approx(7.0))
+    assert (usual["workers"], usual["seconds"]) == (None, None), "no dispatcher reports any worker"
     assert expected(sensitivity=None)["break_even_share"] is None
     assert expected(optimizer=None)["break_even_share"] is None
 

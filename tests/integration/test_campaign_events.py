@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -63,8 +64,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
 def test_what_is_told_of_a_campaign_that_was_killed_again_and_again_is_told_once(tmp_path: Path) -> None:
     found = []
     for name in ("calm", "killed"):
-        database = Database.open(f"sqlite:///{tmp_path / name}.db")
-        database.upgrade()
+        database = migrated(f"sqlite:///{tmp_path / name}.db")
         campaign, draw, kills = analysed(database), random.Random(5), 0
         while not get(database, campaign).state.ended:
             working = dispatcher(database, ComputedBackend(draw.randrange(99), answer=influenced))

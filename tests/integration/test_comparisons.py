@@ -12,6 +12,7 @@ import pytest
 from sqlalchemy import update
 from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
+from tests.support.databases import migrated
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.campaigns.comparisons.resolve import CONFIRMED
@@ -48,8 +49,7 @@ def found_by(database: Database, comparison: StoredCampaign) -> list[tuple[Any, 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign, ComputedBackend]]:
     """A comparison on an empty database, carried out to its end."""
-    opened = Database.open(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}")
-    opened.upgrade()
+    opened = migrated(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}")
     backend = ComputedBackend()
     yield opened, run(opened, submit_comparison(opened), backend), backend
     opened.dispose()
@@ -118,8 +118,7 @@ def test_a_killed_comparison_ends_bit_for_bit_like_one_that_was_not(
     compared: tuple[Database, StoredCampaign, ComputedBackend], tmp_path: Path
 ) -> None:
     draw = random.Random(1)
-    opened = Database.open(f"sqlite:///{tmp_path / 'killed'}.db")
-    opened.upgrade()
+    opened = migrated(f"sqlite:///{tmp_path / 'killed'}.db")
     comparison = submit_comparison(opened)
     kills = 0
     while not get(opened, comparison).state.ended:

@@ -107,8 +107,8 @@ def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
         with postgres.frozen():
             says_so_everywhere(api)
         recovers(api)
-    told = [record.getMessage() for record in caplog.records if record.name == "drivecal.storage.engine.liveness"]
-    assert ["does not answer" in told[0], "answers again" in told[-1], len(told)] == [True, True, 2], told
+    told = [record.levelname for record in caplog.records if record.name == "drivecal.storage.engine.liveness"]
+    assert told == ["WARNING", "INFO"]
 
 
 def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -25,8 +26,7 @@ SPECIFICATION = {"sensitivity": None, "optimizer": {"kind": "genetic", "populati
 
 @pytest.fixture
 def database(tmp_path: Path) -> Iterator[Database]:
-    opened = Database.open(f"sqlite:///{tmp_path}/drivecal.db")
-    opened.upgrade()
+    opened = migrated(f"sqlite:///{tmp_path}/drivecal.db")
     yield opened
     opened.dispose()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
+from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, nothing_matters, post_map, submit
 
@@ -65,8 +66,7 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
 def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
     found = []
     for seed in range(3):
-        opened = Database.open(f"sqlite:///{tmp_path / f'{seed}.db'}")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / f'{seed}.db'}")
         campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"audit": audit})
         _run(opened, campaign, ComputedBackend(seed))
         found.append(everything(opened, campaign))
@@ -77,11 +77,10 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
 
 @pytest.mark.parametrize("seed", range(tries(2, 4)))
 def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
-    calm, killed = (Database.open(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))
+    calm, killed = (migrated(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))
     draw = random.Random(seed)
     found = []
     for database in (calm, killed):
-        database.upgrade()
         campaign = submit(
             database,
             stored_map=post_map(database, TRUE_MAP),
@@ -105,8 +104,7 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
 def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> None:
     scores = {}
     for mode in ("off", "exact", "influence"):
-        opened = Database.open(f"sqlite:///{tmp_path / mode}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / mode}.db")
         campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"mode": mode, "audit": 0.0})
         ended = _run(opened, campaign)
         cells, *_ = everything(opened, campaign)
@@ -208,8 +206,7 @@ def test_two_campaigns_at_the_same_time_share_the_runs_of_equal_cells(database: 
 def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Path) -> None:
     found = []
     for pauses in (False, True):
-        database = Database.open(f"sqlite:///{tmp_path / str(pauses)}.db")
-        database.upgrade()
+        database = migrated(f"sqlite:///{tmp_path / str(pauses)}.db")
         campaign = submit(database)
         backend = ComputedBackend()
         working = dispatcher(database, backend)

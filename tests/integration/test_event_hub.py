@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+from typing import Any
 
 import pytest
 from sqlalchemy import text
@@ -106,10 +107,10 @@ def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
     away = False
     really = EventHub._read
 
-    def read(hub: EventHub, known: object) -> object:
+    def read(hub: EventHub, known: Any) -> object:
         if away:
             raise UnavailableError(reason)
-        return really(hub, known)  # type: ignore[arg-type]
+        return really(hub, known)
 
     monkeypatch.setattr(EventHub, "_read", read)
 

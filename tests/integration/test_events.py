@@ -302,10 +302,11 @@ def test_a_dispatcher_that_never_was_is_told_until_the_campaign_ends_or_rests(ap
         value: str | None = api.http.get(f"/api/v1/campaigns/{stored.id}").json()["degraded"]
         return value
 
-    assert said() == "no dispatcher is running"
+    silent = said()
+    assert silent is not None
     assert api.http.post(f"/api/v1/campaigns/{stored.id}/pause").json()["degraded"] is None
     assert said() is None
-    assert api.http.post(f"/api/v1/campaigns/{stored.id}/resume").json()["degraded"] == "no dispatcher is running"
+    assert api.http.post(f"/api/v1/campaigns/{stored.id}/resume").json()["degraded"] == silent
     api.http.post(f"/api/v1/campaigns/{stored.id}/cancel")
     assert said() is None
 

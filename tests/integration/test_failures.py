@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.problems import carry_out, store, submit_checked
 
-from drivecal.api import submission
-from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
@@ -33,9 +25,7 @@ from drivecal.storage import campaigns, evaluations, events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
-from drivecal.storage.problems import bundles
 
-LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
     "problem": "mine",
     "parameters": {"x": {"lower": 0, "upper": 1}},
@@ -75,16 +65,11 @@ class Simulated:
 
 @pytest.fixture(autouse=True)
 def _pushed(database: Database) -> None:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST))
-    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
-    with database.transaction() as connection:
-        bundles.add(connection, digest=content_digest(archived), name="mine", manifest=manifest, archive=archived)
+    store(database, MANIFEST)
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:
-    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
+    return submit_checked(database, SPEC | changes)
 
 
 @dataclass
@@ -117,14 +102,7 @@ def dispatcher(database: Database, simulated: Simulated, backend: ComputedBacken
 def run(
     database: Database, campaign: StoredCampaign, simulated: Simulated, backend: ComputedBackend | None = None
 ) -> StoredCampaign:
-    running = dispatcher(database, simulated, backend)
-    for _ in range(5_000):
-        running.step()
-        with database.read() as connection:
-            now = campaigns.get(connection, campaign.id)
-        if now.state.ended:
-            return now
-    raise AssertionError("the campaign did not end")
+    return carry_out(database, campaign, dispatcher(database, simulated, backend))
 
 
 def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:

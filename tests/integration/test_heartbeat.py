@@ -99,7 +99,7 @@ def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytes
     leadership = Leadership.begin(database)
     unreachable = _Unreachable(database.fenced(leadership.fence))
     unreachable.away = True
-    with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]
+    with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]  # it needs transactions only
         deadline = time.monotonic() + 30
         while "waiting for the database" not in caplog.text:
             assert time.monotonic() < deadline

@@ -80,6 +80,30 @@ def test_the_documentation_of_the_api_is_part_of_the_page(api: RunningApi, built
     assert (api.http.get("/redoc").status_code, api.http.get("/redoc").headers["location"]) == (308, "/docs")
 
 
+def test_the_documentation_is_served_to_everybody_under_the_policy_of_the_page(
+    guarded: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "MANUAL", tmp_path)
+    (tmp_path / "missing.txt").write_text("there is no generator <here>\n")
+    assert "no generator &lt;here&gt;" in guarded.http.get("/help/").text
+    (tmp_path / "index.html").write_text("<title>Start</title>")
+    (tmp_path / "how-to").mkdir()
+    (tmp_path / "how-to" / "fmu.html").write_text("<title>FMUs</title>")
+    (tmp_path / "search.json").write_text("{}")
+    moved = guarded.http.get("/help")
+    assert (moved.status_code, moved.headers["location"]) == (308, "/help/")
+    for path, text in (
+        ("/help/", "<title>Start</title>"),
+        ("/help/how-to/fmu.html", "<title>FMUs</title>"),
+        ("/help/search.json", "{}"),
+    ):
+        answer = guarded.http.get(path)
+        assert (answer.status_code, answer.text) == (200, text)
+        assert "script-src 'self'" in answer.headers["content-security-policy"]
+    for path in ("/help/missing.txt.bak", "/help/../api/app.py", "/help/how-to", "/help/%2e%2e/app.py", "/helpless"):
+        assert guarded.http.get(path).status_code in {401, 404}
+
+
 @pytest.mark.parametrize(
     "name", ["sources.sha256", "nothing.js", "../app.py", "%2e%2e/app.py", "assets/../../app.py", "assets"]
 )

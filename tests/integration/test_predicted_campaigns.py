@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,22 +10,19 @@ from typing import Any
 
 import pytest
 from tests.integration.test_certified_campaigns import alike
-from tests.integration.test_confirmation import at, live, new, rows_of, step_until
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
-from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, run, submit
+from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.prediction import prediction_of
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
 from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -60,7 +56,7 @@ def lots_of(database: Database, campaign: StoredCampaign) -> list[StoredLot]:
 
 @pytest.fixture(scope="module")
 def predicted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
-    database = new(tmp_path_factory.mktemp("predicted") / "1.db")
+    database = migrated(f"sqlite:///{tmp_path_factory.mktemp('predicted') / '1.db'}")
     yield database, run(database, ask(database, population=400), ComputedBackend(answer=slowly))
     database.dispose()
 
@@ -131,40 +127,21 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
     assert campaign.best == honest.best
 
 
-def mortal(database: Database, moment: int) -> Dispatcher:
-    from tests.integration.test_confirmation import DyingDatabase
-
-    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), at(moment))
-    ticks = iter(range(10**9))
-    pool = WorkPool(ComputedBackend(moment, answer=slowly), StoredLeases(own))
-    return Dispatcher(own, pool, clock=lambda: float(next(ticks)))
-
-
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path) -> None:
-    used, kept = tmp_path / "used.db", tmp_path / "kept.db"
-    database = new(used)
-    campaign = ask(database)
-    working = dispatcher(database, ComputedBackend(answer=slowly))
-    step_until(database, campaign, 1, working)
-    while not any(lot.size for lot in lots_of(database, campaign)):
-        working.step()
-    with database.transaction() as connection:
-        lots.secret(connection, campaign.sequence)
-    database.dispose()
-    shutil.copy(used, kept)
-    ends: list[tuple[Any, ...]] = []
-    killed = True
-    while killed:
-        shutil.copy(kept, used)
-        database = new(used)
-        moment = STRIDE * len(ends)  # at 0 it lives
-        killed = live(database, campaign, mortal(database, moment))
-        if killed:
-            run(database, campaign, ComputedBackend(answer=slowly))
-        bare = [replace(lot, seconds=0.0) for lot in lots_of(database, campaign)]
-        ends.append((everything(database, campaign), bare))
-        killed = killed or len(ends) == 1
-        database.dispose()
+    def begin(database: Database) -> StoredCampaign:
+        campaign = ask(database)
+        working = dispatcher(database, ComputedBackend(answer=slowly))
+        step_until(database, campaign, 1, working)
+        while not any(lot.size for lot in lots_of(database, campaign)):
+            working.step()
+        with database.transaction() as connection:
+            lots.secret(connection, campaign.sequence)
+        return campaign
+
+    def find(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
+        return everything(database, campaign), [replace(lot, seconds=0.0) for lot in lots_of(database, campaign)]
+
+    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=slowly), find, STRIDE)
     assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
@@ -177,7 +154,7 @@ def test_certificates_and_the_order_of_answers_change_no_lot_and_no_score(
     monkeypatch.setattr("drivecal.storage.lots.secrets.token_bytes", lambda size: b"s" * size)
     ends, certified_cells = [], []
     for number, certified in enumerate((True, False)):
-        database = new(tmp_path / f"{number}.db")
+        database = migrated(f"sqlite:///{tmp_path / str(number)}.db")
         campaign = ask(database, certified=certified, audit=0.0)
         ended = run(database, campaign, ComputedBackend(number, answer=slowly, class_of=alike))
         rows = [

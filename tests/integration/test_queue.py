@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, func, select, text
 from tests.support.computed import ComputedBackend, computed
+from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, get, post_map, submit
 from tests.support.server import new_database
@@ -53,8 +54,7 @@ def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callab
     def make() -> Database:
         folder = tmp_path / str(len(opened))
         folder.mkdir()
-        database = Database.open(new_database(request, request.param, folder))
-        database.upgrade()
+        database = migrated(new_database(request, request.param, folder))
         opened.append(database)
         return database
 
@@ -264,7 +264,9 @@ def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated
     assert leased(database) == 0
 
 
-def test_a_cell_that_somebody_else_answered_is_taken_from_the_rows(database: Database) -> None:
+def test_a_cell_that_another_process_answered_is_taken_from_the_rows(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
     campaign = submit(database, **TINY)
     held = Silent()
     working = dispatcher(database, held)
@@ -275,11 +277,8 @@ def test_a_cell_that_somebody_else_answered_is_taken_from_the_rows(database: Dat
             "UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)"
         )
         connection.execute(waiting)
-    type(held).wait = ComputedBackend.wait  # type: ignore[method-assign]
-    try:
-        ended = finish(database, campaign, working)
-    finally:
-        del type(held).wait
+    monkeypatch.setattr(Silent, "wait", ComputedBackend.wait)
+    ended = finish(database, campaign, working)
     assert ended.state is CampaignState.SUCCEEDED
 
 
@@ -363,8 +362,7 @@ def _both(database: Database, **changes: Any) -> tuple[ComputedBackend, list[Sto
 def test_identical_cells_of_parallel_campaigns_are_simulated_once_and_counted_once(tmp_path: Path) -> None:
     found: Mapping[str, Any] = {}
     for name in ("alone", "both"):
-        database = Database.open(f"sqlite:///{tmp_path / name}.db")
-        database.upgrade()
+        database = migrated(f"sqlite:///{tmp_path / name}.db")
         if name == "alone":
             campaign = submit(database, **TINY)
             finish(database, campaign, dispatcher(database))

@@ -65,7 +65,7 @@ def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend
         ray_backend.wait(0.5)
     setup = misbehaving_setup()
     one, other = (worker.id for worker in ray_backend.workers())
-    ray_backend.submit(one, 1, Batch(setup, "no cells"), None)  # type: ignore[arg-type]
+    ray_backend.submit(one, 1, Batch(setup, "no cells"), None)  # type: ignore[arg-type]  # the worker cannot read it
     ray_backend.submit(other, 2, Batch(setup, (Cell(1, {"behaviour": 0.0, "value": 0.0}),)), 10.0)
     events: list[Finished | Lost] = []
     while len(events) < 2:

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.integration.test_confirmation import DyingDatabase, at, live, new, rows_of, step_until
+from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
-from tests.support.runs import dispatcher, everything, influenced, post_map, run, submit
+from tests.support.databases import migrated
+from tests.support.deaths import ends_in_spite_of_deaths
+from tests.support.effort import tries
+from tests.support.runs import dispatcher, everything, influenced, post_map, rows_of, run, step_until, submit
 
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.evaluations import Outcome
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
-from drivecal.storage import lots
+from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 ITERATIONS = 4
-STRIDE = 9
+STRIDE = tries(27, 9)
 """Of moments to die at."""
 REST = {f"P{i}": 0.5 for i in range(5, 12)}
 NOWHERE = {"S1": ("P3", "P4"), "S2": ("P1", "P2", "P4")}
@@ -77,7 +75,7 @@ def same_secrets() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def inspected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign]]:
-    database = new(tmp_path_factory.mktemp("inspected") / "1.db")
+    database = migrated(f"sqlite:///{tmp_path_factory.mktemp('inspected') / '1.db'}")
     yield database, run(database, ask(database, population=300), ComputedBackend(answer=nearly))
     database.dispose()
 
@@ -165,42 +163,60 @@ def test_lots_of_references_and_of_predictions_stand_beside_each_other(database:
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
-def mortal(database: Database, moment: int) -> Dispatcher:
-    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), at(moment))
-    ticks = iter(range(10**9))
-    return Dispatcher(
-        own, WorkPool(ComputedBackend(moment, answer=breaking), StoredLeases(own)), clock=lambda: float(next(ticks))
-    )
-
-
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_same_verdicts(tmp_path: Path) -> None:
-    used, kept = tmp_path / "used.db", tmp_path / "kept.db"
-    database = new(used)
-    campaign = ask(database)
-    step_until(database, campaign, 1, dispatcher(database, ComputedBackend(answer=breaking)))
-    with database.transaction() as connection:
-        lots.secret(connection, campaign.sequence)
-    database.dispose()
-    shutil.copy(used, kept)
-    ends: list[tuple[Any, ...]] = []
-    killed = True
-    while killed:
-        shutil.copy(kept, used)
-        database = new(used)
-        moment = STRIDE * len(ends)  # at 0 it lives
-        killed = live(database, campaign, mortal(database, moment))
-        if killed:
-            run(database, campaign, ComputedBackend(answer=breaking))
+    def begin(database: Database) -> StoredCampaign:
+        campaign = ask(database)
+        step_until(database, campaign, 1, dispatcher(database, ComputedBackend(answer=breaking)))
+        with database.transaction() as connection:
+            lots.secret(connection, campaign.sequence)
+        return campaign
+
+    def find(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
         rows = [
             (row.iteration, row.individual, row.scenario, row.lot, row.outcome, row.audited)
             for row in rows_of(database, campaign)
         ]
-        ends.append((everything(database, campaign), lots_of(database, campaign), rows))
-        killed = killed or len(ends) == 1
-        database.dispose()
-    assert len(ends) > 5
+        return everything(database, campaign), lots_of(database, campaign), rows
+
+    ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=breaking), find, STRIDE)
+    assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     assert {lot.verdict for lot in ends[0][1]} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
+
+
+def alike(scenario: str, cell: Cell) -> object:
+    """Cells that differ only in parameters without influence provably drive alike."""
+    return tuple(value for name, value in cell.parameters.items() if name not in NOWHERE[scenario])
+
+
+def test_certificates_of_cells_that_wait_for_a_verdict_outlive_the_dispatcher(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noted: dict[int, int] = {}
+    note = evaluations.note_proofs
+
+    def noting(connection: Connection, proofs: Mapping[int, int]) -> None:
+        noted.update(proofs)
+        note(connection, proofs)
+
+    def waiting() -> dict[int, int]:
+        return {row.id: noted[row.id] for row in rows_of(database, campaign) if row.id in noted and row.outcome is None}
+
+    monkeypatch.setattr(evaluations, "note_proofs", noting)
+    database = migrated(f"sqlite:///{tmp_path}/1.db")
+    campaign = ask(database, certified=True)
+    first = dispatcher(database, ComputedBackend(answer=influenced, class_of=alike))
+    while not waiting():
+        first.step()
+    known = waiting()
+    monkeypatch.setattr(evaluations, "note_proofs", note)
+    run(database, campaign, ComputedBackend(answer=influenced))  # these workers know no certificate
+    released = {row.id: row.proven_by for row in rows_of(database, campaign) if row.outcome is Outcome.REUSED}
+    kept = {number: released[number] for number in known if number in released}
+    assert kept
+    assert kept.items() <= known.items()
+    assert [check for check in verify(database, full=True) if check.problems] == []
+    database.dispose()
 
 
 def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign]) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import random
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +11,14 @@ from typing import Any
 import pytest
 import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.effort import tries
+from tests.support.problems import store
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 from tests.support.values import numbers
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
@@ -41,7 +39,6 @@ from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
 from drivecal.storage.references import influence_maps
 
 LIMITS = Limits.of(load_settings())
@@ -76,8 +73,8 @@ def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """A second evaluator is installed."""
     usual = registry.evaluator
 
-    def find(name: str, field: str = "evaluator") -> Evaluator:
-        return Strict() if name == "strict" else usual(name, field)
+    def find(name: str) -> Evaluator:
+        return Strict() if name == "strict" else usual(name)
 
     monkeypatch.setattr(registry, "evaluator", find)
 
@@ -129,8 +126,7 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(
         "baseline": dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2),
     }
     for killed in (False, True):
-        opened = Database.open(f"sqlite:///{tmp_path / str(killed)}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / str(killed)}.db")
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS | changes)
         campaign = submission.submit(opened, LIMITS, specification, None)
         while not get(opened, campaign).state.ended:
@@ -249,8 +245,7 @@ def forgetful(scenario: str, cell: Cell) -> CellResult:
 def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of_stored_runs(tmp_path: Path) -> None:
     found = []
     for accompanied in (False, True):
-        opened = Database.open(f"sqlite:///{tmp_path / str(accompanied)}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / str(accompanied)}.db")
         specification = CampaignSpecification.model_validate(WITH_ANALYSIS)
         first = run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=forgetful))
         changes = RerunSpecification(weights={}, evaluator="strict")
@@ -327,20 +322,7 @@ def _ended_with_a_map(database: Database) -> StoredCampaign:
 def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:
     """Stores a problem; gives its digest."""
     document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text()) | {"scores": dict(scores)}
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(document))
-        archive.writestr("braking.py", file)
-    digest = content_digest(content.getvalue())
-    with database.transaction() as connection:
-        bundles.add(
-            connection,
-            digest=digest,
-            name="python-function",
-            manifest=checked(document).model_dump(mode="json"),
-            archive=content.getvalue(),
-        )
-    return digest
+    return store(database, document, {"braking.py": file})
 
 
 @pytest.mark.parametrize(

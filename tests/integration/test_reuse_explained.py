@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 from sqlalchemy import update
-from tests.integration.test_confirmation import step_until
 from tests.support.computed import IGNORED, ComputedBackend, computed
-from tests.support.runs import EXPERT_SPACE, SMALL, dispatcher, get, nothing_matters, post_map, run, submit
+from tests.support.runs import EXPERT_SPACE, SMALL, dispatcher, get, nothing_matters, post_map, run, step_until, submit
 from tests.support.values import numbers
 
 from drivecal.campaigns.results.explanation import explain

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support.databases import migrated
 from tests.support.serve import until
 from tests.support.server import free_port
 
@@ -84,8 +85,7 @@ def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_p
 
 
 def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_it_is_asked(tmp_path: Path) -> None:
-    database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    database.upgrade()
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
 
     def problems() -> str:
         with database.read() as connection:

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import WITH_ANALYSIS, dispatcher
 
@@ -111,8 +112,7 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
     draw = random.Random(seed)
     found = []
     for name in ("calm", "killed"):
-        opened = Database.open(f"sqlite:///{tmp_path / name}.db")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path / name}.db")
         campaign = _submit(opened)
         while not _get(opened, campaign).state.ended:
             working = dispatcher(opened, ComputedBackend(draw.randrange(99), answer=_answer))
@@ -141,8 +141,7 @@ def _interval_cells(database: Database, campaign: StoredCampaign) -> dict[int, i
 def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_runs(tmp_path: Path) -> None:
     maps, runs = [], []
     for sequential in (True, False):
-        opened = Database.open(f"sqlite:///{tmp_path}/{sequential}.sqlite")
-        opened.upgrade()
+        opened = migrated(f"sqlite:///{tmp_path}/{sequential}.sqlite")
         wanted = {**WITH_ANALYSIS["sensitivity"], "threshold": "auto", "sequential": sequential}
         ended = _run(opened, _submit(opened, optimizer=None, sensitivity=wanted))
         assert ended.state is CampaignState.SUCCEEDED

@@ -8,6 +8,7 @@ import signal
 import socket
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,11 @@ def lines_of(server: Server) -> list[dict[str, Any]]:
     return [json.loads(line) for line in server.log.read_text().splitlines(keepends=True) if line.endswith("\n")]
 
 
+def is_counted(http: httpx.Client, measured: str) -> bool:
+    """Whether the metrics have durations of this kind."""
+    return re.search(rf"^drivecal_{measured}_seconds_count [1-9]", http.get("/metrics").text, re.MULTILINE) is not None
+
+
 def test_every_line_of_the_log_is_a_document_and_says_what_it_is_about(server: Server) -> None:
     headers = {"X-Request-ID": "from-the-test", "Authorization": f"Bearer {TOKEN}"}
     with httpx.Client(base_url=server.url, headers=headers, timeout=30.0) as http:
@@ -60,8 +66,7 @@ def test_every_line_of_the_log_is_a_document_and_says_what_it_is_about(server: S
         number = evaluation.json()["id"]
         until(lambda: http.get(f"/api/v1/evaluations/{number}").json()["state"] == "succeeded", "the end of the evaluation")
         for measured in ("evaluation", "batch", "lease_transaction", "record_transaction", "lookup"):
-            count = re.compile(rf"^drivecal_{measured}_seconds_count [1-9]", re.MULTILINE)
-            until(lambda: count.search(http.get("/metrics").text) is not None, f"the heartbeat with its {measured}")  # noqa: B023  # not kept
+            until(partial(is_counted, http, measured), f"the heartbeat with its {measured}")
         assert 'drivecal_cells_total{outcome="simulated",stage="evaluation"} 1.0' in http.get("/metrics").text
     lines = lines_of(server)
     assert all({"time", "level", "process", "message"} <= set(line) for line in lines)
@@ -84,8 +89,11 @@ def test_a_server_with_tokens_gets_ready_and_keeps_them_to_itself(server: Server
         known = [*process.environ().values(), *process.cmdline()]
         assert not [text for text in known for token in (TOKEN, READER, MINE) if token in text], process
     last = ("writer", "/api/v1/campaigns", 422)
-    logged = lambda: last in [(line.get("token"), line.get("path"), line.get("status")) for line in lines_of(server)]  # noqa: E731
-    until(logged, "the line of the last request, which follows its answer", 10.0)
+    until(
+        lambda: last in [(line.get("token"), line.get("path"), line.get("status")) for line in lines_of(server)],
+        "the line of the last request, which follows its answer",
+        10.0,
+    )
     log = server.log.read_text()
     assert "a token is asked for: 2 in" in log
     assert "1 of them may only read" in log

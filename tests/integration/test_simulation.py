@@ -72,8 +72,8 @@ def model() -> VehicleModel:
     return SINGLE_TRACK.create({parameter.name: parameter.nominal for parameter in SINGLE_TRACK.parameters})
 
 
-def runner(scenario: Scenario) -> EpisodeRunner:
-    return EpisodeRunner(scenario, Gliding(), model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
+def runner(scenario: Scenario, vehicle: VehicleModel | None = None) -> EpisodeRunner:
+    return EpisodeRunner(scenario, Gliding(), vehicle or model(), REFERENCE)  # type: ignore[arg-type]  # it has no space to search
 
 
 def driven(scenario: Scenario, *parameters: float) -> list[bytes]:
@@ -99,9 +99,7 @@ def test_all_vehicles_start_where_the_definition_says_and_stay_on_the_road(scena
     assert sumo.neighbours[:, 1] == pytest.approx(starts[:, 1], abs=0.02)
     assert sumo.neighbours[:, 2] == pytest.approx(starts[:, 2], rel=0.02)
     seen: list[Floats] = []
-    EpisodeRunner(scenario, Gliding(), model(), REFERENCE)._loop.drive(  # type: ignore[arg-type]
-        (scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy())
-    )
+    runner(scenario)._loop.drive((scenario.ego.d, 1.0, 0.0), lambda _, __, ___, neighbours: seen.append(neighbours.copy()))
     drifts = np.array([max((abs(offset) for _, offset in vehicle.drift), default=0.0) for vehicle in scenario.traffic])
     for neighbours in seen:
         assert (abs(neighbours[:, 1] - starts[:, 1]) <= drifts + 0.02).all()
@@ -206,7 +204,7 @@ def test_an_unstable_vehicle_scores_nothing_and_says_so() -> None:
             self.steps += 1
             return self.model.follow(trajectory, since, duration, dynamics) and self.steps < 30
 
-    result = EpisodeRunner(S1, Gliding(), Spinning(), REFERENCE).run(changes_lane(S1))  # type: ignore[arg-type]
+    result = runner(S1, Spinning()).run(changes_lane(S1))
     assert result.failure is Failure.UNSTABLE
     assert result.rating.score == 0
     assert result.metrics["driven_s"] == pytest.approx(3.0)

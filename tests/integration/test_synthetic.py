@@ -3,19 +3,15 @@ minimised between 0 and 100, with continuous, integer and choice parameters, a g
 
 from __future__ import annotations
 
-import io
-import zipfile
 from typing import Any
 
 import pytest
-import yaml
 from tests.support.computed import ComputedBackend
+from tests.support.problems import store
 from tests.support.runs import dispatcher, everything, get, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.bundles.archives import content_digest
-from drivecal.bundles.checks import checked
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -24,7 +20,6 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
 
 LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
@@ -48,7 +43,7 @@ MANIFEST: dict[str, Any] = {
 ANALYSIS = {"intervals": 4, "samples": 12, "threshold": "auto"}
 FAILS_FROM = 75.0
 """Speed above which the city fails."""
-OPTIMIZERS = ["genetic", "swarm", "random", "cma_es", "optuna"]
+OPTIMIZERS = ["genetic", "swarm", "random", "cma_es", "optuna", "nsga2", "nsga3"]
 
 
 def energy(scenario: str, values: dict[str, Any]) -> float:
@@ -70,12 +65,7 @@ def computed(scenario: str, cell: Cell) -> CellResult:
 
 @pytest.fixture(autouse=True)
 def _pushed(database: Database) -> None:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        archive.writestr("problem.yaml", yaml.safe_dump(MANIFEST, sort_keys=False))
-    archived, manifest = content.getvalue(), checked(MANIFEST).model_dump(mode="json")
-    with database.transaction() as connection:
-        bundles.add(connection, digest=content_digest(archived), name="synthetic", manifest=manifest, archive=archived)
+    store(database, MANIFEST)
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:

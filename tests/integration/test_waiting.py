@@ -6,8 +6,9 @@ from tests.integration.test_failures import Simulated, _pushed, run, submit
 
 from drivecal.analysis.savings import account
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.storage import campaigns, costs, evaluations
+from drivecal.storage import campaigns, evaluations
 from drivecal.storage.engine.database import Database
+from drivecal.storage.references import runs
 
 __all__ = ["_pushed"]
 
@@ -27,11 +28,11 @@ def test_a_sleeping_simulator_saves_the_workers_time(database: Database) -> None
     assert (first.cells.repeated, again.cells.simulated) == (0, 0)
     with database.read() as connection:
         accounts = [
-            account(each.id, each.state, ["city", "road"], costs.by_outcome(connection, each.sequence), None)
+            account(each.id, each.state, ["city", "road"], evaluations.costs_by_outcome(connection, each.sequence), None)
             for each in (first, again)
         ]
         setups = (campaigns.get(connection, first.id).resolution or {})["setups"]
-        expected = costs.recent_milliseconds(connection, list(setups.values()))
+        expected = runs.recent_milliseconds(connection, list(setups.values()))
         means = evaluations.mean_seconds(connection, again.sequence)
     assert [each.clock for each in accounts] == ["wall", "wall"]
     assert accounts[0].simulated_seconds == 90 * first.cells.simulated

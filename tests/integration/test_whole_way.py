@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.support import server as api
@@ -21,7 +22,7 @@ from drivecal.domain.evaluations import Failure
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
-OPTIMIZER = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}
+OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}
 OTHER_WEIGHTS = {"S1": 3, "S5": 0}
 PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 BOLD = {name: {"influential": False} for name in PARAMETERS[3:]}
@@ -85,7 +86,7 @@ def _check_cells(campaign: Campaign, rows: list[Row]) -> None:
 
 def test_every_cell_has_its_answer_and_two_workers_gave_them(two_workers: Gone) -> None:
     campaign, rows = two_workers.campaign, two_workers.rows
-    assert campaign.cells.proposed == OPTIMIZER["population"] * OPTIMIZER["iterations"] * 6  # type: ignore[operator]  # ints
+    assert campaign.cells.proposed == OPTIMIZER["population"] * OPTIMIZER["iterations"] * 6
     _check_cells(campaign, rows)
     assert campaign.cells.simulated > 60
     assert campaign.cells.reused > 0
@@ -137,7 +138,7 @@ def test_a_rerun_with_other_weights_repeats_what_is_known(two_workers: Gone) -> 
     assert "S5" not in {row["scenario"] for row in rows}
     start = [row for row in rows if row["iteration"] == "0" and row["outcome"] == "simulated"]
     assert all(row["audited"] == "true" for row in start), "its first generation is the first campaign's"
-    assert rerun.cells.repeated >= 0.8 * OPTIMIZER["population"] * 5  # type: ignore[operator]  # an int
+    assert rerun.cells.repeated >= 0.8 * OPTIMIZER["population"] * 5
     before = {(row["scenario"], *(row[name] for name in PARAMETERS)): row["rating"] for row in two_workers.rows}
     for row in rows:
         if row["outcome"] == "repeated":

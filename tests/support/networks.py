@@ -125,6 +125,29 @@ def crossing(kind: str = "priority") -> bytes:
 
 
 @cache
+def bridges() -> bytes:
+    """Two lanes under a bridge at x = 300, and an exit at x = 400 that crosses over them at x = 800; a road beside them back."""
+    nodes = [
+        node("a", 0, 0),
+        node("b", 400, 0),
+        node("c", 1200, 0),
+        node("s", 300, -300),
+        node("n", 300, 300),
+        node("d", 800, 300),
+    ]
+    nodes += [node("e", 1200, 1), node("f", 0, 1)]
+    edges = [
+        edge("before", "a", "b", 2),
+        edge("after", "b", "c", 2),
+        edge("back", "e", "f", 2),
+        edge("bridge", "s", "n", 1),
+        edge("ramp", "b", "d", 1, shape="400,0 500,-20 600,-80 700,-150 760,-150 800,-100 800,300"),
+    ]
+    links = [link("before", "after", 0, 0), link("before", "after", 1, 1), link("before", "ramp", 0, 0)]
+    return built(nodes, edges, links)
+
+
+@cache
 def roundabout() -> bytes:
     """A roundabout of four edges with an approach and an exit."""
     nodes = [node("w", -300, 0), node("e", 300, 0), node("s", 0, -300), node("n", 0, 300)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import cos, sin
 from xml.etree import ElementTree as ET
@@ -19,7 +20,7 @@ def _number(element: ET.Element, key: str, default: str | None = None) -> float:
     return float(value)
 
 
-def _cubic(element: ET.Element, ds: float, names: str = "abcd") -> float:
+def _cubic(element: ET.Element, ds: float, names: Iterable[str] = "abcd") -> float:
     a, b, c, d = (_number(element, name) for name in names)
     return a + ds * (b + ds * (c + ds * d))
 
@@ -107,7 +108,7 @@ def _local(geometry: ET.Element, ds: float) -> tuple[float, float, float]:
         return u, _cubic(shape, u), float(np.arctan(b + 2 * c * u + 3 * d * u * u))
     assert shape.tag == "paramPoly3"
     p = ds / length if shape.get("pRange") == "normalized" else ds
-    u, v = _cubic(shape, p, ("aU", "bU", "cU", "dU")), _cubic(shape, p, ("aV", "bV", "cV", "dV"))  # type: ignore[arg-type]
+    u, v = _cubic(shape, p, ("aU", "bU", "cU", "dU")), _cubic(shape, p, ("aV", "bV", "cV", "dV"))
     du, dv = (_number(shape, f"b{k}") + 2 * _number(shape, f"c{k}") * p + 3 * _number(shape, f"d{k}") * p * p for k in "UV")
     return u, v, float(np.arctan2(dv, du))
 

@@ -40,6 +40,9 @@ def closing(length: float, width: float) -> Widths:
     return [(0.0, width, 0.0, -3 * width / length**2, 2 * width / length**3)]
 
 
+LaneLinks = dict[int, dict[int, tuple[int | None, int | None]]]
+
+
 @dataclass
 class Road:
     """A road to be written. `sections`: begin, and type and widths by lane; `links`: predecessor and successor as type and id."""
@@ -53,7 +56,7 @@ class Road:
     offsets: Widths = field(default_factory=list)
     limit: tuple[str, str] | None = None
     """Largest speed and its unit."""
-    lane_links: dict[int, dict[int, tuple[int | None, int | None]]] = field(default_factory=dict)
+    lane_links: LaneLinks = field(default_factory=dict)
     """By section and lane: the predecessor and the successor."""
 
     @property

@@ -14,6 +14,8 @@ from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Schedul
 
 TARGET = BatchPolicy().target_seconds
 
+W, V = "worker 1", "worker 2"
+
 
 def setup(scenario: str = "S1", evaluator: str = "reference", fingerprint: str | None = None) -> DriveRequest:
     return DriveRequest(
@@ -24,6 +26,13 @@ def setup(scenario: str = "S1", evaluator: str = "reference", fingerprint: str |
 def cells(count: int, first: int = 1, values: Sequence[float] | None = None) -> list[Cell]:
     """With the numbers from `first` as ids and, where no `values` are given, as parameters: no two are identical."""
     return [Cell(first + index, {"P1": float(first + index) if values is None else values[index]}) for index in range(count)]
+
+
+def send(scheduler: Scheduler, worker: str = W) -> Dispatch:
+    """Takes the next batch of an idle worker, which there has to be."""
+    dispatch = scheduler.next_batch(worker, idle=True)
+    assert dispatch is not None
+    return dispatch
 
 
 def answers(dispatch: Dispatch, seconds: float = 0.1) -> BatchResult:

@@ -14,12 +14,14 @@ from drivecal.contracts.specification import CampaignSpecification, InfluenceMap
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.campaigns import StageName
 from drivecal.execution.backend import Backend
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.results import StoredEvaluation
 
 EXPERT_SPACE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.5} for i in range(1, 12)]
 SMALL: dict[str, Any] = {
@@ -136,3 +138,19 @@ def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend |
             return found
         one.step()
     raise AssertionError("the campaign did not end")
+
+
+def rows_of(database: Database, campaign: StoredCampaign) -> list[StoredEvaluation]:
+    """All cells of a campaign."""
+    with database.read() as connection:
+        return list(results.stream(connection, campaign.sequence))
+
+
+def step_until(database: Database, campaign: StoredCampaign, iteration: int, working: Dispatcher) -> None:
+    """Works until an iteration of the calibration was asked for."""
+    for _ in range(MOST_STEPS):
+        with database.read() as connection:
+            if results.is_requested(connection, campaign.sequence, StageName.CALIBRATION, iteration):
+                return
+        working.step()
+    raise AssertionError(f"iteration {iteration} was never asked for")

@@ -17,6 +17,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import make_url
+from tests.support.databases import migrated
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
@@ -59,8 +60,7 @@ def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[Runni
 
     Problems can be pushed with a tokens file, or by the secret in a `home` of the test's own.
     """
-    database = Database.open(database_url)
-    database.upgrade()
+    database = migrated(database_url)
     listener = socket.create_server(("127.0.0.1", port))
     loaded = load_settings(database_url=database_url, **settings)
     pushing = Pushing.of(loaded, "127.0.0.1") if {"home", "tokens_file"} & settings.keys() else OFF
@@ -79,3 +79,14 @@ def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[Runni
         server.should_exit = True
         thread.join()
         database.dispose()
+
+
+def problem_of(response: httpx.Response, status: int) -> dict[str, Any]:
+    """The problem document that a response with this status has to be."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = response.json()
+    assert document["status"] == status
+    assert document["title"]
+    assert document["detail"]
+    return document

@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from drivecal.adapters.kinds import simulator
+from drivecal.adapters.scratch import Scratch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession
@@ -52,10 +53,33 @@ for line in sys.stdin:
 """
 """A simulator in Python. Answers twice x, unless its `body` does something else before."""
 
+CPP_SERVER = r"""
+#include <cmath>
+#include <iostream>
+#include <string>
+static double number(const std::string& line, const char* name) {
+    return std::stod(line.substr(line.find(name) + std::string(name).size()));
+}
+int main() {
+    std::string line;
+    std::cout.precision(17);
+    while (std::getline(std::cin, line) && line.find("\"quit\"") == std::string::npos) {
+        if (line.find("\"drivecal\"") != std::string::npos) { std::cout << "{\"ready\": true}" << std::endl; continue; }
+@BODY@
+        std::cout << "{\"id\": " << long(number(line, "\"id\": ")) << ", \"measures\": {\"y\": " << y << "}}" << std::endl;
+    }
+}
+"""
 
-def write_server(folder: Path, body: str = "", start: str = "", quit: str = "") -> list[str]:  # noqa: A002
+
+def cpp_server(body: str) -> str:
+    """Returns a simulator in C++ whose `body` computes `y` from the `line` of a request by `number(line, name)`."""
+    return CPP_SERVER.replace("@BODY@", body)
+
+
+def write_server(folder: Path, body: str = "", start: str = "", ending: str = "") -> list[str]:
     """Writes a simulator into a bundle and returns its command."""
-    shown = {"body": body, "start": start, "quit": quit}
+    shown = {"body": body, "start": start, "quit": ending}
     text = SERVER
     for name, code in shown.items():
         indent = "        " if name == "quit" else "    "
@@ -84,9 +108,15 @@ def opened(
         session.close()
 
 
-def served(folder: Path, body: str = "", start: str = "", quit: str = "", **section: Any) -> Any:  # noqa: A002
+def served(folder: Path, body: str = "", start: str = "", ending: str = "", **section: Any) -> Any:
     """Opens a session of a `process` simulator with this body."""
-    return opened("process", folder, command=write_server(folder, body, start, quit), **section)
+    return opened("process", folder, command=write_server(folder, body, start, ending), **section)
+
+
+def scratch_of(session: Any) -> Scratch:
+    """The folders of a session."""
+    scratch: Scratch = session._scratch
+    return scratch
 
 
 def lost(session: SimulatorSession, parameters: Mapping[str, Setting], breakdown: Breakdown) -> str:

@@ -15,6 +15,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import DrivenSetup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
@@ -35,6 +36,13 @@ SETUP = DrivenSetup(
     step_seconds=0.1,
     seed=1,
 )
+
+
+def migrate(url: str) -> None:
+    """Creates or upgrades the database."""
+    database = Database.open(url)
+    database.upgrade()
+    database.dispose()
 
 
 def setup_id(connection: Connection, scenario: str = "S1") -> int:

@@ -6,15 +6,15 @@ It plays the campaigns, the database (leases, breakdowns that were written down)
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
 
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
 from tests.support.fake_backend import Behaviour
 from tests.support.plant import setup
+from tests.support.turmoil_parts import DEADLINE, POISON, RESTART, Place, Row, assert_batch, broken_result, well
 
-from drivecal.contracts.work import BatchResult, Cell, CellResult
+from drivecal.contracts.work import BatchResult, Cell
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
@@ -22,45 +22,6 @@ from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatc
 
 TAGS = ("a", "b", "c")
 PLACES = 3
-DEADLINE = 60.0
-RESTART = 1.6
-POISON = {7: Behaviour.CRASH, 8: Behaviour.HANG, 9: Behaviour.ERROR, 10: Behaviour.MEMORY}
-"""What a parameter's value does; all others are well."""
-
-
-@dataclass
-class Row:
-    """A cell in the database."""
-
-    id: int
-    tag: str
-    scenario: str
-    value: int
-    priority: int
-    exclusive: bool
-    breakdowns: int = 0
-    """As written down."""
-    withdrawn: bool = False
-
-    @property
-    def identity(self) -> Hashable:
-        return self.id if self.exclusive else (self.scenario, self.value)
-
-
-@dataclass
-class Place:
-    """A worker, and those that replace it."""
-
-    number: int
-    incarnation: int = 1
-    ready_at: float = 0.0
-    batches: list[Dispatch] = field(default_factory=list)
-    deadline: float = 0.0
-    """Of the first batch."""
-
-    @property
-    def name(self) -> str:
-        return f"worker-{self.number}.{self.incarnation}"
 
 
 class Turmoil(RuleBasedStateMachine):
@@ -148,7 +109,7 @@ class Turmoil(RuleBasedStateMachine):
         if unreadable:
             completed = self.scheduler.lost(sent.batch_id, place.name, Breakdown.ERROR, "it speaks in tongues")
         else:
-            results = tuple(_broken(cell, Breakdown.ERROR) for cell in sent.batch.cells)
+            results = tuple(broken_result(cell, Breakdown.ERROR) for cell in sent.batch.cells)
             completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, 0.1))
         self._settle(sent, completed, {cell.id: (Breakdown.ERROR, "somebody") for cell in sent.batch.cells}, place.name)
 
@@ -284,22 +245,11 @@ class Turmoil(RuleBasedStateMachine):
 
     def _check_dispatch(self, place: Place, sent: Dispatch) -> None:
         rows = [self.rows[cell.id] for cell in sent.batch.cells]
-        assert {cell.id: self.rows[cell.id].value for cell in sent.batch.cells} == {
-            cell.id: cell.parameters["P1"] for cell in sent.batch.cells
-        }
-        assert not any(row.withdrawn for row in rows)
-        assert {(row.tag, row.scenario, row.priority) for row in rows} == {
-            (rows[0].tag, sent.batch.setup.scenario, rows[0].priority)
-        }
-        assert len({row.identity for row in rows}) == len(rows)
+        assert_batch(sent, rows)
         running = {self.rows[number].identity for number in self._at_workers()}
         assert running.isdisjoint(row.identity for row in rows), "it is simulated already"
         assert dict(sent.breakdowns) == {row.id: self.tally[row.identity] for row in rows}
-        if any(sent.breakdowns.values()):
-            assert sent.alone
-        if sent.alone:
-            assert len(rows) == 1
-            assert not place.batches
+        assert not (sent.alone and place.batches)
 
     def _drop(self, place: Place, sent: Dispatch, answered: set[int]) -> None:
         rest = self.scheduler.drop(sent.batch_id, answered)
@@ -318,7 +268,7 @@ class Turmoil(RuleBasedStateMachine):
     def _take_first(self, place: Place) -> Dispatch:
         sent = place.batches.pop(0)
         place.deadline = self.now + DEADLINE
-        self.returned.append((sent, BatchResult(sent.worker, tuple(map(_well, sent.batch.cells)), 0.1)))
+        self.returned.append((sent, BatchResult(sent.worker, tuple(map(well, sent.batch.cells)), 0.1)))
         return sent
 
     def _first(self, place: Place, *kinds: Behaviour) -> int | None:
@@ -340,7 +290,9 @@ class Turmoil(RuleBasedStateMachine):
             for cell in sent.batch.cells
             if self.rows[cell.id].value in POISON
         }
-        results = tuple(_broken(cell, broken[cell.id][0]) if cell.id in broken else _well(cell) for cell in sent.batch.cells)
+        results = tuple(
+            broken_result(cell, broken[cell.id][0]) if cell.id in broken else well(cell) for cell in sent.batch.cells
+        )
         completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, seconds))
         self._settle(sent, completed, broken, place.name)
         return True
@@ -427,14 +379,6 @@ class Turmoil(RuleBasedStateMachine):
     def _forget_identity(self, identity: Hashable) -> None:
         for known in (self.tally, self.witnesses, self.blamed):
             known.pop(identity, None)
-
-
-def _well(cell: Cell) -> CellResult:
-    return CellResult(cell.id, cell.parameters["P1"], 5, {}, None, 7.0)
-
-
-def _broken(cell: Cell, breakdown: Breakdown) -> CellResult:
-    return CellResult(cell.id, None, None, {}, None, 1.0, breakdown.value, "as asked for")
 
 
 def run_turmoil(steps: int) -> int:

@@ -15,7 +15,7 @@ from drivecal.client import Client
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples" / "problems"
 SPEC: dict[str, Any] = {
     "sensitivity": None,
-    "optimizer": {"kind": "genetic", "population": 40, "iterations": 4, "seed": 3},
+    "optimizer": {"kind": "genetic", "population": 24, "iterations": 3, "seed": 3},
     "reduction": {"mode": "exact"},
 }
 RESULTS = ("outcome", "score", "failure", "iteration", "individual", "scenario")

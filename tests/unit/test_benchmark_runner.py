@@ -48,7 +48,7 @@ def test_benchmarks_can_be_chosen_by_name(folder: Path) -> None:
 def test_an_unknown_benchmark_is_refused_with_those_there_are(folder: Path) -> None:
     done = run(folder, "c_good", "nonsense")
     assert done.returncode == 2
-    assert done.stderr == "there is no benchmark nonsense; available: a_breaks, b_bad, c_good\n"
+    assert all(name in done.stderr for name in ("nonsense", "a_breaks", "b_bad", "c_good"))
     assert not done.stdout
 
 

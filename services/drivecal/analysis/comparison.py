@@ -13,7 +13,7 @@ CONFIDENCE = 0.95
 
 
 class Conditions(NamedTuple):
-    """Under which a run was made."""
+    """Conditions of a run."""
 
     optimizer: str
     population: int
@@ -23,7 +23,7 @@ class Conditions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """How a run went, by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
+    """Course of a run by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
     the population's mean, and cells that had to be simulated, for they had no answer among the run's own. `ended`: it went to its end."""
 
     conditions: Conditions
@@ -202,7 +202,7 @@ class Effect:
 
 
 def effects(pairs: Sequence[Pair], sign: int = 1) -> list[Effect]:
-    """By reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
+    """Effects by reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
     wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
     for course in pairs:
         conditions = course.run.conditions

@@ -1,13 +1,13 @@
-"""Confirmation of a search's best set by simulation, if its scores are references'. Pure.
+"""Confirmation of a search's best set, or of its front, by simulation if scores are references'. Pure.
 
 A search that reuses scores prefers sets whose references are too good. So the first set of the ranking is simulated if it has a
 reference's score, and the ranking is computed again. This repeats until the first set has only scores of its own.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet, FrontMember, Ranking
 
 CONFIRMED = "confirmed by simulation"
 """Beginning of the verdict if the best set has only scores of its own."""
@@ -43,6 +43,15 @@ class Confirmation:
         if best.parameter_set in self.tried:
             return f"{owed}, for its simulation failed; {sets} tried"
         return f"{owed}; no more than {sets} (reduction.confirm) were tried"
+
+
+def front_verdict(front: Sequence[FrontMember], tried: Sequence[int]) -> str:
+    """Returns the verdict on the sets of a front as a sentence."""
+    sets = "1 set" if len(tried) == 1 else f"{len(tried)} sets"
+    copied = sum(bool(member.solution.reused) for member in front)
+    if not copied:
+        return f"{CONFIRMED}: the {len(front)} sets of the front have only scores of their own; {sets} tried"
+    return f"{NOT_CONFIRMED}: {copied} of the {len(front)} sets of the front have references' scores; {sets} (reduction.confirm) tried"
 
 
 def verdict_in(notes: Iterable[str]) -> str | None:

@@ -1,4 +1,4 @@
-"""When an optimization had found what it found (Tables 5 and 7 of the paper)."""
+"""Iterations at which an optimization had its final result (Tables 5 and 7 of the paper)."""
 
 from collections.abc import Sequence
 

@@ -21,12 +21,12 @@ CONFIDENCE = 0.95
 STAKES = 40
 """Stakes below 1 in the mixture."""
 SMALLEST = 1e-12
-"""Smallest mean that is told from 0."""
+"""Smallest mean that is distinguished from 0."""
 HALVINGS = 40
 """Halvings of the range of a limit's logarithm, to eleven digits."""
 
 
-def mean_interval(shares: Floats, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def mean_interval(shares: Floats) -> tuple[float, float]:
     """Returns the two-sided confidence interval of the mean of independent `shares` in [0, 1], shape (n,); (0, 1) for none.
 
     Raises ValueError if a share lies outside [0, 1].
@@ -35,7 +35,7 @@ def mean_interval(shares: Floats, confidence: float = CONFIDENCE) -> tuple[float
         raise ValueError("shares must lie between 0 and 1")
     if not shares.size:
         return 0.0, 1.0
-    return _lower_limit(shares, confidence), 1.0 - _lower_limit(1.0 - shares, confidence)
+    return _lower_limit(shares), 1.0 - _lower_limit(1.0 - shares)
 
 
 def _mixture() -> tuple[Floats, Floats]:
@@ -44,11 +44,11 @@ def _mixture() -> tuple[Floats, Floats]:
     return np.append(np.sin(angles) ** 2, 1.0), np.log(np.append(np.full(STAKES, 0.5 / STAKES), 0.5))
 
 
-def _lower_limit(shares: Floats, confidence: float) -> float:
+def _lower_limit(shares: Floats) -> float:
     """The smallest mean that the bet on a higher one leaves; its capital falls with the mean."""
     values, counts = np.unique(shares, return_counts=True)
     stakes, weights = _mixture()
-    enough = np.log(2.0 / (1.0 - confidence))
+    enough = np.log(2.0 / (1.0 - CONFIDENCE))
 
     def capital(mean: float) -> float:
         with np.errstate(divide="ignore"):  # a stake of 1 is lost at the first share of 0

@@ -49,9 +49,9 @@ class Optimum:
     to_worse: float | None
 
 
-def optima(best: Floats, worse: Floats, neighbours: float = NEIGHBOURS) -> list[Optimum]:
+def optima(best: Floats, worse: Floats) -> list[Optimum]:
     """Groups the best sets, shape (n, n_p), with all other evaluated sets, shape (m, n_p), in the unit cube."""
-    numbers = regions(best, neighbours)
+    numbers = regions(best, NEIGHBOURS)
     return [Optimum(int(region), distance) for region, distance in zip(numbers, to_nearest(best, worse), strict=True)]
 
 

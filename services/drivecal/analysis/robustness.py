@@ -83,7 +83,7 @@ def vehicles(
 
 
 def deviation(nominal: Floats, scores: Floats, condition: Condition, least: float = 1.0) -> Floats:
-    """What the condition compares with eta, by scenario, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
+    """Returns what the condition compares with eta, shape (n_s,), for scores `nominal`, shape (n_s,), in the nominal vehicle and
     `scores`, shape (samples, n_s), in the others. NaN if a vehicle has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
@@ -98,9 +98,9 @@ def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
     return bool(within.all())  # a comparison with NaN is false
 
 
-def undetected_share(samples: int, confidence: float = 0.95) -> float:
-    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible."""
-    return float(1.0 - (1.0 - confidence) ** (1.0 / samples))
+def undetected_share(samples: int) -> float:
+    """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %)."""
+    return float(1.0 - (1.0 - 0.95) ** (1.0 / samples))
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Robustness:
-    """What is known of one solution. `degree`: the multiples of delta up to which the condition holds, at least so many where `at_least`;
+    """Robustness of one solution, so far. `degree`: the multiples of delta up to which the condition holds, or more with `at_least`;
     `radius`: the widest box in which it was seen to hold, in shares of the parameters' ranges (delta_max, from below)."""
 
     degree: int
@@ -134,9 +134,9 @@ class Robustness:
 
 
 class RobustnessStudy:
-    """Ask/tell: growing boxes for all solutions at once, each until its condition fails; then, where wanted, the bisection of delta_max.
+    """Ask/tell: growing boxes for all solutions at once, each until its condition fails; then, if requested, the bisection of delta_max.
 
-    A new study that is told the same goes on as this one would.
+    A new study with the same answers continues in the same way.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class RobustnessStudy:
         self._boxes = 0
 
     def ask(self) -> Box | None:
-        """The next box; the same until it is told. None when the study is complete."""
+        """Returns the next box, the same until its scores arrive. None when the study is complete."""
         if self._asked is None:
             radius = self._next_radii()
             if not radius:
@@ -180,7 +180,7 @@ class RobustnessStudy:
         self._boxes, self._asked = self._asked.number, None
 
     def result(self) -> list[Robustness]:
-        """By solution, as far as it is known."""
+        """Returns the robustness by solution, as far as it is known."""
         return [self._robustness(trials) for trials in self._trials]
 
     def _robustness(self, trials: Sequence[Trial]) -> Robustness:

@@ -131,7 +131,7 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
 
 
 def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) -> BreakEven | None:
-    """When a map pays that cost `map_seconds`, at the rate at which `requested` cells saved `reused_saved_seconds`; None if it cost
+    """Break-even of a map that cost `map_seconds`, at the rate at which `requested` cells saved `reused_saved_seconds`; None if it cost
     nothing."""
     if not map_seconds:
         return None

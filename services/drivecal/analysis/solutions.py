@@ -1,8 +1,15 @@
-"""Ranks evaluated parameter sets by their weighted objective (Eq. 6) under any weights, without a simulation. Pure."""
+"""Ranks evaluated parameter sets by their weighted objective (Eq. 6) under any weights, without a simulation. Pure.
+
+With several objectives or constraints, sets are ranked by the first objective, feasible ones first, and the others make a front.
+"""
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from drivecal.analysis.front import non_dominated
+from drivecal.analysis.goals import Goals, Judged
 from drivecal.domain.evaluations import CellScore
 
 EQUAL = 1e-9
@@ -23,19 +30,36 @@ class EvaluatedSet:
     individual: int
     sign: int = 1
     """Of the scale: -1 if lower objectives are better."""
+    judgement: Judged | None = None
+    """All objectives and the violations; None without goals."""
 
     @property
-    def order(self) -> tuple[int, float, int, int]:
-        """Sorts best first: equal objectives by the weighted continuous rating, then by discovery."""
-        return -self.sign * round(self.objective / EQUAL), -self.sign * self.rating, self.iteration, self.individual
+    def order(self) -> tuple[int, int, float, int, int]:
+        """Sorts best first: feasible sets first, equal objectives by the weighted continuous rating, then by discovery."""
+        objective, rating = -self.sign * round(self.objective / EQUAL), -self.sign * self.rating
+        return self.violation, objective, rating, self.iteration, self.individual
+
+    @property
+    def violation(self) -> int:
+        """Sum of the violations of constraints, in units of EQUAL."""
+        return 0 if self.judgement is None else round(self.judgement.violation / EQUAL)
+
+
+@dataclass(frozen=True, slots=True)
+class FrontMember:
+    """A set of the front, and the number of sets with the same objectives, itself included."""
+
+    solution: EvaluatedSet
+    alternatives: int
 
 
 class Ranking:
-    """All parameter sets with what they scored, under one choice of weights; grows as answers come in."""
+    """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
-    def __init__(self, weights: Mapping[str, float], sign: int = 1) -> None:
-        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's."""
-        self._sign = sign
+    def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None) -> None:
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's.
+        `goals`: their first objective ranks in the place of the weighted score, whose scenarios cover theirs."""
+        self._sign, self._goals = sign, goals
         total = sum(weights.values())
         self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
         self._answers: dict[int, dict[str, CellScore]] = {}
@@ -43,6 +67,7 @@ class Ranking:
         self._solutions: dict[int, EvaluatedSet] = {}
         self._predicted: dict[int, EvaluatedSet] = {}
         """Sets with a predicted score, which have no rank."""
+        self._surest_front: list[tuple[tuple[float, ...], float]] | None = None
 
     def add(self, answers: Iterable[CellScore]) -> None:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
@@ -55,6 +80,7 @@ class Ranking:
             if answer.scenario in self._shares and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)
+        self._surest_front = None
         for number in touched:
             solution = self._solution(number)
             if solution is None:
@@ -74,7 +100,10 @@ class Ranking:
         if not self._solutions:
             return None
         best = min(self._solutions.values(), key=lambda solution: solution.order)
-        equal = sum(1 for solution in self._solutions.values() if abs(solution.objective - best.objective) <= EQUAL)
+        equal = sum(
+            abs(solution.objective - best.objective) <= EQUAL and solution.violation == best.violation
+            for solution in self._solutions.values()
+        )
         return best, equal
 
     def surest(self) -> EvaluatedSet | None:
@@ -85,6 +114,8 @@ class Ranking:
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
         """The best set with a copied or predicted score that would rank before `surest`, but for those `tried`, by their ids; None without
         one."""
+        if self._goals is not None and self._goals.is_vector:
+            return self._doubtful_on_front(tried)
         surest = self.surest()
         candidates = [
             candidate
@@ -92,6 +123,62 @@ class Ranking:
             if candidate.reused and number not in tried and (surest is None or candidate.order < surest.order)
         ]
         return min(candidates, key=lambda solution: solution.order, default=None)
+
+    def front(self) -> list[FrontMember]:
+        """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
+        scores are all its own, then the first of the ranking. Infeasible ones only while no set is feasible. Needs goals."""
+        return self._front(self._solutions.values())
+
+    def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
+        """Whether no set with scores of its own dominates one with these cells, nor has the same objectives. Needs goals."""
+        if self._goals is None:
+            raise ValueError("there are no goals")
+        judgement = self._goals.judge(cells)
+        if judgement is None:
+            return False
+        vector = self._goals.compared(judgement)
+        return not any(
+            violation < judgement.violation - EQUAL
+            or (
+                violation <= judgement.violation + EQUAL and all(other >= own for other, own in zip(known, vector, strict=True))
+            )
+            for known, violation in self._sure_front()
+        )
+
+    def _sure_front(self) -> list[tuple[tuple[float, ...], float]]:
+        if self._surest_front is None:
+            own = self._front(solution for solution in self._solutions.values() if not solution.reused)
+            judged = [(member.solution.judgement, member) for member in own]
+            self._surest_front = [
+                (self._goals.compared(judgement), judgement.violation)
+                for judgement, _ in judged
+                if self._goals is not None and judgement is not None
+            ]
+        return self._surest_front
+
+    def _doubtful_on_front(self, tried: Collection[int]) -> EvaluatedSet | None:
+        """The first doubtful set of the front that all sets would make, but for those tried."""
+        believed = [
+            solution
+            for number, solution in (self._solutions | self._predicted).items()
+            if not solution.reused or number not in tried
+        ]
+        return next((member.solution for member in self._front(believed) if member.solution.reused), None)
+
+    def _front(self, solutions: Iterable[EvaluatedSet]) -> list[FrontMember]:
+        if self._goals is None:
+            raise ValueError("there are no goals")
+        judged = [(solution, solution.judgement) for solution in solutions if solution.judgement is not None]
+        if not judged:
+            return []
+        vectors = [self._goals.compared(judgement) for _, judgement in judged]
+        violations = np.array([solution.violation for solution, _ in judged], dtype=np.float64)
+        kept = np.flatnonzero(non_dominated(np.array(vectors, dtype=np.float64), violations)).tolist()
+        alike: dict[tuple[float, ...], list[EvaluatedSet]] = {}
+        for place in sorted(kept, key=lambda place: judged[place][0].order):
+            alike.setdefault(vectors[place], []).append(judged[place][0])
+        members = [FrontMember(min(sets, key=lambda each: bool(each.reused)), len(sets)) for sets in alike.values()]
+        return sorted(members, key=lambda member: member.solution.order)
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
@@ -111,7 +198,16 @@ class Ranking:
             scores[scenario] = cell.score
             if not cell.own:
                 reused.append(scenario)
-        return EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number], self._sign)
+        solution = EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number], self._sign)
+        if self._goals is None:
+            return solution
+        judgement = self._goals.judge(cells)
+        if judgement is None:
+            return None
+        first = self._goals.objectives[0]
+        if not first.is_weighted_mean(self._shares):
+            rating = judgement.amounts[0]
+        return replace(solution, objective=judgement.amounts[0], rating=rating, sign=first.sign, judgement=judgement)
 
 
 def _counts_more(new: CellScore, known: CellScore | None) -> bool:

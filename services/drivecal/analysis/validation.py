@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.analysis.streams import generator
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
@@ -18,7 +17,7 @@ from drivecal.plugins.ports import Floats
 ROWS = 1_000
 """Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
-"""Reducible parameters up to which every one of the 2^n - 1 effects is looked at; beyond, those of up to three parameters."""
+"""Reducible parameters up to which all 2^n - 1 effects are examined; beyond, those of up to three parameters."""
 STREAM = 2
 """Version of the random stream. Version 1 drew the hypercube of a start population with the same seed."""
 HYPERCUBE, VARIANTS = 0, 1
@@ -78,7 +77,7 @@ class Coverage:
 
     @property
     def complete(self) -> bool:
-        """Whether every one is covered."""
+        """Whether all effects are covered."""
         return self.covered == self.effects
 
 
@@ -109,7 +108,7 @@ def _coverage_to_third_order(masks: npt.NDArray[np.bool_]) -> Coverage:
 
 @dataclass(frozen=True, slots=True)
 class ValidationDesign:
-    """What one scenario's validation drives: `bases`, shape (n_lhs, n_searched), and `variants`, shape (n_lhs, n_ref, n_searched);
+    """Sets that one scenario's validation simulates: `bases`, shape (n_lhs, n_searched), and `variants`, shape (n_lhs, n_ref, n_searched);
     `drawn`: the size of the Latin hypercube that the bases were taken from."""
 
     bases: Indices
@@ -177,7 +176,7 @@ class Differences:
 
 
 def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
-    """Which sets to keep, ascending: the first of each combination that no other one contains, which cover what all do, and then the first
+    """Returns the sets to keep, ascending: the first of each maximal combination, which cover what all do, and then the first
     ones up to `samples`."""
     combinations, first = np.unique(masks, axis=0, return_index=True)
     every, contained = combinations.astype(np.float32), np.zeros(len(combinations), dtype=np.bool_)
@@ -221,3 +220,13 @@ def _variant(space: ReducibleSpace, base: Indices, generator: np.random.Generato
     if not chosen.size:
         chosen = generator.choice(columns, size=1)
     return space.variant(base, chosen, generator)
+
+
+def generator(study: str, seed: int, *key: int) -> np.random.Generator:
+    """Returns the generator of a `study` by its name, its `seed` and the `key` of one of its purposes.
+
+    A list of numbers alone would not do: numpy fills short ones up with zeros, so that `PCG64([seed, 0])` is `PCG64(seed)`, the stream of
+    every optimizer's start population. What is in a spawn key follows the filling and always counts.
+    """
+    name = int.from_bytes(study.encode(), "big")
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(name, *key))))

@@ -3,19 +3,15 @@
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.live.dispatcher_health import judge
+from drivecal.api.pace import pace
 from drivecal.api.submission import digests_of, named_map
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.domain.errors import Problem, TooLargeError
-from drivecal.storage import admission, costs, processes
+from drivecal.storage import admission
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
-
-ASSUMED_MILLISECONDS = 8.0
-"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
 
 
 def submit(database: Database, limits: Limits, specification: ComparisonSpecification, key: str | None) -> StoredCampaign:
@@ -35,19 +31,15 @@ def expected(database: Database, limits: Limits, specification: ComparisonSpecif
     with database.read() as connection:
         _map(connection, problem)
         setups = problem.problems[0].bench.setups.values()  # all runs share them
-        milliseconds = costs.recent_milliseconds(connection, [setup.fingerprint for setup in setups])
-        dispatcher = processes.read(connection, processes.DISPATCHER)
-    workers = None
-    if dispatcher is not None and not judge(dispatcher, now()).silent:
-        workers = len(dispatcher.detail.get("workers", [])) or None
+        known = pace(connection, [setup.fingerprint for setup in setups])
     return ExpectedComparison(
         runs=len(problem.runs),
         proposed=problem.proposed,
         at_most=problem.at_most,
-        milliseconds=milliseconds or ASSUMED_MILLISECONDS,
-        measured=milliseconds is not None,
-        workers=workers,
-        seconds=None if workers is None else problem.at_most * (milliseconds or ASSUMED_MILLISECONDS) / 1000 / workers,
+        milliseconds=known.milliseconds,
+        measured=known.measured,
+        workers=known.workers,
+        seconds=known.seconds(problem.at_most),
         notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
     )
 

@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
+from drivecal.api.pace import pace
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
@@ -14,7 +15,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationPro
 from drivecal.campaigns.resolve.resolved_spec import stored_document
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
-from drivecal.contracts.campaign import ExpectedRuns
+from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
@@ -26,7 +27,6 @@ from drivecal.contracts.specification import (
     RerunSpecification,
     SensitivitySpecification,
 )
-from drivecal.contracts.studies import STUDIES
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns
@@ -52,9 +52,15 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         check_source(connection, problem)
         check_predictions(connection, problem)
         reduction = specification.reduction
+        known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
     runs = problem.expected_runs()
-    return runs.model_copy(update={"notes": [*warnings, *runs.notes]})
+    at_most = runs.sensitivity_at_most + runs.calibration_at_most + runs.robustness + runs.validation
+    guessed = not known.measured and problem.specification.problem != HIGHWAY  # nothing is known of a simulator that never ran
+    time = (
+        {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
+    )
+    return runs.model_copy(update={"notes": [*warnings, *runs.notes], "workers": known.workers, **time})
 
 
 def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
@@ -196,7 +202,7 @@ def digests_of(path: str, body: BaseModel) -> list[str]:
 
 
 def _before_predictions(body: BaseModel) -> BaseModel:
-    """Returns the body with the earlier defaults in the place of what it does not give."""
+    """Returns the body with the earlier defaults for missing fields."""
     changes: dict[str, Any] = {}
     if isinstance(body, CampaignSpecification) and "sensitivity" not in body.model_fields_set:
         changes["sensitivity"] = SensitivitySpecification()

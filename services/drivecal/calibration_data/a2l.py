@@ -29,7 +29,7 @@ class _Token:
 
 @dataclass(slots=True)
 class _Block:
-    """What stands between `/begin KIND` and `/end KIND`, without the blocks inside."""
+    """Content between `/begin KIND` and `/end KIND`, without the blocks inside."""
 
     kind: str
     line: int
@@ -175,14 +175,14 @@ def _resolution(method: _Block | None) -> float | None:
 
 
 def _numbers(texts: Sequence[str]) -> list[float]:
-    """Returns the numbers of texts; an empty list if one is no number."""
+    """Returns the numbers of texts; an empty list if a text is not a number."""
     return [float(text) for text in texts] if all(map(_is_number, texts)) else []
 
 
 def _number(block: _Block, position: int, file: str) -> float:
     token = block.tokens[position]
     if not _is_number(token.text):
-        raise refused(file, token.line, f"{shown(token.text)} is no number", f"correct the limit of {shown(block.text(0))}")
+        raise refused(file, token.line, f"{shown(token.text)} is not a number", f"correct the limit of {shown(block.text(0))}")
     return float(token.text)
 
 

@@ -1,6 +1,5 @@
 """CDF 2.x (ASAM Calibration Data Format, `.cdfx`): scalar values with their quality data (history)."""
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, SubElement, indent, tostring  # writes only
@@ -11,6 +10,7 @@ from drivecal.calibration_data.characteristics import (
     Characteristic,
     Content,
     Quality,
+    finite_number,
     on_one_line,
     refused,
     unit_of,
@@ -111,7 +111,7 @@ def read(content: bytes, file: str) -> Content:
     category = root.words("CATEGORY")
     if root.tag != "MSRSW" or not category.startswith("CDF2"):
         raise refused(
-            file, root.line, f"it is no CDF 2 file, but {shown(root.tag)} {shown(category)}", "export it as CDF 2.0 or 2.1"
+            file, root.line, f"it is not a CDF 2 file, but {shown(root.tag)} {shown(category)}", "export it as CDF 2.0 or 2.1"
         )
     result = Content()
     names: set[str] = set()
@@ -155,7 +155,7 @@ def _parsed(content: bytes, file: str) -> _Node:
         parser.Parse(content, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         reason = expat.ErrorString(error.code) if isinstance(error, expat.ExpatError) else str(error)
-        raise refused(file, parser.CurrentLineNumber, f"it is no XML that can be read: {reason}", "export it again") from error
+        raise refused(file, parser.CurrentLineNumber, f"the XML cannot be read: {reason}", "export it again") from error
     return document.children[0]
 
 
@@ -188,17 +188,7 @@ def _scalar(node: _Node, name: str, file: str) -> Characteristic | None:
     if not name:
         raise refused(file, node.line, "an instance has no SHORT-NAME", "give it a name")
     text = given[0].text.strip()
-    value = text if given[0].tag == "VT" else _number(text, given[0].line, file)
+    value = text if given[0].tag == "VT" else finite_number(text, given[0].line, file)
     unit = unit_of(held[0].words("UNIT-DISPLAY-NAME"))
     choices = TRUTHS if category == "BOOLEAN" and text in TRUTHS else ()
     return Characteristic(name, value, unit, node.words("LONG-NAME"), choices=choices, line=node.line)
-
-
-def _number(text: str, line: int, file: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise refused(file, line, f"{shown(text)} is no number", "give a finite number")
-    return value

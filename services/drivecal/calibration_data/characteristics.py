@@ -1,5 +1,6 @@
-"""The common content of calibration files: scalar characteristics, and where their values come from."""
+"""The common content of calibration files: scalar characteristics, and the origin of their values."""
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
@@ -54,7 +55,7 @@ class Quality:
 
 @dataclass(slots=True)
 class Content:
-    """Content of a file. `skipped`: names of characteristics that are no scalars."""
+    """Content of a file. `skipped`: names of characteristics that are not scalars."""
 
     characteristics: list[Characteristic] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
@@ -62,7 +63,7 @@ class Content:
     def add(self, file: str, characteristic: Characteristic, known: Collection[str]) -> None:
         """Adds a characteristic. Raises InvalidInputError if its name is `known`, or if there are too many."""
         if characteristic.name in known:
-            raise refused(file, characteristic.line, f"{shown(characteristic.name)} is there twice", "keep one of the two")
+            raise refused(file, characteristic.line, f"{shown(characteristic.name)} appears twice", "keep one of the two")
         if len(self.characteristics) >= MOST_CHARACTERISTICS:
             raise refused(
                 file, characteristic.line, f"there are more than {MOST_CHARACTERISTICS:,} characteristics", "split it"
@@ -93,6 +94,17 @@ def decoded(content: bytes, file: str) -> str:
 def refused(file: str, line: int, message: str, remedy: str) -> InvalidInputError:
     """Returns the error of a file's line."""
     return InvalidInputError(Problem(f"{shown(file, 200)}, line {line}" if line else shown(file, 200), message, remedy))
+
+
+def finite_number(text: str, line: int, file: str) -> float:
+    """Returns the number of a text. Raises InvalidInputError naming file and line if it is not finite."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise refused(file, line, f"{shown(text)} is not a number", "give a finite number, with a point")
+    return value
 
 
 def on_one_line(text: str) -> str:

@@ -1,4 +1,4 @@
-"""What a calibration file says of a campaign's chosen set: its values, and how sure they are."""
+"""Values of a campaign's chosen set in a calibration file, and how sure they are."""
 
 from collections.abc import Iterator, Mapping, Sequence
 

@@ -3,11 +3,19 @@
 Its keywords are German: LANGNAME is the description, EINHEIT_W the unit, WERT the value, TEXT a value that is a text.
 """
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 
-from drivecal.calibration_data.characteristics import Characteristic, Content, Quality, decoded, on_one_line, refused, unit_of
+from drivecal.calibration_data.characteristics import (
+    Characteristic,
+    Content,
+    Quality,
+    decoded,
+    finite_number,
+    on_one_line,
+    refused,
+    unit_of,
+)
 from drivecal.contracts.strict_json import shown
 
 FORMAT = "KONSERVIERUNG_FORMAT"
@@ -90,7 +98,7 @@ def read(content: bytes, file: str) -> Content:
             if keyword in _OTHER_KINDS:
                 result.skipped.append(name)
         elif keyword != "FKT":  # some tools write functions without a list around them
-            raise refused(file, number, f"{shown(keyword)} is no keyword of DCM 2.0", "correct the line")
+            raise refused(file, number, f"{shown(keyword)} is not a keyword of DCM 2.0", "correct the line")
     return result
 
 
@@ -118,7 +126,7 @@ def _scalar(lines: Iterator[tuple[int, str]], name: str, begin: int, file: str) 
         if keyword in {"WERT", "TEXT"} and value is not None:
             raise refused(file, number, f"{shown(name)} has a second value", "keep one of the two")
         if keyword == "WERT":
-            value = _number(rest, number, file)
+            value = finite_number(rest, number, file)
         elif keyword == "TEXT":
             value = _string(rest, number, file)
         elif keyword == "LANGNAME":
@@ -127,23 +135,13 @@ def _scalar(lines: Iterator[tuple[int, str]], name: str, begin: int, file: str) 
             unit = unit_of(_string(rest, number, file))
         elif keyword not in _UNUSED:
             raise refused(
-                file, number, f"{shown(keyword)} is no keyword of a FESTWERT", "correct the line, or close the block by END"
+                file, number, f"{shown(keyword)} is not a keyword of a FESTWERT", "correct the line, or close the block by END"
             )
     raise refused(file, begin, f"{shown(name)} has no END", "complete the file")
-
-
-def _number(text: str, line: int, file: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise refused(file, line, f"{shown(text)} is no number", "give a finite number, with a point")
-    return value
 
 
 def _string(text: str, line: int, file: str) -> str:
     match = _STRING.fullmatch(text)
     if match is None:
-        raise refused(file, line, f"{shown(text)} is no string", "put it into double quotes")
+        raise refused(file, line, f"{shown(text)} is not a string", "put it into double quotes")
     return match[1].replace('""', '"')

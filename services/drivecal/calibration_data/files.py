@@ -1,16 +1,19 @@
 """Chooses the reader or writer of a calibration file."""
 
+import csv
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import PurePath
 from typing import Literal
 
-from drivecal.calibration_data import a2l, cdfx, dcm, table
+from drivecal.calibration_data import a2l, cdfx, dcm
 from drivecal.calibration_data.characteristics import Characteristic, Content, Quality
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 CalibrationFormat = Literal["dcm", "cdfx", "csv"]
+COLUMNS = ("name", "value", "unit", "lower", "upper", "description")
 READERS: Mapping[str, Callable[[bytes, str], Content]] = {".a2l": a2l.read, ".dcm": dcm.read, ".cdfx": cdfx.read}
 
 
@@ -25,7 +28,7 @@ def read(content: bytes, file: str) -> Content:
 def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], quality: Quality) -> bytes:
     """Returns a file. CSV holds no quality data."""
     if form == "csv":
-        return table.write(characteristics)
+        return write_table(characteristics)
     return dcm.write(characteristics, quality) if form == "dcm" else cdfx.write(characteristics, quality)
 
 
@@ -47,3 +50,12 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
     if problems:
         raise InvalidInputError(*problems)
     return {name: label for label, name in used.items()}
+
+
+def write_table(characteristics: Sequence[Characteristic]) -> bytes:
+    """Returns a table (RFC 4180, UTF-8) with one row per characteristic. Numbers keep all their digits."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(COLUMNS)
+    writer.writerows([getattr(row, column) for column in COLUMNS] for row in characteristics)
+    return text.getvalue().encode()

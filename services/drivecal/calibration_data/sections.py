@@ -94,7 +94,7 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
 
 
 def _value(characteristic: Characteristic, name: str) -> float | str:
-    """Returns a value as a problem has it. Raises InvalidInputError if it is none of the parameter's values."""
+    """Returns a value as a problem has it. Raises InvalidInputError if the parameter cannot have it."""
     value, choices = characteristic.value, characteristic.choices
     if isinstance(value, float) and choices:
         if value not in characteristic.codes:

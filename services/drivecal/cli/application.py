@@ -2,7 +2,6 @@
 
 import re
 import sys
-from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Annotated, Any
 
@@ -102,7 +101,7 @@ CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaig
 
 
 class WaitTimedOutError(DrivecalError):
-    """The user's waiting time is over. The campaign goes on."""
+    """The user's waiting time is over. The campaign continues."""
 
 
 def exit_code(error: DrivecalError) -> ExitCode:
@@ -146,36 +145,3 @@ def tell(message: str) -> None:
 def connect(url: str | None) -> Client:
     """Returns a client of the server at `url`, by default that of the environment or the config file."""
     return Client(url)
-
-
-def full_id(client: Client, identifier: str) -> str:
-    """Returns the id that `identifier` abbreviates among the newest campaigns, or an unknown `identifier` itself."""
-    return _completed("campaign", identifier, lambda: [campaign.id for campaign in client.campaigns(limit=200).items])
-
-
-def full_map_id(client: Client, identifier: str) -> str:
-    """Returns the id of an influence map, like `full_id`."""
-    return _completed("influence map", identifier, lambda: [item.id for item in client.influence_maps(limit=200).items])
-
-
-def with_full_ids(client: Client, specification: dict[str, Any]) -> dict[str, Any]:
-    """Returns a specification with full ids of the influence map and the campaign that it names."""
-    completed = dict(specification)
-    for section, name, resolved in (
-        ("sensitivity", "map", full_map_id),
-        ("robustness", "of", full_id),
-        ("validation", "of", full_id),
-    ):
-        settings = completed.get(section)
-        if isinstance(settings, dict) and isinstance(settings.get(name), str):
-            completed[section] = {**settings, name: resolved(client, settings[name])}
-    return completed
-
-
-def _completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
-    if len(identifier) >= 32 or not identifier:
-        return identifier
-    matching = [full for full in newest() if full.startswith(identifier)]
-    if len(matching) > 1:
-        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} begin so, give more characters")
-    return matching[0] if matching else identifier

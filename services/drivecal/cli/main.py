@@ -14,7 +14,6 @@ from drivecal.cli.commands import (  # noqa: F401  # importing a module register
     evaluate,
     explain,
     influence,
-    influence_maps,
     problem,
     report,
     results,

@@ -66,7 +66,7 @@ def _document(response: httpx.Response) -> dict[str, object]:
         document = None
     if not isinstance(document, dict) or "status" not in document:
         raise UnavailableError(
-            f"what answers at {response.url} is no drivecal server (HTTP {response.status_code}); check DRIVECAL_URL or --url"
+            f"the server at {response.url} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url"
         )
     return document
 

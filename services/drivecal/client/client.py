@@ -3,23 +3,24 @@
 import json
 import time
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Literal, Self, TypeVar
-from urllib.parse import quote
+from typing import Any, Literal
 
 import httpx
-from pydantic import BaseModel, RootModel, ValidationError
+from pydantic import RootModel, ValidationError
 
 from drivecal.client.answers import raise_for, unreachable
 from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
-from drivecal.client.pushing import Pushed, archive_of, push_headers
+from drivecal.client.identifiers import completed, is_abbreviated, with_full_ids
+from drivecal.client.problems import Pushed, archive_of, push_headers
+from drivecal.client.transport import Answer, Transport, named, path_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, FrontSummary, StudyPage, TradeOff
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -27,8 +28,8 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import StudyPage
 from drivecal.contracts.tables import (
+    FrontRow,
     InfluenceRow,
     OptimumRow,
     RobustnessRow,
@@ -36,23 +37,16 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
-from drivecal.domain.errors import OverloadError, UnavailableError
+from drivecal.contracts.trust import TrustAnswer
+from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]
-Answer = TypeVar("Answer", bound=BaseModel)
 
-KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
-"""Names of what the collections hold, for messages."""
-ATTEMPTS_TO_CONNECT = 3
-BROKEN_ANSWERS = 2
-"""Broken connections in a call before the server counts as unreachable; a restart breaks some."""
-SECONDS_TO_RESTART = 1.0
-BROKEN_OFF = (httpx.ReadError, httpx.WriteError, httpx.CloseError, httpx.RemoteProtocolError)
-PATIENCE_SECONDS = 30.0
-"""Total wait for a server that asks to try again, in calls that are safe to repeat."""
+NEWEST = 200
+"""Campaigns and maps among which an abbreviated id is looked up."""
 
 
-class Client:
+class Client(Transport):
     """A client of the server at `url`.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
@@ -63,38 +57,56 @@ class Client:
     """
 
     def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
-        """Connects to the `url` with the `token`. Omitted, each comes from `DRIVECAL_URL`, `DRIVECAL_TOKEN` or the config file, as on
-        the command line; an empty token sends none."""
+        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none."""
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
-        self.url = url.rstrip("/")
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
-        # Only a connection that was never made is tried again, so that nothing is ever done twice.
-        transport = httpx.HTTPTransport(retries=ATTEMPTS_TO_CONNECT - 1)
-        self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport, headers=headers)
+        super().__init__(url, token, timeout)
+        self._full_ids: dict[tuple[str, str], str] = {}
 
-    def __enter__(self) -> Self:
-        return self
+    def full_id(self, identifier: str) -> str:
+        """Returns the id that `identifier` abbreviates among the newest campaigns, or an unknown `identifier` itself.
 
-    def __exit__(self, *_: object) -> None:
-        self._http.close()
+        Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
+        """
+        return self._completed("campaign", identifier, lambda: [item.id for item in self.campaigns(limit=NEWEST).items])
+
+    def full_map_id(self, identifier: str) -> str:
+        """Returns the id of an influence map, like `full_id`."""
+        return self._completed(
+            "influence map", identifier, lambda: [item.id for item in self.influence_maps(limit=NEWEST).items]
+        )
+
+    def _completed(self, kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
+        known = self._full_ids.get((kind, identifier))
+        if known is None:
+            known = completed(kind, identifier, newest)
+            if known != identifier:
+                self._full_ids[kind, identifier] = known
+        return known
+
+    def _full_place(self, place: Sequence[str]) -> Sequence[str]:
+        complete = {"campaigns": self.full_id, "influence-maps": self.full_map_id}.get(place[0]) if len(place) > 1 else None
+        return place if complete is None or not is_abbreviated(place[1]) else (place[0], complete(place[1]), *place[2:])
+
+    def _specified(self, specification: Document) -> Mapping[str, Any]:
+        return with_full_ids(plain(specification), self.full_id, self.full_map_id)
 
     def submit(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a campaign. Submitting again with the same `key` gives the same campaign."""
-        return self._post(Campaign, "campaigns", document=specification, key=key or uuid.uuid4().hex)
+        return self._post(Campaign, "campaigns", document=self._specified(specification), key=key or uuid.uuid4().hex)
 
     def expected_runs(self, specification: Document) -> ExpectedRuns:
         """Checks a campaign without queueing it and returns its expected cost."""
-        return self._post(ExpectedRuns, "campaigns", document=specification, validate_only="true")
+        return self._post(ExpectedRuns, "campaigns", document=self._specified(specification), validate_only="true")
 
     def compare(self, specification: Document, key: str | None = None) -> Campaign:
         """Queues a comparison of optimizers or reductions: a campaign whose runs are campaigns of their own."""
-        return self._post(Campaign, "comparisons", document=specification, key=key or uuid.uuid4().hex)
+        return self._post(Campaign, "comparisons", document=self._specified(specification), key=key or uuid.uuid4().hex)
 
     def expected_comparison(self, specification: Document) -> ExpectedComparison:
         """Checks a comparison without queueing it and returns its expected cost."""
-        return self._post(ExpectedComparison, "comparisons", document=specification, validate_only="true")
+        return self._post(ExpectedComparison, "comparisons", document=self._specified(specification), validate_only="true")
 
     def campaigns(self, state: str | None = None, limit: int | None = None, cursor: str | None = None) -> CampaignPage:
         """Returns a page of campaigns, newest first."""
@@ -115,7 +127,7 @@ class Client:
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
-        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign goes on."""
+        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign continues."""
         deadline = None if timeout is None else time.monotonic() + timeout
         *_, campaign = self.watch(identifier, deadline, from_beginning=False)
         return campaign
@@ -124,7 +136,7 @@ class Client:
         """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request."""
         place, headers = ("campaigns", identifier), {"If-None-Match": etag} if etag else {}
         response = self._once("GET", place, headers=headers)  # `Following` has a patience of its own
-        raise_for(response, *_named(place))
+        raise_for(response, *named(place))
         wait = float(response.headers["retry-after"]) if "retry-after" in response.headers else None
         if response.status_code == HTTPStatus.NOT_MODIFIED:
             return None, etag, wait
@@ -137,7 +149,7 @@ class Client:
         """
         headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
         timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
-        path = _path("campaigns", identifier, "events")
+        path = path_of(self._full_place(("campaigns", identifier, "events")))
         try:
             with self._http.stream("GET", path, headers=headers, timeout=timeout) as response:
                 if not response.is_success:
@@ -169,12 +181,21 @@ class Client:
         """Queues a new campaign on the references and the influence map of an ended one."""
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
-    def solutions(self, identifier: str, weights: str | None = None, limit: int | None = None) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others (`S1=2,S2=1`)."""
-        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=weights, limit=limit)
+    def solutions(
+        self,
+        identifier: str,
+        weights: Mapping[str, float] | str | None = None,
+        limit: int | None = None,
+        score: str | None = None,
+    ) -> SolutionPage:
+        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its score
+        or another of its problem."""
+        return self._get(
+            SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
+        )
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
-        """Returns every requested cell of a campaign. `query` filters as in the REST API, e.g. `scenario="S1"`."""
+        """Returns every requested cell of a campaign. `where`: conditions as in the REST API, e.g. `where=["scenario=S1", "P1>=0.5"]`."""
         return self.frame(identifier, "evaluations", **query)
 
     def frame(self, identifier: str, table: TableName, **query: Any) -> DownloadedTable:
@@ -183,7 +204,7 @@ class Client:
 
     def table(self, identifier: str, table: TableName, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
         """Yields a whole table in pieces as they arrive."""
-        path = _path("campaigns", identifier, table)
+        path = path_of(self._full_place(("campaigns", identifier, table)))
         try:
             with self._http.stream("GET", path, params={**query, "format": form}) as response:
                 if not response.is_success:
@@ -199,7 +220,7 @@ class Client:
         while True:
             place = ("campaigns", identifier, table)
             response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
-            raise_for(response, *_named(place))
+            raise_for(response, *named(place))
             page = response.json()
             yield from page["items"]
             cursor = page["next_cursor"]
@@ -213,6 +234,30 @@ class Client:
     def optima(self, identifier: str) -> list[OptimumRow]:
         """Returns the sets that share a campaign's best objective, with their regions."""
         return self._rows_of(identifier, "optima", OptimumRow)
+
+    def front(
+        self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
+    ) -> list[FrontRow]:
+        """Returns the sets of a campaign's front, best first under `weights` of the objectives if they are given; with `everything` of all
+        that is stored in its setups and space."""
+        return self._rows_of(identifier, "front", FrontRow, weights=_weights_text(weights), everything=everything or None)
+
+    def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
+        """Returns the objectives, knee, extremes and hypervolumes of a front."""
+        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", everything=everything or None)
+
+    def trade_off(
+        self,
+        identifier: str,
+        first: int,
+        second: int,
+        weights: Mapping[str, float] | str | None = None,
+        *,
+        everything: bool = False,
+    ) -> TradeOff:
+        """Returns the differences of two sets of a front, by their ranks under the same `weights`."""
+        query = {"first": first, "second": second, "weights": _weights_text(weights), "everything": everything or None}
+        return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
 
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
@@ -250,15 +295,19 @@ class Client:
         """Returns the effects over all pairs."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
-    def _rows_of(self, identifier: str, table: TableName, model: type[Answer]) -> list[Answer]:
+    def _rows_of(self, identifier: str, table: TableName, model: type[Answer], **query: Any) -> list[Answer]:
         try:
-            return [model.model_validate(row) for row in self.rows(identifier, table)]
+            return [model.model_validate(row) for row in self.rows(identifier, table, **query)]
         except ValidationError as error:
             raise self._strange() from error
 
     def accounting(self, identifier: str) -> Accounting:
         """Returns the savings and costs of a campaign."""
         return self._get(Accounting, "campaigns", identifier, "accounting")
+
+    def trust(self, identifier: str) -> TrustAnswer:
+        """Returns the light of a campaign's result, and the reasons for it."""
+        return self._get(TrustAnswer, "campaigns", identifier, "trust")
 
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
@@ -323,77 +372,8 @@ class Client:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
 
-    def _get(self, model: type[Answer], *place: str, **query: Any) -> Answer:
-        return self._answer(self._request("GET", place, query=query), model, place)
 
-    def _post(
-        self, model: type[Answer], *place: str, document: Document | None = None, key: str | None = None, **query: Any
-    ) -> Answer:
-        headers = {"Idempotency-Key": key} if key else {}
-        # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
-        ask = self._once if document is not None and not key and not query else self._request
-        content = None if document is None else plain(document)
-        return self._answer(ask("POST", place, query=query, headers=headers, document=content), model, place)
-
-    def _request(self, method: str, place: Sequence[str], **content: Any) -> httpx.Response:
-        """Repeats a call that is safe to repeat while the server asks for it or breaks off, for up to PATIENCE_SECONDS."""
-        waited, broken = 0.0, 0
-        while True:
-            try:
-                response = self._once(method, place, **content)
-            except UnavailableError as error:
-                broken += 1
-                if broken > BROKEN_ANSWERS or not isinstance(error.__cause__, BROKEN_OFF):
-                    raise
-                pause = SECONDS_TO_RESTART
-            else:
-                asked = _pause(response)
-                if asked is None or waited + asked > PATIENCE_SECONDS:
-                    return response
-                pause = asked
-            time.sleep(pause)
-            waited += pause
-
-    def _once(
-        self,
-        method: str,
-        place: Sequence[str],
-        query: Mapping[str, Any] | None = None,
-        headers: Mapping[str, str] | None = None,
-        document: Mapping[str, Any] | None = None,
-        content: bytes | None = None,
-    ) -> httpx.Response:
-        params = {name: value for name, value in (query or {}).items() if value is not None}
-        try:
-            return self._http.request(method, _path(*place), params=params, headers=headers, json=document, content=content)
-        except (httpx.TransportError, httpx.InvalidURL) as error:
-            raise unreachable(self.url, error) from error
-
-    def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
-        raise_for(response, *_named(place))
-        try:
-            return model.model_validate_json(response.content)
-        except ValidationError as error:
-            raise self._strange() from error
-
-    def _strange(self) -> UnavailableError:
-        return UnavailableError(
-            f"the server at {self.url} answers in a form this drivecal does not know; are both of one version?"
-        )
-
-
-def _path(*parts: str) -> str:
-    return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)
-
-
-def _named(place: Sequence[str]) -> tuple[str, str]:
-    """Returns the kind and the identifier of the object at a place; both empty for a list."""
-    return (KINDS[place[0]], place[1]) if len(place) > 1 else ("", "")
-
-
-def _pause(response: httpx.Response) -> float | None:
-    """Returns the seconds after which the server wants to be asked again; None if it does not."""
-    if response.status_code not in {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}:
-        return None
-    given = response.headers.get("retry-after", "")
-    return max(0.1, float(given)) if given.isascii() and given.isdecimal() and len(given) < 10 else None
+def _weights_text(weights: Mapping[str, float] | str | None) -> str | None:
+    if isinstance(weights, Mapping):
+        return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
+    return weights

@@ -81,9 +81,9 @@ class _Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if key.tag != "tag:yaml.org,2002:str":
-                raise _refusal(f"the key {shown(key.value)} is no text", key.start_mark, "put it in quotes")
+                raise _refusal(f"the key {shown(key.value)} is not a text", key.start_mark, "put it in quotes")
             if key.value in seen:
-                raise _refusal(f"the key {shown(key.value)} is there twice", key.start_mark, "give each key once")
+                raise _refusal(f"the key {shown(key.value)} appears twice", key.start_mark, "give each key once")
             seen.add(key.value)
         return super().construct_mapping(node, deep=True)
 
@@ -97,7 +97,7 @@ class _Loader(yaml.SafeLoader):
         text = self.construct_scalar(node).lower()
         value = float(text.replace(".inf", "inf").replace(".nan", "nan"))
         if not math.isfinite(value):
-            raise _refusal(f"{shown(text)} is no finite number", node.start_mark, "give a finite number, or null")
+            raise _refusal(f"{shown(text)} is not a finite number", node.start_mark, "give a finite number, or null")
         return value
 
 

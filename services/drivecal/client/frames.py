@@ -5,6 +5,8 @@ from importlib import import_module
 from io import BytesIO
 from typing import Any
 
+from drivecal.contracts.notebooks import MOST_ROWS, html_table
+
 
 @dataclass(frozen=True, slots=True)
 class DownloadedTable:
@@ -25,6 +27,15 @@ class DownloadedTable:
         pandas, pyarrow = _package("pandas"), _package("pyarrow")
         types = {pyarrow.int64(): pandas.Int64Dtype(), pyarrow.bool_(): pandas.BooleanDtype()}
         return self.to_arrow().to_pandas(types_mapper=types.get)
+
+    def _repr_html_(self) -> str | None:
+        """Returns the first rows as a notebook shows them, None without pyarrow."""
+        try:
+            table = self.to_arrow()
+        except ImportError:
+            return None
+        note = f"<p>{table.num_rows:,} rows, {table.num_columns} columns</p>"
+        return note + html_table(table.slice(0, MOST_ROWS).to_pylist())
 
     def to_polars(self) -> Any:
         """Returns a `polars.DataFrame`."""

@@ -1,17 +1,23 @@
 """Problem bundles on disk: reads a folder with `problem.yaml` into a checked manifest and an archive."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
+from typing import Any, TypeVar
 
 from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
 from drivecal.client.documents import LARGEST_FILE, located_yaml
+from drivecal.configuration.pushing import HEADER, read_secret, sign
+from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+
+_Checked = TypeVar("_Checked")
 
 
 def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
@@ -24,7 +30,7 @@ def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
 
 
 def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[str, ...]]:
-    """Returns manifest and archive as `read_bundle` does, and notes: what is assumed or ignored of its files."""
+    """Returns manifest and archive as `read_bundle` does, and notes on assumptions of road conversions."""
     path = Path(folder)
     if not (path / MANIFEST).is_file():
         remedy = "drivecal problem init KIND NAME writes one" if path.is_dir() else "give the folder of a problem"
@@ -34,7 +40,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
     manifest = read_manifest(manifest_text(files), executables(files))
     if not isinstance(manifest.simulator, HighwaySimulator):
         return manifest, archive, ()
-    from drivecal.bundles.highway_roads import conversions, scenario_notes
+    from drivecal.bundles.highway_roads import conversions  # with scipy, for this kind only
 
     try:
         networks, notes = conversions(manifest, files)
@@ -44,42 +50,47 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
             *(replace(problem, field=_located(problem.field, lines)) for problem in error.problems)
         ) from error
     archive = with_files(archive, networks) if networks else archive
-    files = files_of(archive)
-    return read_archived(files), archive, (*notes, *scenario_notes(manifest, files))
-
-
-def manifest_of(archive: bytes) -> Manifest:
-    """Returns the checked manifest in an archive. Raises InvalidInputError with the lines of all faults."""
-    return read_archived(files_of(archive))
+    manifest, road_notes = _read_archived(files_of(archive))
+    return manifest, archive, (*notes, *road_notes)
 
 
 def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
     """Returns the manifest among the files of an archive, checked with their content. Raises InvalidInputError as `read_manifest`."""
-    return read_manifest(manifest_text(files), executables(files), files)
+    return _read_archived(files)[0]
 
 
-def read_manifest(
-    content: bytes, files: Mapping[str, bool] | None = None, contents: Mapping[str, BundleFile] | None = None
-) -> Manifest:
-    """Returns the manifest in the text of a `problem.yaml`.
+def read_manifest(content: bytes, files: Mapping[str, bool] | None = None) -> Manifest:
+    """Returns the manifest in the text of a `problem.yaml`. `files`: whether each file of the bundle is executable, None if unknown.
 
-    `files`: whether each file of the bundle is executable, None if unknown; `contents`: the files, if the roads of its scenarios are
-    to be checked. Raises InvalidInputError with the lines of all faults.
+    Raises InvalidInputError with the lines of all faults.
     """
+    return _read(content, lambda document: checked(document, files))
+
+
+def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
+    """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_manifest`."""
+
+    def whole(document: Any) -> tuple[Manifest, tuple[str, ...]]:
+        manifest = checked(document, executables(files))
+        if not isinstance(manifest.simulator, HighwaySimulator):
+            return manifest, ()
+        from drivecal.bundles.highway_roads import check_roads
+
+        return manifest, check_roads(manifest, files)
+
+    return _read(manifest_text(files), whole)
+
+
+def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:
+    """Returns the result of `check` for a document. Raises InvalidInputError, with the lines of all faults."""
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(MANIFEST, f"it is larger than {LARGEST_FILE:,} bytes", "move data into other files"))
     lines: Mapping[str, int] = {}
     try:
         document, lines = located_yaml(content)
-        manifest = checked(document, files)
-        if contents is not None and isinstance(manifest.simulator, HighwaySimulator):
-            from drivecal.bundles.highway_roads import check_roads  # with scipy, for this kind only
-
-            check_roads(manifest, contents)
+        return check(document)
     except InvalidInputError as error:
         problems = [replace(problem, field=_located(problem.field, lines)) for problem in error.problems]
-    else:
-        return manifest
     raise InvalidInputError(*problems)
 
 
@@ -90,3 +101,27 @@ def _located(field: str, lines: Mapping[str, int]) -> str:
         owner = re.sub(r"(?:\.?[^.\[]*|\[\d*\]?)$", "", owner)
     line = f"line {lines[owner]}" if owner else ""
     return ": ".join(filter(None, (MANIFEST, line, field)))
+
+
+Pushed = bytes | str | PathLike[str]
+"""A problem: its archive, or the path of its folder or of an archive."""
+
+
+def archive_of(problem: Pushed) -> bytes:
+    """Returns the archive of a problem. Raises InvalidInputError with all faults of a folder."""
+    if isinstance(problem, bytes):
+        return problem
+    path = Path(problem)
+    if not path.is_file():
+        return read_bundle(path)[1]
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError(Problem(str(path), f"it cannot be read: {error.strerror}", "give a folder")) from error
+
+
+def push_headers(archive: bytes, *, signed: bool) -> dict[str, str]:
+    """Returns the headers of a push. `signed`: by the secret of the server with this home folder, if this user can read it."""
+    headers = {"Content-Type": "application/zip"}
+    secret = read_secret(load_settings().home) if signed else None
+    return headers if secret is None else headers | {HEADER: sign(secret, archive)}

@@ -64,8 +64,8 @@ class Settings(BaseSettings):
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU."""
     certificates_mb: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """Memory that each worker may use, besides its own 400 MB, to remember what certifies other runs; none: 1 GB, or what its machine has
-    for it."""
+    """Memory of each worker for certificates, besides its own 400 MB; the longest unused entries are forgotten first. None: 1024, or a
+    quarter of its machine's memory per CPU if that is less."""
     log_format: Literal["text", "json"] = "text"
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     @classmethod
     def _web_address(cls, value: str) -> str:
         if not value.startswith(("http://", "https://")):
-            raise ValueError("it is no web address; give e.g. http://127.0.0.1:8000")
+            raise ValueError("it is not a web address; give e.g. http://127.0.0.1:8000")
         return value
 
     @classmethod

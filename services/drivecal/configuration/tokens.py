@@ -130,9 +130,9 @@ class TokenFile:
         try:
             self.tokens = parse(_read(self._path), str(self._path))
         except InvalidInputError as error:
-            log.warning("the tokens stay as they were, for the file has become unusable: %s", error)
+            log.warning("the tokens are unchanged because the file is unusable: %s", error)
         else:
-            log.warning("the tokens were read anew: there are %d now", len(self.tokens))
+            log.warning("the tokens were read again: %d tokens", len(self.tokens))
 
 
 def _version(path: Path) -> tuple[int, ...] | None:

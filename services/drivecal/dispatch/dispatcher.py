@@ -138,7 +138,7 @@ class Dispatcher:
             case CampaignState.RUNNING | CampaignState.CANCELLING:
                 pause = CampaignState.PAUSED if campaign.requested_action == "pause" else None
                 stopping = CampaignState.CANCELLED if cancelled else pause  # before any cell is sent
-                log.info("the campaign is taken up where it was")
+                log.info("the campaign resumes where it stopped")
                 self._active[campaign.sequence] = Active(campaign, stopping=stopping)
 
     def _has_room(self, campaign: CampaignHeading) -> bool:
@@ -208,7 +208,7 @@ class Dispatcher:
             if job.finished:
                 self._end(active, CampaignState.SUCCEEDED)
             elif not work and not job.goes_on:
-                log.warning("cells of the campaign are answered or simulated elsewhere; it is taken up again")
+                log.warning("cells of the campaign are answered or simulated elsewhere; it starts again from the database")
                 active.job, active.not_before = None, self._clock() + RETRY_SECONDS
         elif (reason := self._pool.hopeless(active.tag)) is not None:
             raise ConflictError(reason)

@@ -1,11 +1,12 @@
 """The work pool, a thin driver between `Scheduler`, `Leases` and `Backend`: takes cells and returns results."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from drivecal.contracts.work import BatchResult, BundleRequest
+from drivecal.contracts.work import BundleRequest, SetupKey
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.leasing import Leases
@@ -42,7 +43,8 @@ class WorkPool:
         self._returned: dict[int, int] = {}
         """Breakdowns of cells whose leases the next exchange gives back."""
         self._completed: list[Completed] = []
-        self._refusing_since: dict[str, float] = {}
+        self._refusing_since: dict[tuple[str, SetupKey | None], float] = {}
+        """Times of the first refusals, by worker and setup; None is the probe of any bundle."""
         self._questions, self._disputes = Questions(clock), Disputes(clock)
         self._observer = Observer()
 
@@ -119,7 +121,10 @@ class WorkPool:
             self._take_answer(event)
             return []
         if isinstance(event, Finished):
-            self._note_refusal(event)
+            if event.batch_id in self._sent:
+                setup = self._sent[event.batch_id].batch.setup
+                self._disputes.note(setup, event.result)
+                self._note_refusal(event.result.worker, setup.key, event.result.refusal)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
@@ -145,30 +150,25 @@ class WorkPool:
     def _take_answer(self, event: Finished | Lost) -> None:
         if isinstance(event, Finished):
             self._questions.answered(event.batch_id, event.result)
-            if event.result.refusal is not None:
-                self._note_refusing(event.result.worker, event.result.refusal)
+            self._note_refusal(event.result.worker, None, event.result.refusal)
         else:
             self._questions.lost(event.batch_id, event.worker, event.detail)
-            self._note_refusing(event.worker, event.detail)  # it may live
+            self._note_refusal(event.worker, None, event.detail)  # it may live
 
-    def _note_refusal(self, event: Finished) -> None:
-        result: BatchResult = event.result
-        if event.batch_id in self._sent:
-            self._disputes.note(self._sent[event.batch_id].batch.setup, result)
-        if result.refusal is not None:
-            self._note_refusing(result.worker, result.refusal)
-
-    def _note_refusing(self, worker: str, reason: str) -> None:
-        if worker not in self._refusing_since:
+    def _note_refusal(self, worker: str, setup: SetupKey | None, reason: str | None) -> None:
+        """Notes since when a worker refuses a setup, or that it does not."""
+        if reason is None:
+            self._refusing_since.pop((worker, setup), None)
+        elif (worker, setup) not in self._refusing_since:
             log.warning("%s refuses: %s", worker, reason)
-            self._refusing_since[worker] = self._clock()
+            self._refusing_since[worker, setup] = self._clock()
 
     def _fill(self) -> None:
         """Fills the free slots, and replaces idle workers that nothing can be sent to."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
         ready = list(nodes)
         self._scheduler.meet(ready, nodes)
-        self._refusing_since = {worker: since for worker, since in self._refusing_since.items() if worker in ready}
+        self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
         for slot in self._backend.slots():
             question = self._questions.batch_for(slot.worker, ready)
             if question is not None:
@@ -216,7 +216,7 @@ class WorkPool:
 
     def _drop(self, dispatch: Dispatch, granted: Mapping[int, int]) -> Dispatch | None:
         refused = dispatch.breakdowns.keys() - granted.keys()
-        log.warning("cells that are answered or at work elsewhere are not simulated again: %s", sorted(refused))
+        log.warning("cells that are answered or simulated elsewhere are not simulated again: %s", sorted(refused))
         return self._scheduler.drop(dispatch.batch_id, refused)
 
     def _replace_if_needed(self, worker: str) -> None:
@@ -224,8 +224,11 @@ class WorkPool:
         if replacement is not None:
             self._backend.replace(worker, replacement.fault)
             return
-        patience_ends = self._refusing_since.get(worker, float("inf")) + PATIENCE_WITH_REFUSALS
-        if self._clock() >= patience_ends and (self._scheduler.is_kept_from(worker) or self._questions.is_kept_from(worker)):
+        kept_from: list[SetupKey | None] = [*self._scheduler.kept_from(worker)]
+        if self._questions.is_kept_from(worker):
+            kept_from.append(None)
+        since = min((self._refusing_since.get((worker, setup), math.inf) for setup in kept_from), default=math.inf)
+        if self._clock() >= since + PATIENCE_WITH_REFUSALS:
             self._backend.replace(worker, None)
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey, SetupRequest
 
 PATIENCE_WITH_ANSWERS = 60.0
-"""Seconds without an agreeing worker after which a campaign is hopeless. A worker that refuses is replaced after half of it, and then runs
-the probe again."""
+"""Seconds with another answer and without an agreeing worker after which a campaign is hopeless. A worker that refuses is replaced after
+half of it, and then runs the probe again."""
 ASK_AGAIN_SECONDS = 10.0
 """Pause after every worker failed to run a probe."""
 MOST_REASONS = 5
@@ -97,9 +97,12 @@ class Questions:
 
 @dataclass(slots=True)
 class _Dispute:
-    since: float
-    refusals: dict[str, str]
+    refusals: dict[str, str] = field(default_factory=dict)
     """Reasons of the workers that answer otherwise, or not at all."""
+    differing: set[str] = field(default_factory=set)
+    """Workers that answer otherwise."""
+    since: float | None = None
+    """Time of the first other answer."""
 
 
 class Disputes:
@@ -111,7 +114,7 @@ class Disputes:
 
     @property
     def are_open(self) -> bool:
-        """Whether there is any."""
+        """Whether there are disputes."""
         return bool(self._open)
 
     def forget(self, setups: Collection[SetupKey]) -> None:
@@ -125,16 +128,23 @@ class Disputes:
             return
         if result.refusal is None:
             self._open.pop(setup.key, None)
-        else:
-            dispute = self._open.setdefault(setup.key, _Dispute(self._clock(), {}))
-            dispute.refusals[result.worker] = result.refusal
+            return
+        dispute = self._open.setdefault(setup.key, _Dispute())
+        dispute.refusals[result.worker] = result.refusal
+        if result.tools is not None:
+            dispute.differing.add(result.worker)
+            dispute.since = self._clock() if dispute.since is None else dispute.since
 
     def hopeless(self, setups: Collection[SetupKey], ready: Collection[str]) -> str | None:
-        """Returns the reasons why none of the workers will run one of these setups, or None."""
+        """Returns the reasons why none of the workers will run one of these setups, or None.
+
+        A setup whose probe breaks at all workers is waited for: a licence server or a mount may come back.
+        """
         for setup in self._open.keys() & set(setups):
             dispute = self._open[setup]
-            agreeing = set(ready) - dispute.refusals.keys()
-            if ready and not agreeing and self._clock() >= dispute.since + PATIENCE_WITH_ANSWERS:
+            if dispute.since is None or self._clock() < dispute.since + PATIENCE_WITH_ANSWERS:
+                continue
+            if dispute.differing & set(ready) and dispute.refusals.keys() >= set(ready):
                 reasons = dict.fromkeys(dispute.refusals[worker] for worker in ready)
                 return "; ".join(list(reasons)[:MOST_REASONS])
         return None

@@ -1,4 +1,4 @@
-"""What backends of worker processes have in common: calls, deadlines, and the replacement of workers that crash, hang or do not start.
+"""Common part of backends with worker processes: calls, deadlines, and the replacement of workers that crash, hang or do not start.
 
 A backend starts, asks and ends processes; everything is decided here. Each worker has at most two calls, so that it never waits for the
 next. Nothing is retried: lost workers are replaced here, and the scheduler handles their batches.
@@ -105,7 +105,7 @@ class SupervisedBackend(Backend, ABC):
         """Returns the answer of a worker's running call. Raises WorkerDiedError, CallFailedError or NotKnownYetError."""
 
     def _changes(self) -> list[Finished | Lost]:
-        """Follows the machines that there are; returns the lost batches of those that are gone. Raises BackendLostError."""
+        """Follows the machines of the cluster; returns the lost batches of those that are gone. Raises BackendLostError."""
         return []
 
     def _lost_with_machine(self, worker: WorkerProcess) -> list[Finished | Lost] | None:  # noqa: ARG002  # for subclasses

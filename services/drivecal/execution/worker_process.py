@@ -11,7 +11,7 @@ from drivecal.execution.backend import LONGEST_QUEUED, Lost
 
 CALLS_PER_WORKER = 2
 LONGEST_PAUSE = 30.0
-"""Between two attempts to start a worker that does not start, s."""
+"""Longest pause between attempts to start a worker, s."""
 
 
 @dataclass(slots=True)
@@ -22,7 +22,7 @@ class Call:
     cells: int
     reference: Any
     seconds: float
-    """Allowed."""
+    """Time limit."""
     expected: float = 0.0
     """Expected seconds; 0 if unknown."""
 
@@ -42,9 +42,9 @@ class WorkerProcess:
     calls: deque[Call] = field(default_factory=deque)
     alone: bool = False
     deadline: float = 0.0
-    """Of the first call, or of the start."""
+    """Deadline of the first call, or of the start."""
     died_at: float | None = None
-    """When its death was noticed, until it is known whether the whole backend has died."""
+    """Time of its noticed death, until it is known whether the whole backend has died."""
     start_again_at: float = 0.0
     failed_starts: int = 0
     faults: int = 0
@@ -78,7 +78,7 @@ class WorkerProcess:
 
     @property
     def state(self) -> str:
-        """As users see it."""
+        """State that users see."""
         return "starting" if not self.ready else "busy" if self.calls else "idle"
 
     @property
@@ -98,14 +98,14 @@ class WorkerProcess:
         return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_WORKER
 
     def take(self, call: Call, *, alone: bool) -> None:
-        """A further call."""
+        """Adds a call."""
         self.calls.append(call)
         self.alone = alone
         if len(self.calls) == 1:
             self.deadline = time.monotonic() + call.seconds
 
     def started(self, node: str, pid: int) -> None:
-        """It is ready."""
+        """Marks the worker as ready."""
         self.warming, self.node, self.pid = None, node, pid
         self.failed_starts = 0
         if not self.faults:

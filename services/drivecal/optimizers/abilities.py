@@ -1,4 +1,4 @@
-"""What optimizers can search, and how plug-ins with and without declared abilities are called."""
+"""Abilities of optimizers, and calls of plug-ins with and without declared abilities."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any

@@ -15,7 +15,7 @@ from drivecal.optimizers.start import start_population
 from drivecal.optimizers.swarm import ParticleSwarm
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Optimizer
 
-EVERYTHING: frozenset[Ability] = frozenset(get_args(Ability))
+ONE_OBJECTIVE: frozenset[Ability] = frozenset(get_args(Ability)) - {"objectives"}
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -90,8 +90,7 @@ class BuiltIn(ABC, Generic[Chosen]):
 
     @property
     def supports(self) -> frozenset[Ability]:
-        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
-        return EVERYTHING
+        return ONE_OBJECTIVE
 
     def requested_individuals(self, settings: BaseModel) -> int:
         """The first population and those that each further iteration renews."""
@@ -101,7 +100,6 @@ class BuiltIn(ABC, Generic[Chosen]):
     def create(
         self, settings: BaseModel, n_values: Indices, start: Indices | None = None, kinds: Sequence[Kind] | None = None
     ) -> Optimizer:
-        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)

@@ -29,6 +29,14 @@ def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tup
     return objectives.astype(np.float64), tie_breakers.astype(np.float64)
 
 
+def checked_vectors(objectives: Floats, violations: Floats, count: int) -> tuple[Floats, Floats]:
+    """Copies of both. Raises ValueError if there is no row of finite numbers or NaN, and no violation, for each of `count` individuals."""
+    for name, values in (("objectives", objectives), ("violations", violations)):
+        if values.shape[:1] != (count,) or np.isinf(values).any():
+            raise ValueError(f"{name} must be of {count} individuals, finite or NaN")
+    return objectives.astype(np.float64), violations.astype(np.float64)
+
+
 def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
     """`saved` individuals. Raises InvalidInputError if they are of a population of another size or of another space than `own`."""
     if saved.shape != own.shape:

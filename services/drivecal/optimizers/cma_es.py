@@ -41,13 +41,11 @@ class CmaEngine:
         self._points: list[Any] = []
 
     def propose(self) -> Indices:
-        """See `replayed.Engine`."""
         self._points = self._strategy.ask()
         indices: Indices = np.rint(np.array(self._points) * self._last).astype(np.int64)
         return np.clip(indices, 0, self._last.astype(np.int64))
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
-        """See `replayed.Engine`."""
         order = ranking(objectives, tie_breakers)
         if self._strategy is None:
             self._strategy = self._begin(population[order[0]] / self._last)

@@ -53,7 +53,6 @@ class OptunaEngine:
         self._asked: list[Any] = []
 
     def propose(self) -> Indices:
-        """See `replayed.Engine`."""
         self._asked = [self._study.ask(self._distributions) for _ in range(self._population)]
         rows = [[trial.params[name] for name in self._distributions] for trial in self._asked]
         return np.column_stack(
@@ -64,7 +63,6 @@ class OptunaEngine:
         )
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
-        """See `replayed.Engine`."""
         import optuna
 
         values = (objectives + TIE * tie_breakers).tolist()

@@ -125,9 +125,7 @@ class RepairingOptimizer:
         return Proposal(self._repair(proposal.population), proposal.changed)
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
-        """See `drivecal.plugins.ports.Optimizer`."""
         self._optimizer.tell(objectives, tie_breakers)
 
     def state(self) -> dict[str, Any]:
-        """See `drivecal.plugins.ports.Optimizer`."""
         return self._optimizer.state()

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.checks import checked_answers, fitting
+from drivecal.optimizers.checks import checked_answers, checked_vectors, fitting
 from drivecal.optimizers.state import dump_floats, load_floats
 from drivecal.plugins.ports import Floats, Proposal
 
@@ -73,7 +73,8 @@ class Replayed:
         """The answers to the last `ask`. Raises RuntimeError if they were given already, ValueError if they do not fit."""
         if self._told:
             raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        answers = checked_answers(objectives, tie_breakers, len(self._changed))
+        checked = checked_vectors if objectives.ndim == 2 else checked_answers
+        answers = checked(objectives, tie_breakers, len(self._changed))
         self._history.append(answers)
         self._engine.learn(self._population, *answers)
         self._told = True

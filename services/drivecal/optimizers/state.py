@@ -20,11 +20,16 @@ def load_generator(state: Mapping[str, Any]) -> np.random.Generator:
     return generator
 
 
-def dump_floats(values: Floats | None) -> list[float | None] | None:
-    """NaN becomes null, which JSON knows."""
-    return None if values is None else [None if np.isnan(value) else value for value in values.tolist()]
+def dump_floats(values: Floats | None) -> list[Any] | None:
+    """Lists of the array's shape; NaN becomes null, which JSON knows."""
+    if values is None:
+        return None
+    plain = values.astype(object)
+    plain[np.isnan(values)] = None
+    nested: list[Any] = plain.tolist()
+    return nested
 
 
-def load_floats(values: Sequence[float | None] | None) -> Floats | None:
+def load_floats(values: Sequence[Any] | None) -> Floats | None:
     """The inverse of `dump_floats`."""
-    return None if values is None else np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return None if values is None else np.array(values, dtype=np.float64)  # None becomes NaN

@@ -37,7 +37,7 @@ class ParticleSwarm:
         self._told = False
 
     def ask(self) -> Proposal:
-        """The next positions."""
+        """Returns the next positions."""
         if self._told:
             before = self._indices()
             self._move()

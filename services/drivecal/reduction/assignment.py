@@ -1,4 +1,4 @@
-"""Decides for every requested cell of a population what answers it, before anything is simulated.
+"""Decides how every requested cell of a population is answered, before any simulation.
 
 Order of answers: repeated, reused, (predicted, certified,) simulated. The decision depends on the population, on what was stored and on
 the seed alone, never on the workers' timing, so that it can be committed, resumed and repeated.
@@ -40,7 +40,7 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Allowed answers. `audit`: share of reused cells that are simulated all the same; `stopped`: scenarios in which an
+    """Allowed answers. `audit`: share of reused cells that are simulated as audits; `stopped`: scenarios in which an
     earlier release stopped reuse for too many wrong answers."""
 
     mode: ReductionMode

@@ -1,4 +1,4 @@
-"""Audits: the choice of reused and certified cells that are simulated all the same, and the error rates of reuse. Pure."""
+"""Audits: chooses reused and certified cells to simulate as checks, and computes the error rates of reuse. Pure."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -13,12 +13,12 @@ PRIOR_WRONG, PRIOR_AUDITS = 0.25, 50.0
 
 
 def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int) -> bool:
-    """Whether a reusable cell is simulated all the same: by a hash of seed, scenario and parameter set."""
+    """Whether a reusable cell is simulated as an audit: by a hash of seed, scenario and parameter set."""
     return _drawn(f"{seed}:{scenario}:".encode() + parameters.key, share)
 
 
 def is_checked(scenario: str, parameters: ParameterSet, share: float, campaign: int) -> bool:
-    """Whether a certified cell is simulated all the same: by a hash of the campaign's number, scenario and parameter set."""
+    """Whether a certified cell is simulated as a check: by a hash of the campaign's number, scenario and parameter set."""
     return _drawn(f"certificate:{campaign}:{scenario}:".encode() + parameters.key, share)
 
 

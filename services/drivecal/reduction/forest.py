@@ -1,8 +1,10 @@
 """The default predictor: a forest of extremely randomised trees (Geurts, Ernst and Wehenkel 2006), by scikit-learn."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
-from sklearn.ensemble import ExtraTreesClassifier, ExtraTreesRegressor
+from sklearn.ensemble import ExtraTreesClassifier
 
 from drivecal.reduction.prediction import Bools, Floats, Predictions
 
@@ -11,28 +13,39 @@ FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
 
 
-def leaf_weights(forest: ExtraTreesClassifier | ExtraTreesRegressor, known: Floats, features: Floats) -> Floats:
-    """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the bootstrap
-    sample in the set's leaf, over the trees. `known`: the features of the training cells."""
-    shared = forest.apply(known) == forest.apply(features.reshape(1, -1))
-    drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
-    weights: Floats = shared * drawn
-    return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
+class BaggedTrees:
+    """Trees on bootstrap samples of scored parameter sets."""
+
+    def __init__(self, tolerance: float, seed: int) -> None:
+        self._tolerance, self._seed = tolerance, seed
+        self._forest: Any = None
+        self._scores: Floats = np.empty(0)
+        self._features: Floats = np.empty((0, 0))
+
+    def weights(self, features: Floats) -> Floats:
+        """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the
+        bootstrap sample in the set's leaf, over the trees."""
+        forest = self._fitted()
+        shared = forest.apply(self._features) == forest.apply(features.reshape(1, -1))
+        drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
+        weights: Floats = shared * drawn
+        return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
+
+    def _fitted(self) -> Any:
+        if self._forest is None:
+            raise RuntimeError("the forest has not learned yet")
+        return self._forest
 
 
-class Forest:
+class Forest(BaggedTrees):
     """Votes of trees for discrete scores. The confidence of a score is the share of votes for scores within `tolerance` of it; the
     predicted score has the largest confidence, then the most votes, then is the lowest. The predicted rating is the mean rating of the
     known cells with that score in the leaves of the set."""
 
     def __init__(self, tolerance: float = 0.0, seed: int = 0) -> None:
-        self._tolerance = tolerance
-        self._seed = seed
-        self._forest: ExtraTreesClassifier | None = None
+        super().__init__(tolerance, seed)
         self._classes: Floats = np.empty(0)
-        self._scores: Floats = np.empty(0)
         self._ratings: Floats = np.empty(0)
-        self._features: Floats = np.empty((0, 0))
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
         """Learns from at least one score. Trees are trained on bootstrap samples, so that `known_errors` costs no further fit."""
@@ -58,15 +71,6 @@ class Forest:
         seen = ~np.isnan(votes).any(axis=1)
         chosen, confidence = self._choose(votes[seen])
         return confidence, np.abs(self._classes[chosen] - self._scores[seen]) > self._tolerance + 1e-9
-
-    def weights(self, features: Floats) -> Floats:
-        """See `leaf_weights`."""
-        return leaf_weights(self._fitted(), self._features, features)
-
-    def _fitted(self) -> ExtraTreesClassifier:
-        if self._forest is None:
-            raise RuntimeError("the forest has not learned yet")
-        return self._forest
 
     def _choose(self, votes: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
         near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._tolerance + 1e-9

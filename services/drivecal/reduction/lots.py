@@ -22,6 +22,10 @@ Positions = npt.NDArray[np.int64]
 
 MOST_ACCEPTED = 5
 """Largest acceptance number that `best_plan` tries."""
+COARSEST, FINER = 64, 16
+"""Number of stretches of a lot's numbers of errors in the first look at an AOQL, and of parts of each in every further look."""
+ROUNDING = 1e-7
+"""Largest error of rounding in shares of released errors, for lots of a million."""
 DISPERSION = 50.0
 """Equivalent observations behind an expected error rate: lots of the same expectation differ by more than chance."""
 
@@ -55,11 +59,32 @@ class SamplingPlan:
         return spare * min(1.0, float(np.exp(chances - betaln(wrong, DISPERSION - wrong)).sum()))  # a beta-binomial
 
 
-def outgoing_errors(plan: SamplingPlan) -> Floats:
-    """Returns the expected share of released errors for D = 0..size wrong predictions, shape (size + 1,)."""
-    drawn, wrong = np.arange(plan.acceptance + 1)[:, None], np.arange(plan.size + 1)[None, :]
-    errors: Floats = (_chances(plan, drawn, wrong) * np.maximum(wrong - drawn, 0)).sum(axis=0)
+def outgoing_errors(plan: SamplingPlan, wrong: Positions | None = None) -> Floats:
+    """Returns the expected share of released errors for numbers of wrong predictions, by default D = 0..size; shape as theirs."""
+    numbers = np.arange(plan.size + 1) if wrong is None else wrong
+    drawn = np.arange(plan.acceptance + 1)[:, None]
+    errors: Floats = (_chances(plan, drawn, numbers[None, :]) * np.maximum(numbers[None, :] - drawn, 0)).sum(axis=0)
     return errors / max(plan.size, 1)
+
+
+def _keeps(plan: SamplingPlan, limit: float) -> bool:
+    """Whether no number of `outgoing_errors` exceeds `limit`, found without most of them.
+
+    One more wrong prediction releases at most one more error, so the share grows by at most d / size over d numbers: stretches that stay
+    below the limit by this bound are left out, the others divided.
+    """
+    step = max(1, plan.size // COARSEST)
+    wrong = np.arange(0, plan.size + 1, step)
+    while True:
+        errors = outgoing_errors(plan, wrong)
+        if errors.max() > limit:
+            return False
+        near = wrong[errors + (step - 1) / plan.size > limit - ROUNDING]
+        if step == 1 or not len(near):
+            return True
+        finer = max(1, step // FINER)
+        between = (near[:, None] + np.arange(finer, step, finer)[None, :]).ravel()
+        wrong, step = np.concatenate([near, between[between <= plan.size]]), finer
 
 
 def _chances(plan: SamplingPlan, drawn: Positions, wrong: Positions) -> Floats:
@@ -90,7 +115,7 @@ def smallest_plan(size: int, limit: float, acceptance: int) -> SamplingPlan:
     few, enough = 0, size  # a whole lot in the sample releases no error
     while enough - few > 1:
         middle = (few + enough) // 2
-        if outgoing_errors(SamplingPlan(size, middle, acceptance)).max() <= limit:
+        if _keeps(SamplingPlan(size, middle, acceptance), limit):
             enough = middle
         else:
             few = middle
@@ -114,10 +139,10 @@ def draw(members: Sequence[bytes], sample: int, secret: bytes) -> list[int]:
     return sorted(sorted(range(len(members)), key=ranks.__getitem__)[:sample])
 
 
-def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 0.95) -> float:
+def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
 
-    Time-uniform: with probability `confidence` it holds after every lot at once, for every number of errors in each of them, which may
+    Time-uniform: with probability 0.95 it holds after every lot at once, for every number of errors in each of them, which may
     depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones, of which at
     most c + 1 count, has an expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a
     mixture over growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
@@ -130,7 +155,7 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]], confidence: float = 
             paid = sum(cost * min(errors, plan.acceptance + 1) for cost, (plan, errors) in zip(costs, inspected, strict=True))
             offsets.append((growth, -paid))
     unknown = sum(plan.size - plan.sample for plan, errors in inspected if plan.releases(errors))
-    evidence = math.log(len(GROWTH) / (1.0 - confidence))
+    evidence = math.log(len(GROWTH) / (1.0 - 0.95))
 
     def excess(released: float) -> float:
         exponents = np.array([growth * released + offset for growth, offset in offsets])

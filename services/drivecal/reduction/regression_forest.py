@@ -7,11 +7,11 @@ import numpy as np
 from sklearn.ensemble import ExtraTreesRegressor
 
 from drivecal.domain.scales import Scale
-from drivecal.reduction.forest import FEATURES, TREES, Forest, leaf_weights
+from drivecal.reduction.forest import FEATURES, TREES, BaggedTrees, Forest
 from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions, Predictor
 
 MOST_CLASSES = 100
-"""Scores of a scale that are told apart as classes."""
+"""Largest number of scores of a scale that are classes."""
 
 
 def predictor_on(scale: Scale, tolerance: float) -> Callable[[], Predictor]:
@@ -20,16 +20,12 @@ def predictor_on(scale: Scale, tolerance: float) -> Callable[[], Predictor]:
     return partial(Forest if few else RegressionForest, tolerance)
 
 
-class RegressionForest:
+class RegressionForest(BaggedTrees):
     """Votes of trees for continuous scores. The predicted score is the median vote, which a few trees beyond a cliff (failed runs) do not
     move; the confidence is the share of votes within `tolerance` of it. Continuous scores are their own ratings."""
 
     def __init__(self, tolerance: float = 0.0, seed: int = 0) -> None:
-        self._tolerance = tolerance + ROUNDING
-        self._seed = seed
-        self._forest: ExtraTreesRegressor | None = None
-        self._scores: Floats = np.empty(0)
-        self._features: Floats = np.empty((0, 0))
+        super().__init__(tolerance + ROUNDING, seed)
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
         """Learns from at least one score. Trees are trained on bootstrap samples, so that `known_errors` costs no further fit."""
@@ -53,15 +49,6 @@ class RegressionForest:
         left_out = ~np.isnan(votes).all(axis=1)
         scores, confidence = self._choose(votes[left_out])
         return confidence, np.abs(scores - self._scores[left_out]) > self._tolerance
-
-    def weights(self, features: Floats) -> Floats:
-        """See `leaf_weights`."""
-        return leaf_weights(self._fitted(), self._features, features)
-
-    def _fitted(self) -> ExtraTreesRegressor:
-        if self._forest is None:
-            raise RuntimeError("the forest has not learned yet")
-        return self._forest
 
     def _choose(self, votes: Floats) -> tuple[Floats, Floats]:
         """Predicted scores and confidences for votes of shape (n, n_trees), NaN for trees without a vote."""

@@ -7,11 +7,11 @@ from typing import Any, Generic, TypeVar
 
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, Study, StudyName
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.studies import Study, StudyName
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
+from drivecal.contracts.trust import TrustAnswer
 
 RANKED = 1000
 """Number of best sets in a report; all of them are in the table."""
@@ -53,6 +53,8 @@ class ReportData:
     """Causes of failed cells."""
     predictions: Sequence[Studied[ValidationRow]] = ()
     """Validations of released predictions."""
+    trust: TrustAnswer | None = None
+    """None from a server of an earlier release."""
 
     @property
     def recommended(self) -> RobustnessRow | None:
@@ -77,6 +79,7 @@ def collect(client: Client, identifier: str) -> ReportData:
         basis=None if used is None else used.basis,
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
+        trust=client.trust(identifier) if "trust" in campaign.links else None,
         failures=client.failures(identifier).items if answered else (),
         robustness=_studied(studies, "robustness", client.robustness),
         validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),

@@ -15,6 +15,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
     campaign = findings.campaign
     sections = {
         "Summary": results.summary(findings),
+        "Trust": results.trust(findings),
         "Problem": problem.setting(findings),
         "Where parameters matter": _influence(findings, drawn),
         "Search": _search(findings, drawn),

@@ -137,9 +137,12 @@ def failure_causes(causes: Sequence[FailureCause]) -> list[list[object]]:
     ]
 
 
-def shortened(words: str | None, most: int = 160) -> str | None:
+LONGEST_MESSAGE = 160
+
+
+def shortened(words: str | None) -> str | None:
     """Returns the end of a message, where simulators say what is wrong."""
-    return words if words is None or len(words) <= most else f"...{words[3 - most :]}"
+    return words if words is None or len(words) <= LONGEST_MESSAGE else f"...{words[3 - LONGEST_MESSAGE :]}"
 
 
 LOTS_NOTE = (

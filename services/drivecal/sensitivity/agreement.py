@@ -40,7 +40,7 @@ class Agreement:
         return self.agreeing / self.pairs if self.pairs else None
 
     def document(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Returns a JSON document."""
 
         def side(row: InfluenceRow) -> dict[str, Any]:
             return row.model_dump(include={"influential", "lower", "upper", "unknown"})

@@ -19,8 +19,7 @@ from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.cutting import check_intervals, interval_edges, intervals_of, most_confirmations
 from drivecal.sensitivity.effects import Design, Floats
 from drivecal.sensitivity.lines import lines_design, regions_design
-from drivecal.sensitivity.paper import paper_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, paper_design, radial_design
 from drivecal.sensitivity.scenario import ScenarioInfluence, ScenarioState
 from drivecal.sensitivity.sequential import IntervalRuns
 from drivecal.sensitivity.settings import SensitivitySettings
@@ -46,7 +45,7 @@ class Phase:
 
     @property
     def runs(self) -> int:
-        """Over all scenarios, repeats included."""
+        """Number of runs over all scenarios, repeats included."""
         return sum(len(points) for points in self.points.values())
 
 
@@ -83,7 +82,7 @@ class SensitivityAnalysis:
         self._points: dict[str, Indices] | None = None
         """All points of the phase."""
         self._asked: dict[str, npt.NDArray[np.bool_]] = {}
-        """Which of them are run, by scenario."""
+        """Points that are run, by scenario."""
 
     def _counts(self) -> list[int]:
         return [intervals_of(parameter, self._settings.intervals) for parameter in self._space.searched]
@@ -103,7 +102,7 @@ class SensitivityAnalysis:
         }
 
     def ask(self) -> Phase | None:
-        """The phase whose scores are to be told next, the same until they are; None when the analysis is finished."""
+        """Returns the next phase, the same until its scores arrive; None when the analysis is finished."""
         while self._name is not None:
             if self._points is None:
                 self._points = self._drawn()
@@ -119,7 +118,7 @@ class SensitivityAnalysis:
         Raises ValueError if they do not fit the phase, RuntimeError if nothing was asked.
         """
         if self._points is None or self._name is None:
-            raise RuntimeError("there is nothing to tell: ask for a phase first")
+            raise RuntimeError("no phase awaits scores; ask for a phase first")
         expected = {scenario: int(mask.sum()) for scenario, mask in self._asked.items() if mask.any()}
         if set(scores) != set(expected):
             raise ValueError(f"scores must be of {', '.join(expected)}, not of {', '.join(scores)}")

@@ -1,4 +1,4 @@
-"""Elementary effects and what is said about a parameter from them (Section II-A of the paper, Equations 1 and 2)."""
+"""Elementary effects and their statistics for a parameter (Section II-A of the paper, Equations 1 and 2)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from drivecal.domain.scales import COMFORT
 
 Floats = npt.NDArray[np.float64]
 Unordered = npt.NDArray[np.bool_]
-"""Which parameters are choices, shape (n_searched,)."""
+"""Parameters that are choices, shape (n_searched,)."""
 
 
 @dataclass(frozen=True, slots=True)

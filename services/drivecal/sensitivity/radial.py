@@ -10,6 +10,8 @@ every value that is far enough is equally likely. Later rows of the same column 
 that what is drawn again would depend on what was rejected (and with it the mean step, by 6 %).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from drivecal.domain.parameters import Indices
@@ -36,7 +38,7 @@ class SobolRows:
         self._rows: Floats = np.empty((0, dimensions))
 
     def upto(self, count: int) -> Floats:
-        """At least the first `count` rows, shape (>= count, dimensions), in [0, 1)."""
+        """Returns at least the first `count` rows, shape (>= count, dimensions), in [0, 1)."""
         while len(self._rows) < count:  # by powers of two, as the sequence wants it
             more = self._engine.random(max(8, len(self._rows)))
             self._rows = np.concatenate([self._rows, more])
@@ -123,3 +125,24 @@ def add_radial(
         stepped[:, column] = auxiliary[:, column]
         blocks.append((column, first, builder.add_points(stepped)))
     return blocks
+
+
+def paper_design(
+    n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int, unordered: Unordered | None = None
+) -> Design:
+    """The paper's own design of the interval analyses (Section II-A, Equation 3): for each parameter and interval, a whole radial design
+    with the parameter confined to the interval, the others over their range.
+
+    n_p n_Int r (n_p + 1) runs. Each analysis has Sobol' points of its own. Of each, the effects of the confined parameter count,
+    shape (n_p, n_Int, r); the others' runs feed the reference table only, as in the paper.
+    """
+    builder, most = DesignBuilder(n_values, unordered), max(map(len, edges)) - 1
+    for column, marks in enumerate(edges):
+        for interval in range(len(marks) - 1):
+            lower, upper = np.zeros_like(n_values), n_values - 1
+            lower[column], upper[column] = marks[interval], marks[interval + 1]
+            rows = SobolRows(COLUMNS * len(n_values), seed, tag, column, interval + 1)
+            pairs = add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered))
+            builder.add_pairs(*pairs[column])
+        builder.add_gaps(column, samples, most - len(marks) + 1)
+    return builder.design(len(n_values), most)

@@ -164,7 +164,7 @@ class ScenarioState:
         return lower, upper
 
     def _try(self, regions: Sequence[Region]) -> None:
-        """Cuts regions until further notice. One that holds a single value needs no confirmation: there is no step in it."""
+        """Cuts regions provisionally. A region of a single value needs no confirmation: it holds no step."""
         for region in regions:
             self._cut[region.column][region.side] = region
             lower, upper = self.bounds(region)

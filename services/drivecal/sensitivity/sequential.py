@@ -39,7 +39,7 @@ class IntervalRuns:
         self._samples = np.zeros(design.steps.shape[:2], dtype=np.int64)
         self._rows: Indices | None = None
         self.scores: Floats = np.full(len(design.points), np.nan)
-        """Of all points; NaN if a run failed or was not made."""
+        """Scores of all points; NaN if a run failed or was not made."""
 
     @property
     def effects(self) -> Floats:
@@ -47,7 +47,7 @@ class IntervalRuns:
         return self.design.effects(self.scores, self._scale.span)
 
     def rows(self) -> Indices:
-        """The rows to be run next, increasing, the same until they are told; empty if no more are needed."""
+        """Returns the next rows to run, increasing, the same until their scores arrive; empty if no more are needed."""
         if self._rows is None:
             self._rows = self._chosen() if self._sequential else np.flatnonzero(~self._made)
         return self._rows

@@ -1,4 +1,4 @@
-"""From which sensitivity on a parameter counts as influential: on s_rel, on |mu| and sigma separately, or derived (`auto`).
+"""Thresholds from which a parameter counts as influential: on s_rel, on |mu| and sigma separately, or derived (`auto`).
 
 `auto` starts from what a score with steps does to s_rel. With a tolerance of one step and a range of r steps, a change by the tolerance
 between two runs is an effect of 1/(r d) for a step d of the parameter, however little the rating behind it moved, and s_rel is about the
@@ -39,7 +39,7 @@ CONFIDENCE = 0.95
 SEEN_RATE = 0.1
 """The rate of changes for which the probability of a miss is reported: ten times what is tolerated."""
 ROUNDING = 1 + 1e-9
-"""How much further than proved sums of squares must reach: their own errors are far smaller."""
+"""Factor by which sums of squares must exceed proved bounds: their own rounding errors are far smaller."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Runs one command and takes care that nothing of it stays behind: `python -m drivecal.server.guardian GRACE COMMAND...`.
+"""Runs one command and ends all processes that it leaves behind: `python -m drivecal.server.guardian GRACE COMMAND...`.
 
 The supervisor starts a guardian for each of its children, in a session of its own, and holds the other end of its standard input.
 

@@ -4,7 +4,7 @@ import errno
 import http.client
 import socket
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from drivecal.configuration.access import is_loopback
 from drivecal.configuration.settings import Settings
@@ -77,7 +77,6 @@ def run_server(
     listener: socket.socket,
     url: str,
     ready: Callable[[], None],
-    dispatcher: Sequence[str] = DISPATCHER,
 ) -> int:
     """Runs API and dispatcher until a signal and returns the exit code. Calls `ready` once both work."""
     started_at = now()
@@ -100,7 +99,7 @@ def run_server(
     api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
     children = [
         ChildProcess("API", api, settings.environment, (descriptor,)),
-        ChildProcess("dispatcher", dispatcher, settings.environment),
+        ChildProcess("dispatcher", DISPATCHER, settings.environment),
     ]
     return Supervisor(children, missing, ready).run()
 

@@ -12,8 +12,8 @@ RETRY_SECONDS = 30
 
 
 def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
-    """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. To be called in the
-    transaction that inserts: until its end no other one is admitted, so that any number of them at once cannot overshoot.
+    """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. The caller inserts in
+    the same transaction: until its end no other one is admitted, so that concurrent requests cannot overshoot.
 
     A request whose key is known inserts nothing and is always admitted.
     """

@@ -1,4 +1,4 @@
-"""The self-check: what audited cells scored against the donors that were not trusted, and results that contradict each other.
+"""The self-check: scores of audited cells against their donors', and results that contradict each other.
 
 A donor of the campaign's own has the score that it was answered with. That of another campaign's donor is its run's rating by this
 campaign's evaluator: the evaluation that made the run may have been rated by another one.
@@ -23,7 +23,7 @@ _trusted = ratings.alias("trusted")
 def settle(
     connection: Connection, campaign_sequence: int, stage: StageName, iteration: int, evaluator: str, scale: Scale = COMFORT
 ) -> None:
-    """Writes down for the audited cells of a finished iteration whether the donor that was not trusted had the same score."""
+    """Stores for the audited cells of a finished iteration whether the donor had the same score."""
     score = (
         select(_TRUSTED)
         .select_from(_rated(_donor, evaluator))
@@ -97,9 +97,9 @@ def contradictions(
     watermark: int,
     scale: Scale = COMFORT,
 ) -> dict[str, int]:
-    """Under how many reference keys simulated results differ in their score, by scenario; scenarios without any are left out.
+    """Returns the number of reference keys whose simulated results differ in their score, by scenario, without zeros.
 
-    Compared are the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
+    Compares the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
     """
     index, stored_key, stored = reference_indexes.alias("index"), reference_keys.alias("stored_key"), ratings.alias("stored")
     joined = (
@@ -145,7 +145,7 @@ _SETTLED = evaluations.c.audited, evaluations.c.outcome == Outcome.SIMULATED
 
 
 def _changes(scale: Scale) -> tuple[ColumnElement[int], ...]:
-    """Compared, different and wrong cells."""
+    """Returns the compared, different and wrong cells."""
     different, wrong = scale.rounding < _CHANGE, scale.largest_agreeing < _CHANGE
     return func.count(), func.count(case((different, 1))), func.count(case((wrong, 1)))
 

@@ -1,4 +1,4 @@
-"""Cells of campaigns by stage: how many were requested, and what answered them."""
+"""Cells of campaigns by stage: requested cells, and their answers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -20,7 +20,7 @@ CountsByStage = Mapping[StageName, Mapping[str, int]]
 
 
 class _ByStage(TypeDecorator[dict[StageName, dict[str, int]]]):
-    """Counts of every stage that has begun, in the order of the stages."""
+    """Cell counts by stage, for stages that have begun, in their order."""
 
     impl = JSON
     cache_ok = True
@@ -49,7 +49,7 @@ def _on_postgresql(element: _DocumentByNumber, compiler: SQLCompiler, **options:
 
 
 def by_stage(of: Table | Any = campaigns) -> Label[dict[StageName, dict[str, int]]]:
-    """Column `stages` of a query over `of`, the campaigns: their counts by stage."""
+    """Returns the column `stages` of a query over `of`, the campaigns: their counts by stage."""
     number, cells = type_coerce(campaign_stages.c.stage, SmallInteger), type_coerce(campaign_stages.c.cells, JSON)
     query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == of.c.sequence)
     return query.correlate(of).scalar_subquery().label("stages")

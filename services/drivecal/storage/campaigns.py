@@ -1,4 +1,4 @@
-"""Campaigns: submitted by the API, carried out by the dispatcher."""
+"""Campaigns: submitted by the API, run by the dispatcher."""
 
 import uuid
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -27,7 +27,7 @@ Kind = Literal["calibration", "comparison", "evaluation"]
 Listed = Literal["calibration", "evaluation"]
 """Kinds listed together: campaigns with comparisons, and single evaluations."""
 LONGEST_LISTED = 20_000
-"""Characters of a specification that a list still carries: a page of a thousand has 20 MB at most, where it could have had a GB."""
+"""Longest specification in a list, characters: a page of a thousand campaigns has at most 20 MB instead of a GB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +41,12 @@ class CampaignHeading:
     state: CampaignState
     requested_action: Action | None
     priority: int
-    """The higher, the earlier; equal ones share the workers."""
+    """Higher priorities run first; equal ones share the workers."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredCampaign(CampaignHeading):
-    """A campaign as it is stored."""
+    """A row of the table of campaigns."""
 
     revision: int
     """Grows with every change of the row."""
@@ -91,7 +91,7 @@ class StoredCampaign(CampaignHeading):
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Progress of a running campaign, as `save_progress` writes it; what is None stays as it is stored."""
+    """Progress of a running campaign for `save_progress`; fields that are None stay as stored."""
 
     stage: StageName | None
     iteration: int | None
@@ -183,7 +183,7 @@ def page(
 ) -> tuple[list[StoredCampaign], str | None]:
     """At most `limit` campaigns, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError.
 
-    Of a specification that is longer than LONGEST_LISTED characters, which only many start sets make it, nothing is read: `get` gives it.
+    Specifications longer than LONGEST_LISTED characters are not read (only many start sets are so long): `get` returns them.
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
@@ -195,8 +195,8 @@ def page(
 def listed(
     columns: Iterable[ColumnElement[Any]], kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
 ) -> Select[Any]:
-    """The query of a page: these columns of campaigns, newest first, those left out that are runs of a comparison. Raises
-    InvalidInputError for a cursor that is none."""
+    """Returns the query of a page: these columns of campaigns, newest first, without the runs of comparisons. Raises InvalidInputError
+    for an invalid cursor."""
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind.in_(("calibration", "comparison"))
     query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None))
     query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
@@ -209,8 +209,7 @@ def listed(
 
 
 def active(connection: Connection) -> list[CampaignHeading]:
-    """The campaigns that have not ended, in the order in which they are to be started: what the dispatcher looks after. (Comparisons look
-    after their runs.)"""
+    """Returns the campaigns that have not ended, in starting order, without the runs of comparisons."""
     states = [state for state in CampaignState if not state.ended]
     columns = [campaigns.c[field.name] for field in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
@@ -220,7 +219,7 @@ def active(connection: Connection) -> list[CampaignHeading]:
 
 
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
-    """Asks the dispatcher to cancel, pause or resume a campaign; where nothing of it runs, that is done at once. Idempotent.
+    """Asks the dispatcher to cancel, pause or resume a campaign; if nothing of it runs, does so at once. Idempotent.
 
     Gives the campaign as it is then. Raises NotFoundError, and ConflictError for a run of a comparison and for what has ended or is about
     to be cancelled.
@@ -294,12 +293,12 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
 
 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:
-    """Pins what a campaign was taken up with."""
+    """Stores the specification as resolved at the campaign's start."""
     connection.execute(_of(sequence).values(resolution=dict(resolution)))
 
 
 def pause(connection: Connection, sequence: int) -> bool:
-    """Lets a running campaign rest, where that is still what is asked for; False if it was taken back or overtaken by a cancel."""
+    """Pauses a running campaign if this is still requested; False if the request was withdrawn or replaced by a cancel."""
     statement = (
         _of(sequence)
         .where(campaigns.c.state == CampaignState.RUNNING, campaigns.c.requested_action == "pause")
@@ -312,18 +311,17 @@ def pause(connection: Connection, sequence: int) -> bool:
 
 
 def set_influence_map(connection: Connection, sequence: int, influence_map_id: str) -> None:
-    """Notes the map that a campaign's own analysis made."""
+    """Stores the map that a campaign's own analysis made."""
     connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
 
 
 def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Narrowed]) -> None:
-    """Notes what the common reduction left out of the search space."""
+    """Stores the part that the common reduction removed from the search space."""
     connection.execute(_of(sequence).values(narrowed=[parameter.model_dump(mode="json") for parameter in narrowed]))
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
-    """Says of running campaigns, and of the running runs of those that are comparisons, why they go on more slowly, or not at all, for
-    now; None if all is well."""
+    """Stores why running campaigns, and the running runs of comparisons, are slow or stand still for now; None if they are not."""
     if not sequences:
         return
     runs_of_them = campaigns.c.parent_sequence.in_(list(sequences)) & (campaigns.c.state == CampaignState.RUNNING)

@@ -1,4 +1,4 @@
-"""The runs of a comparison: campaigns that belong to another one, and end or rest with it."""
+"""The runs of a comparison: campaigns that belong to another one, and end or pause with it."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,11 +25,11 @@ _FOLLOWS: dict[CampaignState, tuple[Collection[CampaignState], CampaignState, Ev
     CampaignState.CANCELLED: (_OPEN, CampaignState.CANCELLED, EventKind.CANCELLED),
     CampaignState.FAILED: (_OPEN, CampaignState.CANCELLED, EventKind.CANCELLED),
 }
-"""By the state of a comparison: which of its runs change, to what, and by which event that is told."""
+"""By the state of a comparison: the states of the runs that change, their new state, and its event."""
 
 
 def follow(connection: Connection, sequence: int, state: CampaignState) -> None:
-    """Has the runs of a comparison follow it to a `state`; any other campaign has none."""
+    """Changes the runs of a comparison to its `state`; does nothing for other campaigns."""
     if state not in _FOLLOWS:
         return
     before, after, follows = _FOLLOWS[state]
@@ -61,7 +61,7 @@ class RunTally:
 
 
 def tallies(connection: Connection, sequence: int) -> Iterator[RunTally]:
-    """Of the runs of a comparison, in their order, read as they are consumed: neither specifications nor more than BATCH are held."""
+    """Yields summaries of a comparison's runs, in order. Holds at most BATCH of them, and no specifications."""
     run = campaigns.c
     columns = (run.name, run.started_at, by_stage(), run.error_rate, run.best, run.baseline)
     query = select(*columns, run.simulating_seconds, run.notes).where(run.parent_sequence == sequence).order_by(run.sequence)

@@ -1,13 +1,13 @@
-"""Evaluations: the requested cells of campaigns, as they are planned, dispatched and answered."""
+"""Evaluations: the requested cells of campaigns, from plan to answer."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, bindparam, func, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, bindparam, case, func, select, type_coerce, update
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Donor, Outcome, OutcomeCosts
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import rows_among
@@ -16,7 +16,7 @@ from drivecal.storage.references.runs import occupying
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
-"""Only these answer other cells: reuse never chains through copies."""
+"""Outcomes that answer other cells: reuse never chains through copies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tu
 
 
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
-    """Stores a population's cells and gives their ids, in order."""
+    """Stores a population's cells and returns their ids, in order."""
     if not cells:
         return []
     statement = evaluations.insert().returning(evaluations.c.id, sort_by_parameter_order=True)
@@ -98,7 +98,7 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEv
 def reused(
     connection: Connection, campaign_sequence: int, stage: StageName, iteration: int
 ) -> list[tuple[int, int, ParameterSet]]:
-    """The cells of an iteration that have their answer from a reference, and of which nothing more is known: id, setup, parameters."""
+    """Returns the reused cells of an iteration without a certificate: id, setup, parameters."""
     query = (
         select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)
         .join(parameter_sets)
@@ -110,16 +110,15 @@ def reused(
 
 
 def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
-    """Stores the evaluations whose runs reused cells would repeat, by cell id."""
-    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome == Outcome.REUSED)
+    """Stores the evaluations whose runs reused cells would repeat, by cell id. A cell may still wait for its answer."""
+    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.plan == Outcome.REUSED)
     rows = [{"evaluation": evaluation, "proof": proof} for evaluation, proof in proofs.items()]
     if rows:
         connection.execute(statement.values(proven_by=bindparam("proof")), rows)
 
 
 def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
-    """Stores answers; says how many. A cell that has its answer keeps it: a late result of an earlier attempt changes nothing. An answered
-    cell has no lease any more."""
+    """Stores answers and returns how many. An answered cell keeps its answer, so that late results change nothing, and loses its lease."""
     if not answers:
         return 0
     statement = (
@@ -137,7 +136,7 @@ _ANSWER = tuple(field.name for field in fields(AnsweredCell) if field.name != "i
 
 
 def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Plans a simulation for pending copies whose leader has no result, and so answers no copy."""
+    """Plans a simulation for pending copies whose leader has no result."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
     rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
@@ -282,3 +281,44 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
         .order_by(func.min(cell.id))
     )
     return [ScoredRun(*row) for row in connection.execute(query.limit(most))]
+
+
+def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:
+    """The answered cells of a campaign, ordered by stage and scenario.
+
+    A cell's time less its run's is what certificates took. Runs stored by releases that did not measure it count as if they took nothing.
+    """
+    group = (evaluations.c.stage, evaluations.c.scenario, evaluations.c.outcome, evaluations.c.audited)
+    maker = evaluations.alias("maker")
+    is_simulated = runs.c.id.is_not(None) & (maker.c.outcome.is_(None) | (maker.c.outcome != Outcome.CERTIFIED))
+    certifying = case(
+        (evaluations.c.outcome == Outcome.CERTIFIED, evaluations.c.milliseconds),
+        (runs.c.evaluation_id == evaluations.c.id, evaluations.c.milliseconds - runs.c.milliseconds),
+    )
+    query = (
+        select(
+            *group,
+            func.count(),
+            func.coalesce(func.sum(evaluations.c.milliseconds), 0.0),
+            func.count(case((is_simulated, 1))),
+            func.coalesce(func.sum(case((is_simulated, runs.c.milliseconds))), 0.0),
+            func.coalesce(func.sum(certifying), 0.0),
+            func.coalesce(func.sum(case((runs.c.evaluation_id == evaluations.c.id, occupying()))), 0.0),
+            func.coalesce(func.sum(case((is_simulated, occupying()))), 0.0),
+        )
+        .select_from(
+            evaluations.outerjoin(runs, runs.c.id == evaluations.c.run_id).outerjoin(maker, maker.c.id == runs.c.evaluation_id)
+        )
+        .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_not(None))
+        .group_by(*group)
+        .order_by(*group)
+    )
+    return [
+        OutcomeCosts(
+            *(stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000, certified / 1000),
+            *(occupied / 1000, occupying_runs / 1000),
+        )
+        for stage, scenario, outcome, audited, cells, own, simulated, answered, certified, occupied, occupying_runs in connection.execute(
+            query
+        )
+    ]

@@ -45,15 +45,15 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:
-    """The id of a campaign's last event; 0 if it has none, as those have that an older drivecal made."""
+    """Returns the id of a campaign's last event; 0 without events (campaigns of an older drivecal)."""
     query = select(func.max(events.c.id)).where(events.c.campaign_sequence == campaign_sequence)
     return connection.execute(query).scalar() or 0
 
 
 def prune(connection: Connection, older_than: datetime, at_most: int = 10_000) -> int:
-    """Forgets `at_most` events that are older, and says how many those were; less than `at_most`: there are no more.
+    """Removes at most `at_most` older events and returns how many.
 
-    The last event of a campaign stays, however old: who comes back to it learns at least how it stands.
+    The last event of a campaign stays, however old: it tells a returning client the campaign's state.
     """
     newer = events.alias("newer")
     followed = select(newer.c.id).where(newer.c.campaign_sequence == events.c.campaign_sequence, newer.c.id > events.c.id)

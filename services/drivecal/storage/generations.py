@@ -36,7 +36,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class StoredGeneration:
-    """A generation with all that is needed to go on from it.
+    """A generation with all that its successor needs.
 
     `population`: grid indices by individual; `changed`: which of them were requested; `objectives`: None until it is finished, None
     in it for individuals without a result; `optimizer_state`: after `ask`, kept for the last generation only.
@@ -61,7 +61,7 @@ def insert(
     changed: Sequence[bool],
     optimizer_state: Mapping[str, Any],
 ) -> None:
-    """Stores a generation as it is asked for, in the transaction that stores its evaluations; the states of earlier ones go."""
+    """Stores a new generation, in the transaction that stores its evaluations, and removes the states of earlier ones."""
     connection.execute(
         update(generations)
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.optimizer_state.is_not(None))
@@ -110,7 +110,7 @@ def finish(
 
 
 def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | None:
-    """The newest generation, which a resumed campaign takes up; None before the first."""
+    """Returns the newest generation, with which a resumed campaign continues; None before the first."""
     query = (
         select(generations)
         .where(generations.c.campaign_sequence == campaign_sequence)

@@ -1,4 +1,4 @@
-"""Leases: which evaluations are at a worker, on whose account, and how often they broke down there.
+"""Leases: the evaluations at workers, their dispatcher's term, and their breakdowns.
 
 Before a cell is sent to a worker, it is leased (`take`); its result counts only while that lease is the current one (`current`). So a cell
 may be simulated more than once, after a crash of whatever process, but has one effect. Leases belong to a dispatcher's term
@@ -20,7 +20,7 @@ from drivecal.storage.processes import term_in_office
 
 
 def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) -> dict[int, int]:
-    """Leases evaluations for so many `seconds`; gives the number of the lease of each that was granted, by id. `breakdowns` says, by id,
+    """Leases evaluations for `seconds`; returns the numbers of the granted leases by id. `breakdowns` says, by id,
     how often each broke down so far.
 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
@@ -59,15 +59,14 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
 
 
 def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
-    """The evaluations whose lease of that number, by id, is the current one. The results of the others are late: another process has, or
-    had, the cell."""
+    """Returns the evaluations whose lease number, by id, is current. Other results are late: another process has, or had, the cell."""
     query = select(leases.c.evaluation_id, leases.c.number).where(leases.c.term == term_in_office(connection)).with_for_update()
     rows = rows_among(connection, query, leases.c.evaluation_id, list(numbers))
     return {evaluation for evaluation, number in rows if numbers[evaluation] == number}
 
 
 def end(connection: Connection, evaluation_ids: Sequence[int]) -> None:
-    """Ends the leases of evaluations that have their answer; to be called in the transaction that stores it."""
+    """Ends the leases of answered evaluations; the caller stores the answers in the same transaction."""
     for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids)):
         connection.execute(delete(leases).where(condition))
 
@@ -79,7 +78,7 @@ def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[in
 
 
 def forget(connection: Connection, campaign_sequence: int) -> None:
-    """Removes the leases of a campaign that has ended: its cells without an answer get none any more."""
+    """Removes the leases of an ended campaign, whose other cells get no answer."""
     pending = select(evaluations.c.id).where(
         evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_(None)
     )

@@ -19,12 +19,12 @@ from drivecal.storage.engine.tables import processes
 from drivecal.storage.engine.types import now
 
 DISPATCHER = "dispatcher"
-"""Under which the dispatcher reports itself, and whose terms are counted."""
+"""Name of the dispatcher's row, whose terms are counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredProcess:
-    """A process by its `name`, when it was last heard of, and its term where it was elected."""
+    """A process by its `name`, the time of its last heartbeat, and its term if it was elected."""
 
     name: str
     pid: int
@@ -55,9 +55,9 @@ def confirm(connection: Connection, name: str, term: int) -> None:
         raise SupersededError(f"another {name} was elected (term {current}, this one had {term}); this one writes nothing more")
 
 
-def term_in_office(connection: Connection, name: str = DISPATCHER) -> int:
-    """The current term; 0 before the first election."""
-    return connection.scalar(_term(name)) or 0
+def term_in_office(connection: Connection) -> int:
+    """Returns the dispatcher's current term; 0 before the first election."""
+    return connection.scalar(_term(DISPATCHER)) or 0
 
 
 def _term(name: str) -> Select[int]:

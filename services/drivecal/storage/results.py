@@ -1,7 +1,7 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -34,6 +34,8 @@ BATCH = 1_000
 """Rows that an export holds in memory at a time."""
 MOST_SETS = 10_000
 """Parameter sets that the reader of a query remembers."""
+Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
+"""Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
 
 
@@ -160,8 +162,10 @@ def answers(
     iteration: int | None = None,
     *,
     corrected_by: str | None = None,
+    valued: Valued | None = None,
 ) -> Iterator[CellScore]:
-    """The answered cells of one iteration, or of all, in the order of `page`; the connection must stay open meanwhile.
+    """The answered cells of one iteration, or of all, in the order of `page`, with the values that `valued` computes from the run that
+    answered each; the connection must stay open meanwhile.
 
     With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, or to that
     of the run that a certificate says it repeats. A search must not read its answers in this way: they would change after it has gone on
@@ -186,6 +190,10 @@ def answers(
         score = func.coalesce(own.c.score, proved.c.score, score)
         rating = func.coalesce(own.c.rating, proved.c.rating, rating)
         believed = copied & own.c.run_id.is_(None) & proved.c.run_id.is_(None)
+    run = runs.alias("answering_run")
+    measured = (run.c.metrics, run.c.failure) if valued is not None else ()
+    if valued is not None:
+        source = source.outerjoin(run, run.c.id == table.run_id)
     query = (
         select(
             table.parameter_set_id,
@@ -196,6 +204,7 @@ def answers(
             table.iteration,
             table.individual,
             type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
+            *measured,
         )
         .select_from(source)
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
@@ -205,7 +214,8 @@ def answers(
     if iteration is not None:
         query = query.where(table.iteration == iteration)
     for row in connection.execute(query):
-        yield CellScore(*row)
+        cell = CellScore(*row[:8])
+        yield cell if valued is None or row.metrics is None else replace(cell, values=valued(row.metrics, row.failure))
 
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
@@ -252,29 +262,10 @@ def counted_since(connection: Connection, campaign_sequence: int, stage: StageNa
     return dict(connection.execute(query).all())
 
 
-@dataclass(frozen=True, slots=True)
-class ReleasedCell:
-    """A predicted cell that was answered without a simulation."""
-
-    id: int
-    scenario: str
-    parameters: ParameterSet
-    score: float
-
-
-def released(connection: Connection, campaign_sequence: int) -> list[ReleasedCell]:
+def released(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
     """Returns the released predictions of a campaign, in the order of their request."""
-    cell = evaluations.c
-    query = (
-        select(cell.id, cell.scenario, parameter_sets.c.parameter_values, cell.score)
-        .join(parameter_sets)
-        .where(cell.campaign_sequence == campaign_sequence, cell.outcome == Outcome.PREDICTED)
-        .order_by(*_PLACE)
-    )
-    return [
-        ReleasedCell(row.id, row.scenario, ParameterSet.from_json(row.parameter_values), row.score)
-        for row in connection.execute(query)
-    ]
+    query = _of_campaign(campaign_sequence).where(evaluations.c.outcome == Outcome.PREDICTED)
+    return list(_evaluations(connection.execute(query)))
 
 
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:

@@ -1,4 +1,4 @@
-"""Looks at campaigns that cost next to nothing: whether they changed, and how far they are. No document is parsed that is not needed."""
+"""Cheap revision and progress queries. Parses only the documents that it needs."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
@@ -31,7 +31,7 @@ class CampaignRevision:
 
 @dataclass(frozen=True, slots=True)
 class ProgressSnapshot(CampaignRevision):
-    """A revision, and what moves while a campaign runs; documents as they are stored."""
+    """A revision, and the columns that change while a campaign runs; documents as stored."""
 
     stage: StageName | None
     iteration: int | None
@@ -49,7 +49,7 @@ _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCH
 _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
     campaigns.c.id == bindparam("identifier")
 )
-"""Made once: making a statement costs as much as executing it."""
+"""Statement that is built once: building it costs as much as executing it."""
 
 
 def heartbeat(connection: Connection) -> datetime | None:
@@ -58,7 +58,7 @@ def heartbeat(connection: Connection) -> datetime | None:
 
 
 def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
-    """A campaign by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
+    """Returns a campaign's revision by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
     row = identified(connection, _CAMPAIGN, "campaign", campaign_id)
     return _revision(row), row.heartbeat_at
 
@@ -66,7 +66,7 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
 def page(
     connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
 ) -> list[CampaignRevision]:
-    """The campaigns that `campaigns.page` gives for the same arguments, and one more where there are more."""
+    """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
     return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor))]
 
 

@@ -74,7 +74,7 @@ class MapError:
 
 
 def errors_of_map(connection: Connection, influence_map_id: str, before: datetime) -> list[MapError]:
-    """Returns what validations and audits of a map measured, in campaigns that ended `before`, oldest first."""
+    """Returns the measured errors of a map's validations and audits, in campaigns that ended `before`, oldest first."""
     ended = campaigns.c.influence_map_id == influence_map_id, campaigns.c.ended_at < before
     audited = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
     errors = [

@@ -1,4 +1,4 @@
-"""Time series of evaluations, simulated again on demand and kept for a while."""
+"""Time series of evaluations, simulated again on demand and kept for a limited time."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -36,22 +36,22 @@ def ask(connection: Connection, evaluation_id: int, campaign_sequence: int) -> N
 
 
 def is_made_by(connection: Connection, campaign_sequence: int) -> bool:
-    """Whether a single evaluation is there to make a trace."""
+    """Whether a single evaluation makes the trace."""
     return connection.scalar(select(exists().where(traces.c.campaign_sequence == campaign_sequence))) or False
 
 
 def fill(connection: Connection, campaign_sequence: int, content: bytes) -> None:
-    """Stores what a single evaluation has made."""
+    """Stores the time series of a single evaluation."""
     connection.execute(update(traces).where(traces.c.campaign_sequence == campaign_sequence).values(content=content))
 
 
 def forget(connection: Connection, evaluation_id: int) -> None:
-    """Lets the trace of an evaluation be asked for anew."""
+    """Removes the trace of an evaluation, so that it can be requested again."""
     connection.execute(delete(traces).where(traces.c.evaluation_id == evaluation_id))
 
 
 def prune(connection: Connection, before: datetime, most: int) -> None:
-    """Forgets what was asked for before a moment, and all but the newest `most`; not what is still being made."""
+    """Removes traces that were requested before a moment, and all but the newest `most`, except unfinished ones."""
     ended = select(campaigns.c.sequence).where(campaigns.c.ended_at.is_not(None))
     newest = select(traces.c.evaluation_id).order_by(traces.c.created_at.desc(), traces.c.evaluation_id.desc()).limit(most)
     old = (traces.c.created_at < before) | traces.c.evaluation_id.not_in(newest)

@@ -151,9 +151,9 @@ def content_digest(archive: bytes) -> str:
     return _digest(files_of(archive))
 
 
-def folder_digest(folder: Path, largest: int = LARGEST, most_files: int = MOST_FILES) -> str:
+def folder_digest(folder: Path) -> str:
     """Returns the digest of a folder's content. Raises InvalidInputError as `pack` does."""
-    return _digest(_read(folder, largest, most_files))
+    return _digest(_read(folder, LARGEST, MOST_FILES))
 
 
 def files_digest(archive: bytes) -> str:
@@ -184,7 +184,7 @@ def _digest(files: Mapping[str, BundleFile]) -> str:
 
 
 def _walked(folder: Path, prefix: str, problems: list[Problem]) -> Iterator[tuple[Path, str]]:
-    """Yields the regular files below a folder in order of names, and adds what is none to `problems`."""
+    """Yields the regular files below a folder in order of names, and adds all other entries to `problems`."""
     try:
         entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
     except OSError as error:
@@ -224,9 +224,7 @@ def _check_directory(archive: bytes, largest: int, most_files: int) -> None:
         raise _too_large("", largest, most_files)
     end = archive[-22:]
     if end[:4] != _END or end[20:] != b"\0\0" or archive[-42:-38] == _LOCATOR_64:
-        raise _refused(
-            "", "this is no zip archive, or one with a comment or in format 64", "write it with drivecal problem push"
-        )
+        raise _refused("", "this is not a zip archive, or it has a comment or format 64", "write it with drivecal problem push")
     (size,) = struct.unpack("<L", end[12:16])
     if archive.count(_ENTRY, max(0, len(archive) - 22 - size)) > 2 * most_files:
         raise _too_large("", largest, most_files)
@@ -248,7 +246,7 @@ def _checked_entries(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]
         folders |= {"/".join(parts[: end + 1]) for end in range(len(parts) - (not is_folder))}
         if not is_folder:
             if name in entries:
-                raise _refused(shown(name), "the archive holds it twice", "leave one out")
+                raise _refused(shown(name), "it appears twice in the archive", "leave one out")
             entries[name] = info
     for name in entries:
         if name in folders:
@@ -257,7 +255,7 @@ def _checked_entries(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]
 
 
 def _name_fault(name: str) -> str | None:
-    """Returns what is wrong with a path inside an archive."""
+    """Returns the fault of a path inside an archive."""
     parts = name.split("/")
     if name.startswith("/") or name[1:2] == ":":
         return "the path is absolute"

@@ -1,4 +1,4 @@
-"""Checks of a whole manifest: what no field can tell by itself. All problems are reported at once."""
+"""Checks of a whole manifest beyond single fields. All problems are reported at once."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -221,7 +221,7 @@ def _failures(names: tuple[str, ...]) -> Iterator[Problem]:
             message = f"{name} means that a run has no result"
             yield Problem(f"failures[{index}]", message, "give a failure of the system under test another name")
         elif name in names[:index]:
-            yield Problem(f"failures[{index}]", f"{name} is there twice", "give each failure once")
+            yield Problem(f"failures[{index}]", f"{name} appears twice", "give each failure once")
 
 
 def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:

@@ -68,9 +68,9 @@ class Formula:
 
     __slots__ = ("_evaluation", "names", "text")
 
-    def __init__(self, text: str, known: Iterable[str] | None = None, field: str = "formula", noun: str = "measure") -> None:
+    def __init__(self, text: str, known: Iterable[str] | None = None, field: str = "formula") -> None:
         """Parses a formula over `known` names; None allows any. Raises InvalidInputError naming `field` and the column of each fault."""
-        parser = _Parser(text, None if known is None else dict.fromkeys(known, ()), field, noun)
+        parser = _Parser(text, None if known is None else dict.fromkeys(known, ()), field, "measure")
         tree = parser.parsed()
         parser.check_number(tree)
         parser.finish()

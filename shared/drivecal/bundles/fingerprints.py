@@ -1,4 +1,4 @@
-"""Content of fingerprints: what decides a run of a bundle, and what decides a score of a run."""
+"""Content of fingerprints: the inputs of a bundle's run, and of a run's score."""
 
 from typing import Any
 
@@ -31,7 +31,7 @@ def setup_document(
 
 
 def _said(manifest: Manifest, tools: str | None) -> dict[str, Any]:
-    """Returns what else decides a run: the versions of other tools, which values are sent as whole numbers, and the problem's name in the
+    """Returns further inputs of a run: the versions of other tools, which values are sent as whole numbers, and the problem's name in the
     greeting of a process."""
     said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
     if manifest.simulator.kind == "process":

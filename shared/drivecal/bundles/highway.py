@@ -24,7 +24,7 @@ Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class ControllerEntry(Model):
-    """What every controller has: `output`, the commands that it gives, and its `period` (s), by default the simulator's step."""
+    """Fields of every controller: `output`, the commands that it gives, and its `period` (s), by default the simulator's step."""
 
     output: Outputs
     period: Annotated[float, Field(gt=0, le=60)] | None = None
@@ -186,7 +186,7 @@ class Ego(Placed):
 
 
 class Driver(Model):
-    """What a vehicle or flow of the traffic drives like; what is left out is SUMO's default, without randomness.
+    """Driver of a vehicle or flow of the traffic; missing fields have SUMO's defaults, without randomness.
 
     `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
     limit times `speed_factor`, at most `max_speed`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
@@ -213,7 +213,7 @@ class Driver(Model):
 
 
 class TrafficEntry(Placed, Driver):
-    """A vehicle that is there from the start. `id`: by default `vehicle0` and so on."""
+    """A vehicle that exists from the start. `id`: by default `vehicle0` and so on."""
 
     id: VehicleId | None = None
     actions: Annotated[list[Action], Field(max_length=50, default_factory=list)]

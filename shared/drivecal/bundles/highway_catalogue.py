@@ -1,4 +1,4 @@
-"""What the simulator `highway` observes, takes, measures and records: names, units and meanings, for checks, errors and documentation."""
+"""Quantities that the simulator `highway` observes, takes, measures and records: names, units and meanings."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -7,9 +7,9 @@ from typing import NamedTuple
 FAILURES = ("collision", "off_road", "unstable")
 """Failures of the controlled vehicle: it hits another one, leaves the outermost lanes by more than 0.5 m, or exceeds 9.81 m/s² sideways."""
 FAR = 1000.0
-"""Gap (m) that is observed if nobody is there, and the reach of all observations of other vehicles."""
+"""Gap (m) that is observed without a vehicle, and the reach of all observations of other vehicles."""
 LONGEST = 100.0
-"""Largest time to collision and time headway (s): what a run without a leader measures."""
+"""Largest time to collision and time headway (s), also the value of a run without a leader."""
 
 
 class Quantity(NamedTuple):
@@ -97,7 +97,7 @@ def _neighbours(prefix: str, place: str) -> dict[str, Quantity]:
 SIGNALS: Mapping[str, Quantity] = MappingProxyType(
     {name: quantity for prefix, place in _OF.items() for name, quantity in _neighbours(prefix, place).items()} | _OWN
 )
-"""What a controller observes in each of its steps."""
+"""Observations of a controller in each of its steps."""
 
 _SSM = "Minderhoud and Bovy, Accident Analysis and Prevention 33 (2001)"
 MEASURES: Mapping[str, Quantity] = MappingProxyType(
@@ -143,7 +143,7 @@ MEASURES: Mapping[str, Quantity] = MappingProxyType(
         "lane_changes": Quantity("1", "number of times that the vehicle's centre enters another lane"),
     }
 )
-"""What every run measures. Gaps are read after each step of the traffic, accelerations every 0.01 s."""
+"""Measures of every run. Gaps are read after each step of the traffic, accelerations every 0.01 s."""
 
 SERIES: Mapping[str, Quantity] = MappingProxyType(
     {

@@ -1,4 +1,4 @@
-"""Checks of a manifest's simulator `highway`: what no field can tell by itself."""
+"""Checks of a manifest's simulator `highway` beyond single fields."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -70,7 +70,7 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
             if name not in SIGNALS:
                 yield Problem(field, f"{shown(name)} is no signal", nearest(name, list(SIGNALS)))
             elif name in (controller.signals or ())[:index]:
-                yield Problem(field, f"{name} is there twice", "give each signal once")
+                yield Problem(field, f"{name} appears twice", "give each signal once")
 
 
 def _vehicle(vehicle: UserVehicleEntry) -> Iterator[Problem]:
@@ -97,7 +97,7 @@ def _vehicle(vehicle: UserVehicleEntry) -> Iterator[Problem]:
 def _outputs(controller: AnyController) -> Iterator[Problem]:
     output = controller.output
     if len(set(output)) < len(output):
-        yield Problem("simulator.controller.output", f"{output[0]} is there twice", "give each command once")
+        yield Problem("simulator.controller.output", f"{output[0]} appears twice", "give each command once")
     elif {"curvature", "steering"} <= set(output):
         remedy = "leave one of them out"
         yield Problem("simulator.controller.output", "curvature and steering both steer", remedy)
@@ -247,7 +247,7 @@ def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Prob
 
 
 def measures_problems(measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str]) -> Iterator[Problem]:
-    """Yields what the manifest declares of answers and the simulator does not give, or gives in another unit."""
+    """Yields declared measures, series and failures that the simulator lacks or has in another unit."""
     yield from _known("measures", measures, MEASURES)
     yield from _known("series", series, SERIES)
     for index, name in enumerate(failures):

@@ -65,8 +65,12 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
     return networks, tuple(notes)
 
 
-def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> None:
-    """Raises InvalidInputError if a scenario's files, network, route and places do not fit each other, with the fields of the manifest."""
+def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
+    """Returns what the files of scenarios say and is ignored, and a note on each route that ends before its scenario's duration, at the
+    ego vehicle's start speed.
+
+    Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
+    """
     roads = _Roads(files)
     problems: dict[str, list[Problem]] = {}
     descriptions: dict[str, Description] = {}
@@ -80,31 +84,23 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> None:
             if description.scenario is not scenario:
                 problems[field] += _located(description, field, _again(description.scenario, field, manifest))
     _check_effort(descriptions.values())
-    for field, description in _by_road(descriptions):
-        problems[field] += _located(description, field, _problems(roads, field, description.scenario))
-    if any(problems.values()):
-        raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
-
-
-def scenario_notes(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
-    """Returns what the files of the checked scenarios say and is ignored, and a note on each route that ends before the duration, at the
-    ego vehicle's start speed.
-    """
-    roads = _Roads(files)
-    descriptions = {
-        field: described(scenario, roads.files, roads.map, _step(manifest)) for field, scenario in _scenarios(manifest)
-    }
     notes = dict.fromkeys(descriptions, "")
     for field, description in _by_road(descriptions):
-        scenario, road = description.scenario, roads.corridor(description.scenario)
-        ahead = road.length - _start(road, scenario)
-        if ahead < scenario.ego.speed * scenario.duration:
-            seconds = ahead / scenario.ego.speed
-            notes[field] = (
-                f"{field}: at {scenario.ego.speed:g} m/s the route ends after {seconds:.1f} of {scenario.duration:g} s"
-            )
+        problems[field] += _located(description, field, _problems(roads, field, description.scenario))
+        if not problems[field]:
+            notes[field] = _note(roads.corridor(description.scenario), field, description.scenario)
+    if any(problems.values()):
+        raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
     ignored = chain.from_iterable(description.notes for description in descriptions.values())
     return (*dict.fromkeys(ignored), *filter(None, notes.values()))
+
+
+def _note(road: Corridor, field: str, scenario: HighwayScenario) -> str:
+    """Returns a note on a route that is shorter than the drive at start speed, else nothing."""
+    ego, ahead = scenario.ego, road.length - _start(road, scenario)
+    if ahead >= ego.speed * scenario.duration:
+        return ""
+    return f"{field}: at {ego.speed:g} m/s the route ends after {ahead / ego.speed:.1f} of {scenario.duration:g} s"
 
 
 def _again(scenario: HighwayScenario, field: str, manifest: Manifest) -> Iterator[Problem]:
@@ -241,14 +237,22 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
             f"the lane {shown(f'{edge.id}_{vehicle.lane}', 90)} is {length:.2f} m long, and has no position {vehicle.s:g} m"
         )
         yield Problem(f"{field}.s", message, f"give 0 to {length:.2f}")
-    if edge is not None and vehicle.route is not None and vehicle.edge not in vehicle.route:
-        yield Problem(f"{field}.edge", f"{shown(vehicle.edge, 80)} is not on the vehicle's route", "give an edge of it")
+    yield from _on_own_route(edge, vehicle, field)
 
 
 def _flow(network: Network, scenario: HighwayScenario, flow: FlowEntry, field: str) -> Iterator[Problem]:
+    """Yields the faults of a flow's begin and route."""
     yield from _route(network, flow, field)
     name = flow.edge or (flow.route or scenario.route)[0]
-    yield from _place(network, network.edges.get(name), name, flow.lane, field)
+    edge = network.edges.get(name)
+    yield from _place(network, edge, name, flow.lane, field)
+    yield from _on_own_route(edge, flow, field)
+
+
+def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Problem]:
+    """Yields the fault of an edge of the network that is not on the driver's own route."""
+    if edge is not None and driver.route is not None and edge.id not in driver.route:
+        yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 
 
 def _place(network: Network, edge: Edge | None, name: str, lane: int | str, field: str) -> Iterator[Problem]:

@@ -1,4 +1,4 @@
-"""Scores of runs: what a formula makes of measures. Pure."""
+"""Scores of runs: formulas of measures. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

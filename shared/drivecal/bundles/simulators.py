@@ -1,4 +1,4 @@
-"""What the sections of all simulators in a manifest share: types of fields, and the settings of child processes."""
+"""Common part of the simulators' sections in a manifest: types of fields, and the settings of child processes."""
 
 from typing import Annotated
 

@@ -27,7 +27,7 @@ class SensitivityCost(Answer):
 
 
 class MapCost(Answer):
-    """The influence map in use and what making it cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
+    """The influence map in use and its cost. `paid_here`: by this campaign's own sensitivity stage; else by `made_by`, an
     earlier campaign's id (null: expert knowledge)."""
 
     id: str
@@ -71,7 +71,7 @@ class ScenarioAccount(Answer):
 
 
 class BreakEven(Answer):
-    """When a map pays: its cost against what reuse saves at the share observed in this campaign.
+    """Break-even of a map: its cost against the savings of reuse at the share observed in this campaign.
 
     `requested_cells`: from so many requested cells on; `campaigns`: from so many campaigns like this one on the same map, the first
     included; `reruns`: the same without the first. All null if nothing was reused, so that the map never pays at that share.
@@ -125,5 +125,5 @@ class Accounting(Answer):
     net_seconds: float
     map_net_seconds: float | None
     break_even: BreakEven | None
-    """Null without a map, or where its cost is nothing."""
+    """Null without a map, or with a map without cost."""
     sentence: str

@@ -34,7 +34,7 @@ def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
         if not equals or not name:
             problems.append(Problem(field, f"{shown(part)} is no assignment", "write NAME=NUMBER"))
         elif value is None:
-            problems.append(Problem(f"{field} {name}", f"{shown(digits)} is no number", "give a finite number, e.g. 0.5"))
+            problems.append(Problem(f"{field} {name}", f"{shown(digits)} is not a number", "give a finite number, e.g. 0.5"))
         elif name in values:
             problems.append(Problem(f"{field} {name}", "it is given twice", "give it once"))
         else:

@@ -1,10 +1,11 @@
 """Answers about campaigns."""
 
 from datetime import datetime
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
+from drivecal.contracts.notebooks import html_facts, html_table
 from drivecal.domain.scales import COMFORT, Scale
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
@@ -14,7 +15,7 @@ Score = int | float
 
 
 class Answer(BaseModel):
-    """The base of all answers: immutable; a client of an older version ignores what it does not know."""
+    """The base of all answers: immutable; a client of an older version ignores unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
 
@@ -24,6 +25,10 @@ class Page(Answer, Generic[RowModel]):
 
     items: list[RowModel]
     next_cursor: str | None = None
+
+    def _repr_html_(self) -> str:
+        """Returns the rows as a notebook shows them."""
+        return html_table([row.model_dump(mode="json") for row in self.items])
 
 
 class Progress(Answer):
@@ -52,7 +57,7 @@ class CellCounts(Answer):
     sampled: int = 0
     """Predicted cells that were drawn as the sample of their lot; among `simulated` and `certified`."""
     checked: int = 0
-    """Certified cells that were simulated all the same, to check the certificate; among `simulated`. One that differs ends the campaign."""
+    """Certified cells that were simulated to check the certificate; among `simulated`. A different result ends the campaign."""
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
@@ -213,14 +218,14 @@ class Campaign(CellsByStage):
     """Or `comparison`, whose cells are the sums over its runs."""
     state: str
     requested_action: str | None = None
-    """`pause`, `resume` or `cancel`, where that was asked for and is not done yet."""
+    """`pause`, `resume` or `cancel` if requested and not done yet."""
     degraded: str | None = None
-    """Why it goes on more slowly, or not at all, for now."""
+    """Why it is slow or stands still for now."""
     stage: str | None = None
     iteration: int | None = None
     progress: Progress = Progress()
     scale: Scale = COMFORT
-    """What the numbers of scores mean: direction, usual range, tolerance, unit. That of the comfort score before a campaign starts."""
+    """Scale of the scores: direction, usual range, tolerance, unit. Before a campaign starts, the scale of the comfort score."""
     error_rate: dict[str, ErrorRate] = {}
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""
@@ -240,6 +245,20 @@ class Campaign(CellsByStage):
     """The specification with its defaults. Empty in a list if longer than 20,000 characters: read the campaign by its id."""
     links: dict[str, str] = {}
 
+    def _repr_html_(self) -> str:
+        """Returns the campaign as a notebook shows it."""
+        done = f"{self.progress.done:,} of {self.progress.total:,} cells"
+        facts = {
+            "campaign": self.name,
+            "id": self.id,
+            "state": self.state,
+            "stage": self.stage,
+            "progress": done,
+            "error": self.error,
+        }
+        best = {} if self.best is None else {"best objective": self.best.objective, **self.best.parameters}
+        return html_facts({name: value for name, value in (facts | best).items() if value is not None})
+
 
 class CampaignPage(Page[Campaign]):
     """A page of campaigns, newest first; `next_cursor` null on the last."""
@@ -258,4 +277,97 @@ class ExpectedRuns(Answer):
     break_even_share: float | None = None
     """The share of requested cells that would have to be reused for all runs of the interval analysis to pay within this campaign, all
     counted alike: above 1 they cannot. Null without both stages. How many will be reused cannot be known before."""
+    milliseconds: float | None = None
+    """Time for which one simulation occupies a worker; null if none of a user's own simulator was made in these setups yet."""
+    measured: bool = False
+    """Whether that was measured in these setups; else it is assumed."""
+    workers: int | None = None
+    """Workers at this moment; null if the dispatcher is silent."""
+    seconds: float | None = None
+    """All simulations at most, on the `workers`; null if their time or the workers are not known."""
     notes: list[str] = []
+
+
+StudyName = Literal["robustness", "validation"]
+STUDIES: tuple[StudyName, ...] = get_args(StudyName)
+
+
+class Study(Answer):
+    """A study of a campaign's results, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
+    the model that was driven."""
+
+    campaign: str
+    name: str
+    stage: StudyName
+    state: str
+    settings: dict[str, Any]
+    vehicle: str | None = None
+    ended_at: datetime | None
+
+
+class StudyPage(Page[Study]):
+    """The studies of a campaign's best sets and of its influence map, newest first."""
+
+
+class FrontObjective(Answer):
+    """An objective, in its own units: best and worst value on the front (null without one), and the `reference` of hypervolumes.
+
+    `aggregate`: mean, min, max or `quantile Q` over the scenarios.
+    """
+
+    name: str
+    unit: str
+    direction: str
+    aggregate: str
+    scenarios: dict[str, float]
+    """Weights, of sum 1."""
+    tolerance: float
+    reference: float
+    best: float | None
+    worst: float | None
+
+
+class FrontGrowth(Answer):
+    """The front of all sets up to an iteration; -1: those of other campaigns. `hypervolume` is null for more than three objectives."""
+
+    iteration: int
+    hypervolume: float | None
+    size: int
+
+
+class FrontSummary(Answer):
+    """The front of a campaign: `evaluated` sets have a value of every objective, `feasible` ones keep all constraints, `size` make the
+    front, of which `copied` have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
+
+    objectives: list[FrontObjective]
+    constraints: list[str]
+    evaluated: int
+    feasible: int
+    size: int
+    copied: int
+    knee: int | None
+    extremes: dict[str, int] = {}
+    hypervolume: float | None
+    growth: list[FrontGrowth]
+
+
+class ValuePair(Answer):
+    """Two values of the same thing; `gain`: by how much the second is better, null if neither is."""
+
+    name: str
+    first: Score | str | None
+    second: Score | str | None
+    gain: float | None = None
+
+
+class TradeOff(Answer):
+    """Two sets of a front, by rank: all objectives, scores by scenario, and the parameters that differ. `distance`: root mean square, in
+    shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
+
+    first: int
+    second: int
+    objectives: list[ValuePair]
+    scores: list[ValuePair]
+    parameters: list[ValuePair]
+    distance: float
+    text: list[str]

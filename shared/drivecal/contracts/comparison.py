@@ -46,13 +46,13 @@ class ComparisonSpecification(ProblemSpecification):
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
     populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
     seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
-    """At least three, as in the paper: of fewer nothing can be said about what is chance."""
+    """At least three, as in the paper: fewer say nothing about chance."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     start: Literal["lhs", "halton"] = "halton"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)
-    """By mode alone, or with settings; only modes that use a map get it. The others are compared with the first, seed by seed."""
+    """Modes, alone or with settings; only modes that use a map get it. The others are compared with the first, seed by seed."""
     at_a_time: Annotated[int, Field(ge=1, le=64)] = 4
-    """Runs that go on side by side, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
+    """Runs that are active at the same time, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
 
     @field_validator("reductions")
     @classmethod
@@ -140,9 +140,9 @@ class ComparedGroup(Answer):
     rating: float | None
     """Mean, of the best sets."""
     alternatives: float | None
-    """Mean number."""
+    """Mean number of alternative optima."""
     simulations: float | None
-    """Mean number."""
+    """Mean number of simulations."""
     converged: int
     iterations_to_converge: float | None
     simulations_to_converge: float | None

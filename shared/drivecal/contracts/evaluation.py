@@ -22,13 +22,13 @@ class EvaluatedCell(Answer):
     milliseconds: float | None
     worker: str | None
     detail: str | None = None
-    """Why there is no result, in words, where all attempts failed."""
+    """Reason of the missing result, if all attempts failed."""
     metrics: dict[str, float | None] | None = None
     """The measured metrics, their units in their names; null is one that this run does not define."""
 
 
 class CampaignOfEvaluation(Answer):
-    """What an evaluation's numbers mean: `problem` is highway or the digest of a bundle, `scale` that of its score."""
+    """Context of an evaluation's numbers: `problem` is highway or the digest of a bundle, `scale` that of its score."""
 
     id: str
     problem: str
@@ -91,7 +91,7 @@ class Evaluation(Answer):
     state: str
     parameters: dict[str, float | str]
     scenario: str | None
-    """Null where all scenarios of the catalogue were asked for."""
+    """Null if all scenarios of the catalogue were requested."""
     objective: float | None
     """The mean score over the scenarios, null until all have one."""
     items: list[EvaluatedCell]

@@ -151,7 +151,7 @@ class Explanation(Answer):
     score: Score | None
     failure: str | None
     detail: str | None = None
-    """What the last attempt at a cell without a result reported."""
+    """Report of the last attempt at a cell without a result."""
     reason: Reason
     sentence: str
     reference: Reference | None = None

@@ -4,9 +4,21 @@ These models check each field by itself. What needs the installed plug-ins (does
 checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
 """
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from drivecal.domain.scales import Scale
 
@@ -141,8 +153,68 @@ class ReductionSpecification(Model):
         if sensitivity is None or "mode" in self.model_fields_set:
             return self
         settled = self.model_copy(update={"mode": "both"})
-        settled.__pydantic_fields_set__.discard("mode")  # still a default: nobody gave it
+        settled.__pydantic_fields_set__.discard("mode")  # still a default
         return settled
+
+
+class Quantile(Model):
+    """The least value that this share of the weight does not exceed."""
+
+    quantile: Annotated[float, Field(ge=0, le=1)]
+
+
+class GoalSpecification(Model):
+    """A declared score or a stored measure, over scenarios.
+
+    `weights`: of the scenarios, the campaign's if left out; `min`, `max` and quantiles are those of the values, whichever direction is
+    better. `failed`: worth of a measure of failed runs; without it, a set with a failed run has no result here.
+    """
+
+    score: Identifier | None = None
+    measure: Identifier | None = None
+    name: Identifier | None = None
+    """The score's or measure's own if left out."""
+    scenarios: Literal["all"] | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "all"
+    weights: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e6)]], Field(max_length=1000)] = {}
+    failed: Number | None = None
+
+    @model_validator(mode="after")
+    def _names_a_value(self) -> Self:
+        if (self.score is None) == (self.measure is None):
+            raise ValueError("it names no score or measure, or both; give one of them")
+        if self.score is not None and self.failed is not None:
+            raise ValueError("a score has a worth of failed runs already; leave `failed` out")
+        return self
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+        return self.name or self.score or self.measure or ""
+
+
+class ObjectiveSpecification(GoalSpecification):
+    """An objective. Differences up to `tolerance` do not count; `reference`: the worst value of interest, from which hypervolumes are
+    measured (the worst end of a score's range if left out)."""
+
+    aggregate: Literal["mean", "min", "max"] | Quantile = "mean"
+    direction: Literal["maximise", "minimise"] | None = None
+    """Needed for a measure; a score has its own."""
+    tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    reference: Number | None = None
+
+
+class ConstraintSpecification(GoalSpecification):
+    """A constraint: without `aggregate`, it has to hold in every scenario."""
+
+    aggregate: Literal["mean", "min", "max"] | Quantile | None = None
+    at_least: Number | None = None
+    at_most: Number | None = None
+
+    @model_validator(mode="after")
+    def _has_a_limit(self) -> Self:
+        if (self.at_least is None) == (self.at_most is None):
+            raise ValueError("it has no limit, or two; give at_least or at_most")
+        return self
 
 
 class RobustnessSpecification(Model):
@@ -231,10 +303,20 @@ class CampaignSpecification(ProblemSpecification):
     """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions and certificates, without an analysis."""
 
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
-    """Null where only other stages are wanted."""
+    """Null if only other stages are requested."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
     robustness: RobustnessSpecification | None = None
     validation: ValidationSpecification | None = None
+    objectives: Annotated[list[ObjectiveSpecification], Field(min_length=1, max_length=20)] | None = None
+    """Null: the weighted mean of the campaign's score."""
+    constraints: Annotated[list[ConstraintSpecification], Field(max_length=100)] = []
+    """On scores and measures; sets that keep them are better than sets that do not."""
+
+    @model_serializer(mode="wrap")
+    def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leaves out goals that were not given, so that documents and their digests are those of earlier releases."""
+        document: dict[str, Any] = dump(self)
+        return {name: value for name, value in document.items() if value or name not in {"objectives", "constraints"}}
 
     @field_validator("reduction")
     @classmethod

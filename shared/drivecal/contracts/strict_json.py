@@ -90,7 +90,7 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
         seen: set[str] = set()
         for key, _ in pairs:
             if key in seen:
-                raise InvalidInputError(Problem(shown(key), "the key is there twice", "give each key once"))
+                raise InvalidInputError(Problem(shown(key), "the key appears twice", "give each key once"))
             seen.add(key)
     return document
 

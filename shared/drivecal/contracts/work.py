@@ -118,7 +118,7 @@ class Cell:
     certify: bool = False
     check: bool = False
     trace: bool = False
-    """It is simulated in any case, and its time series are wanted."""
+    """Whether it is simulated in any case, for its time series."""
     probes: tuple[Probe, ...] = ()
     """Probes of the same setup, checked after this cell."""
 
@@ -166,7 +166,7 @@ class CellResult:
     proven_by: int | None = None
     """The cell whose run it would repeat, bit for bit; its result stands here without a simulation, unless `agrees` says otherwise."""
     agrees: bool | None = None
-    """Of a cell that was certified and simulated all the same: whether both are the same. False without `proven_by`: the simulation of
+    """Whether the simulation of a certified cell has the certified result. False without `proven_by`: the simulation of
     this setup turned out not to be deterministic."""
     probed: tuple[tuple[int, int], ...] = ()
     """Known probes: the id, and the id of the cell whose run it would repeat."""
@@ -212,4 +212,4 @@ class BatchResult:
     learned: tuple[RecordedRun, ...] = ()
     """Recorded runs, if the batch says `share`."""
     tools: str | None = None
-    """What the `probe` answers on this worker, if the batch has no cells, or if it is refused because of that answer."""
+    """Answer of the `probe` on this worker, if the batch has no cells, or if it is refused because of that answer."""

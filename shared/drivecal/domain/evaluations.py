@@ -103,6 +103,8 @@ class CellScore:
     iteration: int
     individual: int
     predicted: bool = False
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Other values of the run that answered the cell, by their keys."""
 
 
 @dataclass(frozen=True, slots=True)

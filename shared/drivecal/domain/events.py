@@ -48,7 +48,7 @@ class EventKind(StrEnum):
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
     REUSE_STOPPED = "reuse_stopped"
-    """Of an earlier release: too many `audited` cells of a `scenario` were `wrong`; from then on all its cells were simulated."""
+    """Event of an earlier release: too many `audited` cells of a `scenario` were `wrong`; from then on all its cells were simulated."""
     LOT_REJECTED = "lot_rejected"
     """The first lot of references in a `scenario` was rejected: so many `audited` cells were `wrong` until then."""
     RUN = "run"

@@ -114,7 +114,7 @@ class Parameter:
         """
         if choices is not None:
             if integer or not lower is upper is step is None:
-                raise _refused(name, "choices", "a choice is no number", "leave lower, upper, step and integer out")
+                raise _refused(name, "choices", "a choice is not a number", "leave lower, upper, step and integer out")
             return cls.choice(name, choices, unit, description)
         if lower is None or upper is None:
             missing = "lower" if lower is None else "upper"
@@ -163,7 +163,7 @@ class Parameter:
     def choice(cls, name: str, choices: Sequence[str], unit: str = "1", description: str = "") -> Parameter:
         """Creates an unordered choice between texts. Raises InvalidInputError if there are fewer than two different ones."""
         if len(choices) < 2 or len(set(map(code, choices))) < len(choices):
-            raise _refused(name, "choices", f"{list(choices)} is no list of choices", "give two or more different texts")
+            raise _refused(name, "choices", f"{list(choices)} is not a list of choices", "give two or more different texts")
         return cls(name, Decimal(0), Decimal(len(choices) - 1), len(choices), unit, description, "choice", tuple(choices))
 
     @classmethod
@@ -233,7 +233,7 @@ class Parameter:
         return self.choices[index] if self.choices else number
 
     def index(self, value: Value, field_name: str | None = None) -> int:
-        """Returns the grid index of a value. Raises InvalidInputError naming the nearest values or the choices if it is none."""
+        """Returns the grid index of a value. Raises InvalidInputError naming the nearest values or the choices if it is not on the grid."""
         path = field_name or self.name
         if self.choices:
             if value not in self.choices:

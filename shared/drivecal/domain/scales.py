@@ -72,7 +72,7 @@ class Scale:
 
     @property
     def largest_agreeing(self) -> float:
-        """Largest difference of scores that is no error: the tolerance, with room for rounding."""
+        """Largest difference of agreeing scores: the tolerance, with room for rounding."""
         return self.tolerance + ROUNDING_SHARE * self.span
 
     def is_wrong(self, difference: float) -> bool:

@@ -253,6 +253,10 @@ class Optimizer(Protocol):
         """Receives the objectives of the last population, shape (n,): higher is better, NaN for individuals without a result (ranked last).
 
         `tie_breakers` rank equal objectives (the weighted continuous rating).
+
+        An optimizer that declares `objectives` gets those of a campaign with several, or with constraints on results, in shape (n, m), and
+        in the place of tie breakers the sums of violations, shape (n,): 0 for individuals that keep all constraints, which are better than
+        all that do not. NaN in both for individuals without a result.
         """
 
     def state(self) -> dict[str, Any]:
@@ -279,8 +283,9 @@ class OptimizerPlugin(Named, Protocol):
         """Creates an optimizer that continues from `state`."""
 
 
-Ability = Literal["grid", "continuous", "integer", "choice", "constraints"]
-"""Kinds of parameters that an optimizer searches, and `constraints`: repaired individuals."""
+Ability = Literal["grid", "continuous", "integer", "choice", "constraints", "objectives"]
+"""Kinds of parameters that an optimizer searches, `constraints`: repaired individuals, and `objectives`: several, and constraints on
+results."""
 UNDECLARED: frozenset[Ability] = frozenset({"grid", "integer"})
 """Abilities of an optimizer that declares none."""
 

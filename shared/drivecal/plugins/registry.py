@@ -134,9 +134,9 @@ def _usable(group: str) -> list[Any]:
     return [plugin for plugin in _listed(group) if not isinstance(plugin, BrokenPlugin)]
 
 
-def driving_function(name: str, field: str = "driving_function") -> DrivingFunction:
+def driving_function(name: str) -> DrivingFunction:
     """Returns a driving function by name. Raises InvalidInputError listing the installed names."""
-    return cast("DrivingFunction", _find(DRIVING_FUNCTIONS, name, field))
+    return cast("DrivingFunction", _find(DRIVING_FUNCTIONS, name, "driving_function"))
 
 
 def driving_functions() -> list[DrivingFunction]:
@@ -149,9 +149,9 @@ def vehicle(name: str, field: str = "vehicle.model") -> Vehicle:
     return cast("Vehicle", _find(VEHICLES, name, field))
 
 
-def evaluator(name: str, field: str = "evaluator") -> Evaluator:
+def evaluator(name: str) -> Evaluator:
     """Returns a comfort evaluator by name. Raises InvalidInputError listing the installed names."""
-    return cast("Evaluator", _find(EVALUATORS, name, field))
+    return cast("Evaluator", _find(EVALUATORS, name, "evaluator"))
 
 
 def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
@@ -164,14 +164,14 @@ def optimizers() -> list[OptimizerPlugin]:
     return _usable(OPTIMIZERS)
 
 
-def simulator(name: str, field: str = "simulator") -> DriveSimulator:
+def simulator(name: str) -> DriveSimulator:
     """Returns a simulator of driving functions by name. Raises InvalidInputError listing the installed names."""
-    return cast("DriveSimulator", _find(SIMULATORS, name, field))
+    return cast("DriveSimulator", _find(SIMULATORS, name, "simulator"))
 
 
-def catalogue(name: str, field: str = "catalogue") -> Catalogue:
+def catalogue(name: str) -> Catalogue:
     """Returns a scenario catalogue by name. Raises InvalidInputError listing the installed names."""
-    return cast("Catalogue", _find(CATALOGUES, name, field))
+    return cast("Catalogue", _find(CATALOGUES, name, "catalogue"))
 
 
 def catalogues() -> list[Catalogue]:

@@ -25,7 +25,7 @@ def check_junction(network: Network, links: Sequence[Connection], index: int) ->
         if link.light:
             raise _refused(network, index, f"{where} has traffic lights", "give a route without crossings")
         if link.direction == TURN:
-            raise _refused(network, index, f"{where}: the route turns back", "give a route that goes on")
+            raise _refused(network, index, f"{where}: the route turns back", "give a route that continues")
         if link.state in STOPS:
             raise _refused(network, index, f"{where} has {STOPS[link.state]}", "give a route without crossings")
     crossing = next(_crossings(network, junction, links), None)

@@ -33,7 +33,7 @@ class _Side:
 
     @property
     def s(self) -> float:
-        """The end's s."""
+        """s of the end."""
         return 0.0 if self.contact == START else self.road.length
 
     def leaves(self, lane: int) -> bool:
@@ -145,6 +145,6 @@ def _left_border(side: _Side, lane: int, s: Floats) -> tuple[float, float]:
 
 
 def _number(text: str | None) -> int:
-    """Returns a lane's number, 0 if it is none."""
+    """Returns a lane's number, 0 if the text is not a number."""
     plain = (text or "").removeprefix("-")
     return int(text or "0") if plain.isascii() and plain.isdigit() and len(plain) < 3 else 0

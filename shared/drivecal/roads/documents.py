@@ -68,12 +68,7 @@ class Attributes:
 
 
 def read_elements(
-    content: bytes,
-    name: str,
-    root: str,
-    start: Callable[[Attributes], None],
-    end: Callable[[str], None] | None = None,
-    text: Callable[[str], None] | None = None,
+    content: bytes, name: str, root: str, start: Callable[[Attributes], None], end: Callable[[str], None]
 ) -> None:
     """Calls `start` with each element of a file, and `end` with its tag when it closes.
 
@@ -89,7 +84,7 @@ def read_elements(
         attributes = Attributes(name, tag, values, parser.CurrentLineNumber)
         depth, elements = depth + 1, elements + 1
         if depth == 1 and tag != root:
-            raise attributes.fault(f"the document is no <{root}>", _REMEDIES.get(root, "give another file"))
+            raise attributes.fault(f"the document is not a <{root}>", _REMEDIES.get(root, "give another file"))
         if depth > DEEPEST or elements > MOST_ELEMENTS:
             limit = f"nested deeper than {DEEPEST} levels" if depth > DEEPEST else f"of more than {MOST_ELEMENTS:,} elements"
             raise attributes.fault(f"the document is {limit}", "cut the part out that is driven")
@@ -100,8 +95,7 @@ def read_elements(
     def ended(tag: str) -> None:
         nonlocal depth
         depth -= 1
-        if end is not None:
-            end(tag)
+        end(tag)
 
     def refused(*_: object) -> None:
         message = f"line {parser.CurrentLineNumber}: the file declares a document type, which may hold entities"
@@ -109,8 +103,6 @@ def read_elements(
 
     parser.StartElementHandler, parser.EndElementHandler = started, ended
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refused
-    if text is not None:
-        parser.CharacterDataHandler = text
     try:
         parser.Parse(content, True)  # expat's own signature
     except expat.ExpatError as error:

@@ -276,7 +276,7 @@ class _Reader:
         index, bits = attributes.integer("index", 0, 10_000), attributes.text("foes")
         if index != len(self.foes) or len(bits) > 10_000 or not set(bits) <= {"0", "1"}:
             raise attributes.fault(
-                "the requests are not numbered 0, 1, ..., or their foes are no bits", "build the network again"
+                "the requests are not numbered 0, 1, ..., or their foes are not bits", "build the network again"
             )
         self.foes.append(bits)
 
@@ -310,7 +310,7 @@ def _widths(attributes: Attributes) -> Floats:
     shares = widths[:, 0]
     in_order = len(widths) > 1 and bool(np.all(np.diff(shares) >= 0.0) and shares[0] == 0.0 and shares[-1] <= 1.0)
     if not in_order or not np.all((widths[:, 1] >= 0.0) & (widths[:, 1] <= WIDEST)):
-        raise attributes.fault("its widths are no pairs of a share and a width", "convert the file again")
+        raise attributes.fault("its widths are not pairs of a share and a width", "convert the file again")
     return widths
 
 
@@ -325,7 +325,7 @@ def _shape(attributes: Attributes) -> Floats:
             raise ValueError
         shape = np.array([part[:2] for part in parts], np.float64)
     except ValueError:
-        raise attributes.fault("its shape holds what is no point x,y or x,y,z", "correct the shape") from None
+        raise attributes.fault("its shape holds a value that is not a point x,y or x,y,z", "correct the shape") from None
     if not np.all(np.abs(shape) <= FARTHEST):  # NaN compares as false
         raise attributes.fault(f"its shape has coordinates beyond {FARTHEST:g} m", "correct the shape")
     return shape

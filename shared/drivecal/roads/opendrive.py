@@ -160,8 +160,10 @@ class _Reader:
         self.kind_begin = 0.0
 
     def start(self, attributes: Attributes) -> None:
-        """Takes an element of a known place."""
+        """Takes an element of a known place. Refuses what would let netconvert read other files."""
         element = attributes.element
+        if element == "include":
+            raise attributes.fault("the element names another file, which netconvert would read", "give the roads in one file")
         inside = self.path[-1] if self.path else ""
         self.path.append(element)
         if element in IGNORED and PATHS.get(element, inside) == inside:
@@ -228,7 +230,7 @@ class _Reader:
     def _on_lane(self, attributes: Attributes) -> None:
         road, index = self._open_road(attributes), attributes.integer("id", -64, 64)
         if not road.sections or index in road.sections[-1].lanes:
-            raise attributes.fault(f"road {shown(road.id, 60)}: the lane is there twice, or outside of a section", "rename it")
+            raise attributes.fault(f"road {shown(road.id, 60)}: the lane appears twice, or outside of a section", "rename it")
         self.lane = FileLane(index, attributes.text("type", "none"), attributes.line)
         road.sections[-1].lanes[index] = self.lane
 

@@ -89,7 +89,7 @@ def _checked(route: Sequence[str]) -> Sequence[str]:
         raise InvalidInputError(Problem("route", f"it has {len(route)} edges", f"give 1 to {MOST_EDGES:,}"))
     for index, name in enumerate(route):
         if name in route[:index]:
-            message = f"the edge {shown(name, 80)} is there twice"
+            message = f"the edge {shown(name, 80)} appears twice"
             raise InvalidInputError(Problem(f"route[{index}]", message, "give a route without loops"))
     return route
 
@@ -155,8 +155,11 @@ def _inside(network: Network, link: Connection, index: int) -> tuple[Lane, ...]:
             message = f"line {link.line}: a connection leads over {shown(via, 80)}, which is no lane inside of a junction"
             raise refusal(index, network, message, "build the network again")
         lanes.append(lane)
-        onward = (one for one in network.connections.get(lane.edge, ()) if one.from_lane == lane.index and one.end == link.end)
-        via = next((one.via for one in onward), None)
+        connections = network.connections.get(lane.edge, ())
+        onward = (
+            connection.via for connection in connections if connection.from_lane == lane.index and connection.end == link.end
+        )
+        via = next(onward, None)
     return tuple(lanes)
 
 
@@ -164,7 +167,7 @@ def _guide(network: Network, edges: Sequence[Edge], ways: Sequence[Sequence[Way]
     """Returns the guide's lanes at begin and end of each edge: fewest lane changes, then least jumps in whole metres, then rightmost."""
     costs = {lane.index: 1e-6 * lane.index for lane in edges[0].lanes if lane.for_cars}
     steps: list[dict[int, tuple[int, int]]] = []
-    """For each edge but the first: the lane at its begin -> the lanes at begin and end of the edge before."""
+    """Steps for each edge but the first: the lane at its begin -> the lanes at begin and end of the edge before."""
     for edge, between in zip(edges, ways, strict=False):
         best: dict[int, tuple[float, int, int]] = {}
         for way in between:

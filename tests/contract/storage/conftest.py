@@ -11,6 +11,7 @@ import psycopg
 import pytest
 from psycopg import sql
 from sqlalchemy import make_url
+from tests.support.databases import migrated
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import metadata
@@ -29,7 +30,7 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 def migrated_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An SQLite database at the newest revision, to be copied."""
     path = tmp_path_factory.mktemp("migrated") / "drivecal.db"
-    _migrate(f"sqlite:///{path}")
+    migrated(f"sqlite:///{path}").dispose()
     return path
 
 
@@ -39,7 +40,7 @@ def migrated_postgres(postgres_server: str) -> str:
     with psycopg.connect(postgres_server, autocommit=True) as connection:
         connection.execute("CREATE DATABASE migrated")
     url = make_url(postgres_server).set(database="migrated").render_as_string(hide_password=False)
-    _migrate(url)
+    migrated(url).dispose()
     return url
 
 
@@ -50,12 +51,6 @@ def clean_postgres(migrated_postgres: str) -> str:
         tables = sql.SQL(", ").join(map(sql.Identifier, metadata.tables))
         connection.execute(sql.SQL("TRUNCATE {} RESTART IDENTITY").format(tables))
     return migrated_postgres
-
-
-def _migrate(url: str) -> None:
-    database = Database.open(url)
-    database.upgrade()
-    database.dispose()
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from sqlalchemy import Connection
@@ -18,9 +19,9 @@ SIMULATED = Outcome.SIMULATED
 KEY, OTHER_KEY = b"k" * 16, b"o" * 16
 
 
-def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
+def cell(individual: int, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
     one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
-    return replace(one, **changes)  # type: ignore[arg-type]
+    return replace(one, **changes)
 
 
 def audited(connection: Connection) -> tuple[int, list[int]]:

@@ -65,7 +65,8 @@ def everything(database: Database) -> dict[str, Any]:
     """All rows, in the neutral form, by way of a new SQLite file in memory."""
     with closing(sqlite3.connect(":memory:")) as plain, database.read() as connection:
         if connection.dialect.name == "sqlite":
-            connection.connection.driver_connection.backup(plain)  # type: ignore[union-attr]
+            assert connection.connection.driver_connection is not None
+            connection.connection.driver_connection.backup(plain)
             tables = [table.name for table in tables_of(connection)]
             return {name: sorted(plain.execute(f"SELECT * FROM {name}"), key=repr) for name in [*tables, "sqlite_sequence"]}
     raise AssertionError("only SQLite can be read so")

@@ -232,7 +232,7 @@ def test_numbers_that_are_taken_are_found(filled: Database) -> None:
         else:
             connection.execute(text("UPDATE sqlite_sequence SET seq = 5 WHERE name = 'runs'"))
     [found] = problems(filled)
-    assert found == "numbers of new rows: the next row of runs would get number 6, but 227 is taken"
+    assert re.search(r"\bruns\b.*\b6\b.*\b227\b", found)
 
 
 def test_rows_that_point_nowhere_are_found(filled: Database) -> None:

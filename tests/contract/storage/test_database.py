@@ -11,7 +11,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import text
-from tests.support.storage import PROCESSES, campaign
+from tests.support.storage import PROCESSES, campaign, migrate
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
@@ -40,14 +40,8 @@ def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_not
 
 def test_several_processes_may_upgrade_a_new_database_at_once(empty_url: str) -> None:
     with PROCESSES.Pool(2) as pool:
-        pool.map(_upgrade, [empty_url] * 2)
+        pool.map(migrate, [empty_url] * 2)
     Database.open(empty_url).check()
-
-
-def _upgrade(url: str) -> None:
-    database = Database.open(url)
-    database.upgrade()
-    database.dispose()
 
 
 def test_a_transaction_that_raises_leaves_nothing_behind(database: Database) -> None:

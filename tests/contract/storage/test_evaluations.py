@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outcome.REUSED, Outcome.FAILED
 
 
-def cell(individual: int, setup: int, parameter_set: int, **changes: object) -> NewEvaluation:
+def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
     one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
-    return replace(one, **changes)  # type: ignore[arg-type]
+    return replace(one, **changes)
 
 
 def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> None:
@@ -111,7 +112,7 @@ def test_numpy_numbers_are_stored_as_numbers(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
-        (stored,) = evaluations.insert(connection, sequence, [cell(np.int64(4), setup, one, iteration=np.int64(2))])  # type: ignore[arg-type]
+        (stored,) = evaluations.insert(connection, sequence, [cell(np.int64(4), setup, one, iteration=np.int64(2))])
         found = results.by_id(connection, stored)
         assert (found.iteration, found.individual) == (2, 4)
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from sqlalchemy import func, select
@@ -62,13 +63,11 @@ def test_the_first_result_of_a_cell_stays_and_an_equal_one_agrees(database: Data
         {"rating": 5.250000000000001},
     ],
 )
-def test_a_result_that_differs_in_a_bit_does_not_agree_and_changes_nothing(
-    database: Database, change: dict[str, object]
-) -> None:
+def test_a_result_that_differs_in_a_bit_does_not_agree_and_changes_nothing(database: Database, change: dict[str, Any]) -> None:
     with database.transaction() as connection:
         first = new_run(setup_id(connection), *sample_set_ids(connection, 1))
         (stored,) = runs.insert_results(connection, [first])
-        assert runs.insert_results(connection, [replace(first, **change)]) == [replace(stored, agrees=False)]  # type: ignore[arg-type]
+        assert runs.insert_results(connection, [replace(first, **change)]) == [replace(stored, agrees=False)]
         assert runs.insert_results(connection, [first]) == [stored]
 
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import DECLARED, eventually, lost, opened, running, write_script
+from tests.support.simulators import DECLARED, eventually, lost, opened, running, scratch_of, write_script
 
 from drivecal.adapters.kinds import longest_seconds, simulator
 from drivecal.domain.errors import NotFoundError, UnavailableError
@@ -99,7 +99,7 @@ def test_cpu_time_is_that_of_the_command(tmp_path: Path) -> None:
     with opened("command", tmp_path, command=COMMAND) as session:
         assert session.evaluate({"x": 1}).cpu_seconds < 0.2
         busy = session.evaluate({"x": 2}).cpu_seconds
-        seconds = float((session._scratch.work / "seconds").read_text().split()[0].removeprefix("0m").removesuffix("s"))  # type: ignore[attr-defined]
+        seconds = float((scratch_of(session).work / "seconds").read_text().split()[0].removeprefix("0m").removesuffix("s"))
     assert seconds <= busy < seconds + 0.3
 
 
@@ -114,7 +114,7 @@ def test_the_scratch_folder_is_removed(tmp_path: Path) -> None:
     write(tmp_path)
     with opened("command", tmp_path, command=COMMAND) as session:
         session.evaluate({"x": 2})
-        folder = session._scratch.folder  # type: ignore[attr-defined]
+        folder = scratch_of(session).folder
         assert json.loads((folder / "scenario.json").read_text()) == {"k": 3}
     eventually(lambda: not folder.exists())
 

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, served, write_script, write_server
+from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, scratch_of, served, write_script, write_server
 
 from drivecal.adapters import pipes, process
 from drivecal.adapters.scratch import environment
@@ -72,7 +72,7 @@ def test_an_answer_that_is_there_counts_if_the_worker_was_stopped(tmp_path: Path
 
 
 def test_a_flood_of_messages_neither_blocks_nor_changes_a_run(tmp_path: Path) -> None:
-    with served(tmp_path, "os.write(2, b'warning ' * 2_000_000)", quit="os.write(2, b'x' * 1_000_000)") as session:
+    with served(tmp_path, "os.write(2, b'warning ' * 2_000_000)", ending="os.write(2, b'x' * 1_000_000)") as session:
         for x in range(3):
             assert session.evaluate({"x": float(x)}).measures == {"y": 2.0 * x}
 
@@ -88,18 +88,13 @@ def test_a_request_holds_scenario_data_parameters_and_seed(tmp_path: Path) -> No
     with served(tmp_path, f"{body}\nanswer(id=request['id'], measures=dict(y=1.0))\ncontinue") as session:
         session.evaluate({"x": 1.5, "n": 3, "mode": "eco"})
         session.evaluate({"x": 2.5}, series=True)
-        (log,) = Path(scratch_of(session)).rglob("log")
+        (log,) = Path(scratch_of(session).folder).rglob("log")
         rows = [json.loads(line) for line in log.read_text().splitlines()]
     head = {"scenario": "S", "data": {"k": 3}, "seed": 1}
     assert rows == [
         [{"drivecal": 1, "problem": "trial"}, {"id": 1, **head, "parameters": {"x": 1.5, "n": 3, "mode": "eco"}}],
         [{"drivecal": 1, "problem": "trial"}, {"id": 2, **head, "parameters": {"x": 2.5}, "series": True}],
     ]
-
-
-def scratch_of(session: object) -> Path:
-    folder: Path = session._scratch.folder  # type: ignore[attr-defined]
-    return folder
 
 
 @pytest.mark.parametrize(
@@ -214,7 +209,7 @@ def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_p
     before = sorted(bundle.rglob("*"))
     with served(bundle, "x = float(open('factor').read())\nopen('out', 'w').write('1')\nos.mkdir('deep')") as session:
         assert session.evaluate({"x": 1.0}).measures == {"y": 14.0}
-        folder = scratch_of(session)
+        folder = scratch_of(session).folder
         assert (folder / "work" / "out").is_file()
     assert sorted(bundle.rglob("*")) == [*before, bundle / "sim.py"]
     assert not folder.exists()
@@ -222,7 +217,7 @@ def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_p
 
 def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
     before = {path.name for path in Path("/proc/self/fd").iterdir()}
-    with served(tmp_path, "os.abort()", quit="while True: pass") as session:
+    with served(tmp_path, "os.abort()", ending="while True: pass") as session:
         lost(session, {"x": 1.0}, Breakdown.CRASH)
         session.close()
     assert {path.name for path in Path("/proc/self/fd").iterdir()} == before
@@ -230,7 +225,7 @@ def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
 
 def test_a_process_may_end_by_itself(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with served(tmp_path, quit=f"open({str(out)!r}, 'w').write('saved')"):
+    with served(tmp_path, ending=f"open({str(out)!r}, 'w').write('saved')"):
         pass
     assert out.read_text() == "saved"
 

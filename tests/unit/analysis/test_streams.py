@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from tests.support.classified import classified
 
-from drivecal.analysis.streams import generator
-from drivecal.analysis.validation import design
+from drivecal.analysis.validation import design, generator
 from drivecal.domain.errors import ConflictError
 
 SEEDS = (0, 1, 2, 2**32, 2**63 - 1)

@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fastapi import FastAPI
 from fastapi.testclient import TestClient
 from httpx import Response
+from tests.support.databases import migrated
 from tests.support.networks import entrance
 
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
 from drivecal.configuration.pushing import HEADER, Pushing, read_secret, sign
 from drivecal.configuration.settings import load_settings
-from drivecal.storage.engine.database import Database
 
 PROBLEMS = "/api/v1/problems"
 TOKENS = {"author": "author-0123456789abcdef", "writer": "writer-0123456789abcdef", "reader": "reader-0123456789abcdef"}
@@ -57,8 +58,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
             url, home = f"sqlite:///{tmp_path / 'drivecal.db'}", tmp_path / "home"
             file = tmp_path / "tokens"
             file.write_text("".join(f"{name} {ROLES[name]} {token}\n" for name, token in TOKENS.items()))
-            database = Database.open(url)
-            database.upgrade()
+            database = migrated(url)
             database.dispose()
             loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens else None, **settings)
             app = create_app(loaded, Pushing.of(loaded, address))
@@ -86,13 +86,12 @@ def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
 @pytest.mark.parametrize("allow", [None, True, False])
-@pytest.mark.parametrize("name", TOKENS)
-def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(
-    serve: Serve, address: str, allow: bool | None, name: str
-) -> None:
-    response = push(serve(address, tokens=True, allow_push=allow), headers=bearer(name))
+def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(serve: Serve, address: str, allow: bool | None) -> None:
+    client = serve(address, tokens=True, allow_push=allow)
     on = allow if allow is not None else address in {"127.0.0.1", "::1"}
-    assert response.status_code == (201 if on and name == "author" else 403), response.text
+    for name in sorted(TOKENS, reverse=True):  # the author last: what is stored already is answered otherwise
+        response = push(client, headers=bearer(name))
+        assert response.status_code == (201 if on and name == "author" else 403), response.text
 
 
 def test_an_author_may_do_what_a_writer_may(serve: Serve) -> None:
@@ -263,7 +262,8 @@ def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
     client = serve(tokens=True)
     client.headers.update(bearer("author"))
     push(client)
-    limits: Limits = client.app.state.limits  # type: ignore[attr-defined]  # it is a FastAPI application
+    assert isinstance(client.app, FastAPI)
+    limits: Limits = client.app.state.limits
     with ExitStack() as stack:
         for _ in range(OPEN_ARCHIVES):
             stack.enter_context(limits.archives.take())

@@ -48,7 +48,7 @@ VALID: dict[str, Any] = {
 FILES = {"mysim": True, "model.py": False, "data.csv": False, "system.fmu": False, "wheels/numpy.whl": False}
 COMMAND = {"kind": "command", "command": ["./mysim", "{parameters}", "{scenario}", "{results}"]}
 PYTHON = {"kind": "python", "file": "model.py"}
-FMU = {
+FMU: dict[str, Any] = {
     "kind": "fmu",
     "file": "system.fmu",
     "duration": 20,
@@ -159,9 +159,9 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("simulator", COMMAND | {"command": ["./mysim", "{results}"]}, "simulator.command"),
         ("simulator", COMMAND | {"command": ["./mysim", "{parameters}", "{result}"]}, "simulator.command[2]"),
         ("simulator", FMU | {"step": 30}, "simulator.step"),
-        ("simulator", FMU | {"measures": FMU["measures"] | {"E": "last(E)"}}, "simulator.measures.E"),  # type: ignore[operator]
+        ("simulator", FMU | {"measures": FMU["measures"] | {"E": "last(E)"}}, "simulator.measures.E"),
         ("simulator", FMU | {"measures": {"energy_kwh": "last(E)"}}, "measures.min_ttc_s"),
-        ("simulator", FMU | {"measures": FMU["measures"] | {"min_ttc_s": "gap"}}, "simulator.measures.min_ttc_s"),  # type: ignore[operator]
+        ("simulator", FMU | {"measures": FMU["measures"] | {"min_ttc_s": "gap"}}, "simulator.measures.min_ttc_s"),
         ("scenarios", {}, "scenarios"),
         ("scenarios/city", 1, "scenarios.city"),
         ("measures", {}, "measures"),

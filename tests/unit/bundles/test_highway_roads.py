@@ -15,11 +15,12 @@ from tests.support.opendrive_files import exit_ramp, two_way
 from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
 from drivecal.bundles.checks import checked
-from drivecal.bundles.highway_roads import check_roads, conversions, scenario_notes
-from drivecal.client.problems import manifest_of, read_bundle, read_bundle_with_notes
+from drivecal.bundles.highway_roads import check_roads, conversions
+from drivecal.bundles.traffic import description
+from drivecal.client.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import Network
+from drivecal.roads.network import Network, read_network
 
 CODE = "def control(observation, parameters):\n    return {'acceleration': 0.0}\n"
 MANIFEST: dict[str, Any] = {
@@ -73,8 +74,7 @@ def fields(document: dict[str, Any], files: dict[str, BundleFile] | None = None)
 
 
 def test_a_scenario_that_fits_its_network_passes() -> None:
-    check_roads(checked(MANIFEST), networks())
-    assert scenario_notes(checked(MANIFEST), networks()) == ()
+    assert check_roads(checked(MANIFEST), networks()) == ()
 
 
 @pytest.mark.parametrize(
@@ -100,6 +100,7 @@ def test_a_scenario_that_fits_its_network_passes() -> None:
         ("traffic.1.route", ["ramp", "besides"], "traffic[1].route[1]"),
         ("traffic.0", {"s": 160, "speed": 25, "route": ["ramp", "beside"]}, "traffic[0].route"),
         ("flows.0.edge", "ramps", "flows[0].edge"),
+        ("flows.0.edge", "before", "flows[0].edge"),
         ("flows.0.lane", 1, "flows[0].lane"),
         ("flows.0.route", ["ramp", "before"], "flows[0].route[1]"),
     ],
@@ -148,8 +149,25 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_route_that_ends_before_the_drive_is_noted() -> None:
-    (note,) = scenario_notes(checked(changed("duration", 50.0)), networks())
+    (note,) = check_roads(checked(changed("duration", 50.0)), networks())
     assert "scenarios.merge" in note
+
+
+def test_a_folder_is_converted_and_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = changed("duration", 50.0)
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(document))
+    for name in ("road.net.xml", "acc.py"):
+        (tmp_path / name).write_bytes(networks()[name].content)
+    read: list[str] = []
+
+    def counted(content: bytes, name: str) -> Network:
+        read.append(name)
+        return read_network(content, name)
+
+    monkeypatch.setattr(description, "read_network", counted)
+    _, _, notes = read_bundle_with_notes(tmp_path)
+    assert len(notes) == 1
+    assert read == ["road.net.xml"]
 
 
 OPEN_ROUTE = ["-1#0", "-1#1", "-1#2", "-3"]
@@ -178,7 +196,7 @@ def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path
     manifest, archive = read_bundle(path)
     assert set(files_of(archive)) == {"problem.yaml", "acc.py", "maps/road.xodr", "maps/road.xodr.net.xml"}
     assert {file.name for file in (path / "maps").iterdir()} == {"road.xodr"}
-    assert manifest_of(archive) == manifest
+    assert read_archived(files_of(archive)) == manifest
     assert content_digest(archive) == content_digest(read_bundle(path)[1])
 
 
@@ -208,7 +226,7 @@ def test_a_network_of_another_file_is_refused(tmp_path: Path) -> None:
     _, archive = read_bundle(path)
     other = two_way()
     with pytest.raises(InvalidInputError) as pushed:
-        manifest_of(with_files(archive, {"maps/road.xodr": other}))
+        read_archived(files_of(with_files(archive, {"maps/road.xodr": other})))
     (path / "maps" / "road.xodr.net.xml").write_bytes(entrance())
     with pytest.raises(InvalidInputError) as packed:
         read_bundle(path)

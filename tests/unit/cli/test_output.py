@@ -9,7 +9,7 @@ import pytest
 from tests.support.scales import COST
 from typer.testing import CliRunner
 
-from drivecal.cli.commands.campaigns import kind_text
+from drivecal.cli.commands.campaigns import counted, kind_text
 from drivecal.cli.main import app
 from drivecal.cli.views.output import (
     by_outcome,
@@ -23,8 +23,10 @@ from drivecal.cli.views.output import (
     self_check_text,
 )
 from drivecal.cli.views.progress import Lines
+from drivecal.cli.views.savings import print_trust
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Released, Seconds
 from drivecal.contracts.tables import Solution
+from drivecal.contracts.trust import Reason, TrustAnswer
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
 
@@ -165,6 +167,20 @@ def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixtu
 )
 def test_the_list_says_what_a_campaign_does(given: dict[str, Any], text: str) -> None:
     assert kind_text(Campaign(id="0" * 32, name="mine", state="queued", **given)) == text
+
+
+def test_a_study_is_listed_with_the_cells_of_its_stages() -> None:
+    study = Campaign(id="s", name="s", state="succeeded", stages={"robustness": CellCounts(requested=5417, simulated=5400)})
+    assert (counted(study).requested, counted(study).simulated) == (5417, 5400)
+    searched = study.model_copy(update={"stages": {**study.stages, "calibration": CELLS}})
+    assert counted(searched) == CELLS
+
+
+def test_trust_is_printed_with_its_reasons(capsys: pytest.CaptureFixture[str]) -> None:
+    print_trust(TrustAnswer(light=None, reasons=[]))
+    assert capsys.readouterr().out == ""
+    print_trust(TrustAnswer(light="amber", reasons=[Reason(light="amber", about="noise", text="Scores have noise.")]))
+    assert "trust: amber\n  amber Scores have noise.\n" in capsys.readouterr().out
 
 
 def test_version_and_usage() -> None:

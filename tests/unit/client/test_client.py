@@ -22,7 +22,7 @@ from pyarrow import parquet
 
 from drivecal.cli.views.traces import save
 from drivecal.client import Client, DownloadedTable, following
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, CampaignPage
 from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import (
@@ -108,7 +108,7 @@ def test_fields_and_remedies_come_back_as_they_were() -> None:
         ((404, {}, b"<html>"), UnavailableError, "404"),
         ((200, {}, b"<html>"), UnavailableError, "does not know"),
         ((200, {}, b'{"id": 5}'), UnavailableError, "does not know"),
-        ((302, {"Location": "/login"}, b""), UnavailableError, "no drivecal server"),
+        ((302, {"Location": "/login"}, b""), UnavailableError, "302"),
     ],
 )
 def test_every_other_answer_is_an_error_of_drivecal(answer: Answer, error: type[DrivecalError], said: str) -> None:
@@ -388,3 +388,55 @@ def test_series_of_different_lengths_are_saved(tmp_path: Path, suffix: str) -> N
         assert parquet.read_table(file).to_pydict() == {"v": [1.0, 2.0], "gap": [3.0, None]}
     else:
         assert json.loads(file.read_text())["series"] == {"v": [1.0, 2.0], "gap": [3.0]}
+
+
+FULL = "5050a77ddf5e42199c25aff35a3b4568"
+OTHER = "5050b77ddf5e42199c25aff35a3b4568"
+
+
+def listed(*identifiers: str, **fields: str) -> Answer:
+    items = [{"id": identifier, "name": "one", "state": "succeeded"} | fields for identifier in identifiers]
+    return 200, {"Content-Type": "application/json"}, json.dumps({"items": items, "next_cursor": None}).encode()
+
+
+def test_the_first_characters_of_an_id_are_enough_and_looked_up_once() -> None:
+    with server(listed(FULL, OTHER), campaign("running"), listed(), listed()) as (client, script):
+        client.campaign("5050a")
+        client.solutions("5050a", weights={"S1": 2, "S2": 0.5})
+        list(client.rows("5050a", "evaluations"))
+    paths = [path for _, path, _, _ in script.requests]
+    assert paths[0].startswith("/api/v1/campaigns?")
+    assert paths[1:] == [
+        f"/api/v1/campaigns/{FULL}",
+        f"/api/v1/campaigns/{FULL}/solutions?weights=S1%3D2%2CS2%3D0.5",
+        f"/api/v1/campaigns/{FULL}/evaluations?limit=1000",
+    ]
+
+
+def test_an_ambiguous_beginning_of_an_id_is_refused() -> None:
+    with server(listed(FULL, OTHER)) as (client, _), pytest.raises(NotFoundError):
+        client.campaign("5050")
+
+
+def test_ids_in_a_submitted_campaign_may_be_abbreviated() -> None:
+    with server(listed(OTHER, source="expert", driving_function="frenet"), listed(FULL), campaign("queued")) as (
+        client,
+        script,
+    ):
+        client.submit({"robustness": {"of": "5050a"}, "sensitivity": {"map": "5050b"}, "optimizer": None})
+    sent = json.loads(script.requests[-1][3])
+    assert sent == {"robustness": {"of": FULL}, "sensitivity": {"map": OTHER}, "optimizer": None}
+
+
+def test_answers_show_themselves_as_tables_in_notebooks(
+    downloaded: tuple[DownloadedTable, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = Campaign.model_validate({"id": FULL, "name": "<one>", "state": "running", "best": None})._repr_html_()
+    assert "&lt;one&gt;" in shown
+    assert FULL in shown
+    page = CampaignPage.model_validate({"items": [{"id": FULL, "name": "one", "state": "running"}] * 30})
+    assert page._repr_html_().count("<tr>") == 21
+    assert "10 more rows" in page._repr_html_()
+    assert "<table>" in str(downloaded[0]._repr_html_())
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    assert downloaded[0]._repr_html_() is None

@@ -106,7 +106,7 @@ def test_standard_input_is_read_as_what_it_looks_like(monkeypatch: pytest.Monkey
         ("w: {S1: 1e999}\n", "1e999"),
         ("w: " + "9" * 5000, "5000 digits"),
         ("1: 2\n", "the key 1"),
-        ("? [1]\n: 2\n", "is no text"),
+        ("? [1]\n: 2\n", "the key"),
         ("- 1\n", "a list"),
         ("just words\n", "just words, not an object"),
         ("", "null, not an object"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.bundles.archives import content_digest, files_of
-from drivecal.client.problems import manifest_of, read_bundle, read_manifest
+from drivecal.client.problems import read_archived, read_bundle, read_manifest
 from drivecal.domain.errors import InvalidInputError
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
@@ -46,7 +46,7 @@ def test_a_folder_is_read_into_a_manifest_and_an_archive() -> None:
     manifest, archive = read_bundle(EXAMPLES / "python-function")
     assert manifest.problem == "python-function"
     assert set(files_of(archive)) == {"problem.yaml", "braking.py"}
-    assert manifest_of(archive) == manifest
+    assert read_archived(files_of(archive)) == manifest
     assert read_bundle(EXAMPLES / "python-function")[1] == archive
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.support.plant import TARGET, answers, cells, ids, setup
+from tests.support.plant import TARGET, V, W, answers, cells, ids, send, setup
 
 from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
@@ -13,9 +13,6 @@ from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_PASSED_OVER, Completed, Dispatch, Scheduler
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
-
-W, V = "worker 1", "worker 2"
-
 
 SMALL = 0.0001
 """Seconds per cell of which many go into a batch, even at the end."""
@@ -31,12 +28,6 @@ def scheduler(known: float | None = None) -> Scheduler:
         made.finished(sent.batch_id, answers(sent, known or 0.0))
     made.withdraw("before")
     return made
-
-
-def send(of: Scheduler, worker: str = W) -> Dispatch:
-    sent = of.next_batch(worker, idle=True)
-    assert sent is not None
-    return sent
 
 
 def erroneous(sent: Dispatch) -> BatchResult:

@@ -127,7 +127,7 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
     for _, fault in backend.replaced:
         count, words = (fault or "").split(maxsplit=1)
         assert int(count) in {BATCHES_WITHOUT_RESULT, BATCHES_WITHOUT_RESULT + 1}
-        assert words == "batches in a row gave no result, the last one because: SUMO is gone"
+        assert words.endswith(": SUMO is gone")
     spoilt = sum(count - 1 for count in backend.attempts.values())
     assert spoilt < 1500, "bad workers are given little"
 
@@ -195,6 +195,46 @@ def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest
     assert {one.attempts for one in completed} == {1}
     assert pool.trouble() is None
     assert backend.now < 7 * PATIENCE_WITH_REFUSALS
+
+
+def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(1, refusing={1: "it has version 2"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL])), tag="a")
+    while pool.trouble() is None:
+        pool.poll(1.0)
+    pool.withdraw("a")
+    while backend.now < 3 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    backend.refusing[1] = "it has no model"
+    begin = backend.now
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="b")
+    while backend.now < begin + 0.9 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    assert backend.replaced == []
+    assert "worker-1 refuses: it has no model" in caplog.text
+    while not backend.replaced:
+        assert backend.now < begin + 2 * PATIENCE_WITH_REFUSALS
+        pool.poll(1.0)
+
+
+@pytest.mark.parametrize("behaviour", [Behaviour.ERROR, Behaviour.CRASH])
+@pytest.mark.parametrize("workers", [1, 2, 12])
+def test_where_everything_fails_the_first_sets_fail_first_in_all_scenarios(workers: int, behaviour: Behaviour) -> None:
+    backend = FakeBackend(workers)
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    work = [
+        Work(
+            setup(f"S{scenario}"),
+            [Cell(100 * scenario + number, {"behaviour": behaviour, "x": number}) for number in range(50)],
+        )
+        for scenario in range(1, 7)
+    ]
+    pool.submit(*work, tag="a")
+    completed: list[int] = []
+    while len(completed) < 60:
+        completed += [entry.result.id for entry in pool.poll(0.002)]
+    assert {100 * scenario + number for scenario in range(1, 7) for number in range(5)} <= set(completed)
 
 
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:

@@ -166,6 +166,38 @@ def test_workers_whose_probe_breaks_do_not_agree() -> None:
     assert "exit code 3" in reason
 
 
+def test_a_running_campaign_waits_for_probes_that_break_at_all_workers_and_says_so() -> None:
+    backend = FakeBackend(refusing={1: "the licence server is away", 2: "the licence server is away"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    while backend.now < 3 * PATIENCE_WITH_ANSWERS:
+        pool.poll(1.0)
+        assert pool.hopeless("a") is None
+    assert "the licence server is away" in (pool.trouble() or "")
+    assert backend.replaced
+    backend.refusing.clear()
+    completed = []
+    while pool.held("a"):
+        completed += pool.poll(1.0)
+    assert len(completed) == 20
+    assert pool.trouble() is None
+
+
+def test_other_tools_end_a_campaign_some_time_after_they_are_first_seen() -> None:
+    backend = FakeBackend(tools={1: "2.0", 2: "2.0"}, refusing={1: "no licence", 2: "no licence"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    while backend.now < 3 * PATIENCE_WITH_ANSWERS:
+        pool.poll(1.0)
+    backend.refusing.clear()
+    begin = backend.now
+    while (reason := pool.hopeless("a")) is None:
+        assert backend.now < begin + 3 * PATIENCE_WITH_ANSWERS
+        pool.poll(1.0)
+    assert backend.now >= begin + PATIENCE_WITH_ANSWERS
+    assert "2.0" in reason
+
+
 def test_setups_without_tools_are_waited_for() -> None:
     backend = FakeBackend(refusing={1: "no licence", 2: "no licence"})
     pool = pool_on(backend)

@@ -67,12 +67,12 @@ def test_who_is_silent_for_long_is_given_up() -> None:
 
 def test_a_store_that_began_anew_is_lost_at_once() -> None:
     def use(store: Store, watch: ClusterWatch) -> None:
-        store.error = StartedAnewError("has started anew")
+        store.error = StartedAnewError("was restarted")
         deadline = time.monotonic() + 30
         while watch.lost() is None:
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        assert watch.lost() == "the Ray cluster at home has started anew"
+        assert watch.lost() == "the Ray cluster at home was restarted"
 
     watched(use)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.support.plant import answers, setup
+from tests.support.plant import answers, send, setup
 
 from drivecal.contracts.work import Batch, Cell, RecordedRun
 from drivecal.domain.evaluations import Rating, RunResult
@@ -91,12 +91,6 @@ def scheduled() -> Scheduler:
         for dispatch in [send(made, worker) for worker in ("one", "two", "far")]:
             finish(made, dispatch)
     return made
-
-
-def send(scheduler: Scheduler, worker: str) -> Dispatch:
-    dispatch = scheduler.next_batch(worker, idle=True)
-    assert dispatch is not None
-    return dispatch
 
 
 def finish(scheduler: Scheduler, dispatch: Dispatch, *runs: RecordedRun, agrees: bool | None = None) -> None:

@@ -8,15 +8,13 @@ from collections.abc import Sequence
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.plant import Plant, answers, cells, ids, setup
+from tests.support.plant import Plant, V, W, answers, cells, ids, send, setup
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
-
-W, V = "worker 1", "worker 2"
 
 
 def scheduler() -> Scheduler:
@@ -27,12 +25,6 @@ def scheduler() -> Scheduler:
 
 def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: int = 0, *, exclusive: bool = False) -> None:
     to.add(Work(setup(), cells(len(values), first, values), exclusive=exclusive), tag, priority)
-
-
-def send(of: Scheduler, worker: str = W) -> Dispatch:
-    sent = of.next_batch(worker, idle=True)
-    assert sent is not None
-    return sent
 
 
 def finish(of: Scheduler, sent: Dispatch) -> list[Completed]:

@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 GOOD = """
 from drivecal.plugins import registry
 class Catalogue:
@@ -67,29 +65,35 @@ def run(folder: Path, program: str) -> Any:
     return json.loads(process.stdout)
 
 
-@pytest.mark.parametrize(
-    ("source", "named"),
-    [
-        ("import not_installed_anywhere", "not_installed_anywhere"),
-        ("raise RuntimeError('no licence')", "no licence"),
-        ("import sys; sys.exit('no licence')", "no licence"),
-        ("PLUGIN = None", "AttributeError"),
-        ("NOTHING = 1", "PLUGIN"),
-        ("class C:\n  name = 'theirs'\n  @property\n  def scenarios(self): raise OSError('no file')\nPLUGIN = C()", "no file"),
-    ],
-    ids=["missing import", "exception", "exit", "no catalogue", "no such object", "unreadable"],
-)
-def test_a_broken_catalogue_is_listed_with_its_error_and_nothing_else_fails(tmp_path: Path, source: str, named: str) -> None:
-    install(tmp_path, "their_package", source, "[drivecal.scenarios]\ntheirs = their_package:PLUGIN\n")
+BROKEN = {
+    "theirs": ("import not_installed_anywhere", "not_installed_anywhere"),
+    "raising": ("raise RuntimeError('no licence')", "no licence"),
+    "ending": ("import sys; sys.exit('no right')", "no right"),
+    "nothing": ("PLUGIN = None", "AttributeError"),
+    "missing": ("NOTHING = 1", "PLUGIN"),
+    "unreadable": (
+        "class C:\n  name = 'unreadable'\n  @property\n  def scenarios(self): raise OSError('no file')\nPLUGIN = C()",
+        "no file",
+    ),
+}
+"""By name of a catalogue: the source of its package, and what its error says."""
+
+
+def test_broken_catalogues_are_listed_with_their_errors_and_nothing_else_fails(tmp_path: Path) -> None:
+    for name, (source, _) in BROKEN.items():
+        install(tmp_path, f"{name}_package", source, f"[drivecal.scenarios]\n{name} = {name}_package:PLUGIN\n")
     answer = run(tmp_path, LISTS)
     assert (answer["catalogues"], answer["functions"], answer["one"]) == (["highway"], ["frenet"], "highway")
-    ((group, name, package, error),) = answer["broken"]
-    assert (group, name, package) == ("drivecal.scenarios", "theirs", "their_package")
-    assert named in error
-    assert len(answer["all"]) == 1
+    errors = {name: (group, package, error) for group, name, package, error in answer["broken"]}
+    assert errors.keys() == BROKEN.keys()
+    assert len(answer["broken"]) == len(answer["all"]) == len(BROKEN)
+    for name, (_, words) in BROKEN.items():
+        group, package, error = errors[name]
+        assert (group, package) == ("drivecal.scenarios", f"{name}_package")
+        assert words in error
     fields, remedy = answer["named"]
     assert fields == ["catalogue"]
-    assert "their_package" in remedy
+    assert "theirs_package" in remedy
 
 
 def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> None:

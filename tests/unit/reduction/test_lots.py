@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 from scipy.stats import betabinom, hypergeom
 from tests.support.effort import examples
 
+from drivecal.reduction import lots
 from drivecal.reduction.lots import (
     DISPERSION,
+    Floats,
+    Positions,
     SamplingPlan,
     best_plan,
     cost_of_an_error,
@@ -28,12 +31,29 @@ def test_samples_are_those_of_the_tables_of_dodge_and_romig(size: int, limit: fl
 
 
 @settings(deadline=None)
-@given(st.integers(1, 400), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.integers(0, 5))
+@given(st.integers(1, 4000), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.integers(0, 5))
 def test_a_smallest_plan_keeps_the_limit_and_one_cell_less_does_not(size: int, limit: float, acceptance: int) -> None:
     plan = smallest_plan(size, limit, acceptance)
     assert outgoing_errors(plan).max() <= limit or plan.sample == plan.size
     if plan.sample > 0:
         assert plan.sample == 1 or outgoing_errors(SamplingPlan(size, plan.sample - 1, acceptance)).max() > limit
+
+
+def test_the_plan_of_a_large_lot_is_found_with_fewer_numbers_of_errors_than_it_has_cells(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    numbers: list[int] = []
+
+    def counted(plan: SamplingPlan, wrong: Positions) -> Floats:
+        numbers.append(len(wrong))
+        return outgoing_errors(plan, wrong)
+
+    monkeypatch.setattr(lots, "outgoing_errors", counted)
+    smallest_plan.cache_clear()
+    plan = best_plan(50_000, 0.05, error_rate=0.01)
+    assert sum(numbers) < 50_000
+    assert outgoing_errors(plan).max() <= 0.05
+    assert outgoing_errors(SamplingPlan(plan.size, plan.sample - 1, plan.acceptance)).max() > 0.05
 
 
 def test_expected_errors_are_those_of_a_simulation() -> None:

@@ -16,7 +16,7 @@ from drivecal.reduction.lots import outgoing_errors
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner
 from drivecal.reduction.regression_forest import predictor_on
 
-REPLAYS = tries(100, 1000)
+REPLAYS = tries(50, 1000)
 """Replays of each sabotage."""
 BATCHES, CELLS = 4, 60
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from drivecal.contracts.accounting import Accounting, BreakEven, ScenarioAccount, SensitivityCost
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Seconds
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Seconds, Study
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.studies import Study
 from drivecal.contracts.tables import BoxTrial, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 from drivecal.report.data import ReportData, Studied
 

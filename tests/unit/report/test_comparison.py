@@ -117,7 +117,7 @@ def test_final_optima_and_pairs_have_a_mark_for_each_run() -> None:
 def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> None:
     found = findings()
     sentences = summary(found)
-    assert sentences[0] == "The best objective that any run found is 7.0000: genetic in 10 of 12 runs, swarm in 0 of 12 runs."
+    assert re.search(r"7\.0000: genetic in 10 of 12 runs, swarm in 0 of 12 runs", sentences[0])
     assert (
         "in 12 pairs of searches with the same seed, 0 ended with a better optimum, 10 with an equal and 2 with a worse one"
         in sentences[1]

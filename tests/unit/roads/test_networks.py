@@ -123,7 +123,7 @@ def test_faults_of_handlers_are_no_faults_of_the_encoding() -> None:
         raise KeyError(attributes.element)
 
     with pytest.raises(KeyError):
-        documents.read_elements(b"<net/>", NAME, "net", start)
+        documents.read_elements(b"<net/>", NAME, "net", start, lambda _: None)
 
 
 def test_lanes_keep_what_the_file_says() -> None:

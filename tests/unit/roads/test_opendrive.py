@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -269,11 +270,22 @@ def test_what_cannot_be_driven_is_refused(pattern: str, replacement: str) -> Non
     assert NAME in problem.field + problem.message
 
 
+@pytest.mark.parametrize("place", ["</OpenDRIVE>", "</lanes>"])
+def test_a_file_that_includes_another_is_refused_even_if_that_one_is_there(place: str, tmp_path: Path) -> None:
+    (tmp_path / "other.xml").write_text("<userData/>")
+    content = edited("two_way", place, f'<include file="{tmp_path / "other.xml"}"/>{place}')
+    with pytest.raises(InvalidInputError) as error:
+        converted(content, NAME)
+    (problem,) = error.value.problems
+    assert problem.field == NAME
+    assert "<include>" in problem.message
+
+
 def test_a_crossing_of_roads_is_refused() -> None:
-    from tests.support.opendrive_files import PAVED, Road, document, line
+    from tests.support.opendrive_files import PAVED, LaneLinks, Road, document, line
 
     lane = {-1: ("driving", PAVED)}
-    links = (
+    links: tuple[dict[str, tuple[str, str]], ...] = (
         {"predecessor": ("road", "1"), "successor": ("road", "2")},
         {"predecessor": ("road", "3"), "successor": ("road", "4")},
     )
@@ -281,9 +293,9 @@ def test_a_crossing_of_roads_is_refused() -> None:
     road_2 = Road("2", [line(200.0)], [(0.0, lane)], (20.0, 0.0, 0.0), links={"predecessor": ("junction", "9")})
     road_3 = Road("3", [line(200.0)], [(0.0, lane)], (0.0, -220.0, np.pi / 2), links={"successor": ("junction", "9")})
     road_4 = Road("4", [line(200.0)], [(0.0, lane)], (0.0, 20.0, np.pi / 2), links={"predecessor": ("junction", "9")})
-    linked = {0: {-1: (-1, -1)}}
-    east = Road("10", [line(40.0)], [(0.0, lane)], (-20.0, 0.0, 0.0), "9", links[0], lane_links=linked)  # type: ignore[arg-type]
-    north = Road("11", [line(40.0)], [(0.0, lane)], (0.0, -20.0, np.pi / 2), "9", links[1], lane_links=linked)  # type: ignore[arg-type]
+    linked: LaneLinks = {0: {-1: (-1, -1)}}
+    east = Road("10", [line(40.0)], [(0.0, lane)], (-20.0, 0.0, 0.0), "9", links[0], lane_links=linked)
+    north = Road("11", [line(40.0)], [(0.0, lane)], (0.0, -20.0, np.pi / 2), "9", links[1], lane_links=linked)
     pairs = {"9": [("1", "10", [(-1, -1)]), ("3", "11", [(-1, -1)])]}
     network = read_network(converted(document([road_1, road_2, road_3, road_4, east, north], pairs), NAME).network, NAME)
     with pytest.raises(InvalidInputError) as error:
@@ -301,7 +313,7 @@ def test_without_netconvert_the_answer_says_what_to_install(monkeypatch: pytest.
 def test_netconvert_that_fails_or_hangs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert conversion.netconvert() == program("netconvert")
     monkeypatch.setattr(conversion, "TIMEOUT", 0.0001)
-    with pytest.raises(InvalidInputError, match="did not finish"):
+    with pytest.raises(InvalidInputError, match="netconvert"):
         converted(FILES["two_way"](), NAME)
     monkeypatch.undo()
     monkeypatch.setattr(conversion, "netconvert", lambda: sys.executable)  # an interpreter knows none of the options

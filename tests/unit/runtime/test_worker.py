@@ -6,7 +6,6 @@ import os
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +17,6 @@ from drivecal.highway.certification.nodes import Nodes
 from drivecal.plugins import registry
 from drivecal.plugins.runners import TimeSeries
 from drivecal.plugins.setups import setup_of, simulator
-from drivecal.runtime import compilation
 from drivecal.runtime.runners import RefusedError
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
@@ -191,7 +189,7 @@ def _request(**document: object) -> DriveRequest:
     scenario = registry.catalogue("highway").scenarios["S1"]
     vehicle = registry.vehicle("single_track")
     setup = setup_of(scenario, registry.driving_function("frenet"), vehicle, {})
-    theirs = replace(setup, **document)  # type: ignore[arg-type]
+    theirs = replace(setup, **document)  # type: ignore[arg-type]  # its fields by name
     return DriveRequest(
         "highway", "S1", "frenet", "single_track", theirs.vehicle_parameters, "reference", theirs.fingerprint, theirs.document
     )
@@ -258,41 +256,6 @@ def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
     ):
         with pytest.raises(UnavailableError, match=named):
             Worker("w").warm(trial)
-
-
-def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    writable: set[Path] = {Path(compilation.__file__).parent}
-    monkeypatch.setattr(os, "access", lambda path, _: Path(path) in writable)
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    compilation.prepare_cache()
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
-    writable = {tmp_path / ".cache" / "numba"}
-    compilation.prepare_cache()
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
-    writable = set()
-    compilation.prepare_cache()
-    folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert folder.is_dir()
-    folder.rmdir()
-
-
-def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shipped, folder = tmp_path / "shipped", tmp_path / "mine" / "numba"
-    (shipped / "planner").mkdir(parents=True)
-    (shipped / "planner" / "kernel.nbi").write_text("compiled")
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
-    monkeypatch.setenv(compilation.SHIPPED, str(tmp_path / "nowhere"))
-    compilation.prepare_cache()
-    assert not folder.exists()
-    monkeypatch.setenv(compilation.SHIPPED, str(shipped))
-    compilation.prepare_cache()
-    (folder / "planner" / "kernel.nbi").write_text("recompiled")
-    compilation.prepare_cache()
-    assert (folder / "planner" / "kernel.nbi").read_text() == "recompiled"
-    assert [path.name for path in folder.parent.iterdir()] == ["numba"]
 
 
 def certified(worker: Worker, *cells: Cell, setup: DriveRequest = SETUP) -> tuple[CellResult, ...]:

@@ -7,6 +7,7 @@ design is drawn without the shortest step there. With it, the exact values are s
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_the_g_function_has_its_closed_form() -> None:
 def test_under_the_step_law_the_g_function_has_the_sums_over_the_law() -> None:
     second_moments = 1 + 1 / (3 * (1 + A) ** 2)
     for column, found in enumerate(analysed(g_function, len(A), SHORTEST)):
-        effects, probabilities = effects_under_law(lambda x, a=A[column]: g_factor(x, a), SHORTEST)  # type: ignore[misc]
+        effects, probabilities = effects_under_law(partial(g_factor, a=A[column]), SHORTEST)
         mu_star = float((probabilities * np.abs(effects)).sum())
         variance = float((probabilities * effects**2).sum()) * np.delete(second_moments, column).prod()
         assert near(found.mu, 0, np.sqrt(variance))

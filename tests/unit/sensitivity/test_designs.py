@@ -15,8 +15,7 @@ from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.cutting import interval_edges
 from drivecal.sensitivity.effects import Design
 from drivecal.sensitivity.lines import lines_design, regions_design
-from drivecal.sensitivity.paper import paper_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, auxiliary_points, radial_design
+from drivecal.sensitivity.radial import COLUMNS, SobolRows, auxiliary_points, paper_design, radial_design
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -192,9 +194,16 @@ def test_a_fixed_number_cannot_do_that() -> None:
     ],
 )  # fmt: skip
 def test_settings_that_cannot_be_used_are_refused_by_name(field: str, value: object, reported: str) -> None:
-    given_settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": "auto", "seed": 1, field: value}
+    given_settings: dict[str, Any] = {
+        "design": "lines",
+        "intervals": 10,
+        "samples": 20,
+        "threshold": "auto",
+        "seed": 1,
+        field: value,
+    }
     with pytest.raises(InvalidInputError) as refused:
-        SensitivitySettings(**given_settings)  # type: ignore[arg-type]
+        SensitivitySettings(**given_settings)
     (problem,) = refused.value.problems
     assert problem.field == f"sensitivity.{reported}"
     assert problem.remedy

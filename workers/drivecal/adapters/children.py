@@ -11,8 +11,8 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from drivecal.adapters import keeper
 from drivecal.adapters.scratch import Scratch, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import NoMeasuresError
+from drivecal.plugins.simulators import NoMeasuresError, RunOutcome
 
 MOST_PROCESSES = 256
 """Limit of a child and its descendants; beyond it all are killed.
@@ -59,7 +59,7 @@ class Children:
     """The children of one session. Not thread-safe."""
 
     def __init__(self, launch: Launch, scratch: Scratch) -> None:
-        """Starts nothing."""
+        """Stores the settings; `start` starts processes."""
         self._launch, self._scratch = launch, scratch
         self._keeper: int | None = None
         self._control: socket.socket | None = None
@@ -119,6 +119,15 @@ class Children:
             if (process := keeper.seen(pid)) is not None:
                 total += process.waited_seconds + _precise_seconds(process)
         return total
+
+    def timed(self, run: Callable[[], RunOutcome]) -> RunOutcome:
+        """Returns the outcome of a run with the CPU time of all children during it; a NoMeasuresError has it as well."""
+        before = self.cpu_seconds()
+        try:
+            outcome = run()
+        except NoMeasuresError as error:
+            raise NoMeasuresError(error.breakdown, error.detail, max(self.cpu_seconds() - before, 0.0)) from None
+        return replace(outcome, cpu_seconds=max(self.cpu_seconds() - before, 0.0))
 
     def scan(self) -> None:
         """Looks for descendants as `look`, if the last look is long ago compared with its own time."""

@@ -32,13 +32,7 @@ class CommandSession:
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs the command."""
-        before = self._children.cpu_seconds()
-        try:
-            measured = self._evaluate(parameters, series=series)
-        except NoMeasuresError as error:
-            raise NoMeasuresError(error.breakdown, error.detail, self._children.cpu_seconds() - before) from None
-        cpu_seconds = self._children.cpu_seconds() - before
-        return RunOutcome(measured.measures, measured.failure, measured.series, cpu_seconds)
+        return self._children.timed(lambda: self._evaluate(parameters, series=series))
 
     def close(self) -> None:
         """Removes the scratch folder; no process runs between two runs."""

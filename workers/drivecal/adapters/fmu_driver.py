@@ -168,7 +168,7 @@ class Reader:
 
 
 class Writer:
-    """Writes a fixed list of variables; `names` has their order. Numbers are rounded for variables that are no reals."""
+    """Writes a fixed list of variables; `names` has their order. Numbers are rounded unless the variable is a real."""
 
     def __init__(self, slave: Any, groups: Mapping[str, list[tuple[str, int]]]) -> None:
         """`groups`: names and value references by the end of the name of the function that writes them."""
@@ -211,7 +211,7 @@ class OutputStatistics:
 
 
 def described_version(file: Path) -> str:
-    """Returns the version of FMI that an FMU names. Raises UnusableError if it is none."""
+    """Returns the version of FMI that an FMU names. Raises UnusableError if it names none."""
     try:
         with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as content:
             return str(ET.parse(content).getroot().attrib["fmiVersion"])  # noqa: S314  # in a throw-away process
@@ -265,13 +265,13 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
 
 def parsed(measures: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Returns statistic and output of each measure. Raises UnusableError."""
-    found = {}
+    statistics = {}
     for name, text in measures.items():
         match = _MEASURE.fullmatch(text)
         if match is None:
             raise UnusableError(f"measure {name}: {text} is not last, min, max, mean or integral of an output, e.g. last(x)")
-        found[name] = (match[1], match[2])
-    return found
+        statistics[name] = (match[1], match[2])
+    return statistics
 
 
 def main() -> None:

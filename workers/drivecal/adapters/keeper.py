@@ -190,7 +190,7 @@ class Keeper:
     def _stop(self, child: int) -> int:
         """Kills the child's group and then every descendant; returns how many are left."""
         with contextlib.suppress(OSError):
-            os.killpg(child, signal.SIGKILL)  # nobody has waited for the child yet, so the number is still its own
+            os.killpg(child, signal.SIGKILL)  # the child is not reaped yet, so the number is still its own
         deadline = time.monotonic() + SWEEP_SECONDS
         while self._reap():
             family = descendants(os.getpid())

@@ -58,12 +58,7 @@ class ProcessSession:
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set."""
-        before = self._children.cpu_seconds()
-        try:
-            measured = self._evaluate(parameters, series=series)
-        except NoMeasuresError as error:
-            raise NoMeasuresError(error.breakdown, error.detail, self._cpu_since(before)) from None
-        return RunOutcome(measured.measures, measured.failure, measured.series, self._cpu_since(before))
+        return self._children.timed(lambda: self._evaluate(parameters, series=series))
 
     def close(self) -> None:
         """Asks the child to end and ends it."""
@@ -122,9 +117,6 @@ class ProcessSession:
         if self._pipes is not None:
             self._pipes.stop()
             self._pipes = None
-
-    def _cpu_since(self, before: float) -> float:
-        return max(self._children.cpu_seconds() - before, 0.0)
 
 
 class ProcessAdapter:

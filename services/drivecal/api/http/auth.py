@@ -24,6 +24,8 @@ OPEN = {"/healthz", "/readyz"}
 """Paths for supervisors and load balancers, which have no token and learn only whether the service works."""
 PAGE = "/page/"
 """Path of the page's files, which hold only the program; the page itself asks for a token."""
+HELP = "/help"
+"""Path of the documentation."""
 LIVE = f"{ROOT}/live"
 """The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
@@ -162,7 +164,7 @@ def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
 
 def _is_open(request: Request) -> bool:
     path = request.scope["path"]
-    return path in OPEN or (request.method in READING and (path == "/" or path.startswith(PAGE)))
+    return path in OPEN or (request.method in READING and (path in {"/", HELP} or path.startswith((PAGE, HELP + "/"))))
 
 
 def _bearer(header: str) -> bytes | None:

@@ -31,7 +31,7 @@ class StrictRoute(APIRoute):
             return handle
         model = self.body_field.field_info.annotation
         if not (isinstance(model, type) and issubclass(model, BaseModel)):
-            raise TypeError(f"{self.path} takes a body that is no model")
+            raise TypeError(f"{self.path} takes a body that is not a model")
 
         def read(content: bytes) -> BaseModel:
             return validated(model, strict_json.loads(content))

@@ -67,12 +67,10 @@ class ClosingGently(asyncio.Transport):
             self._transport.write(data)
 
     def pause_reading(self) -> None:
-        """Pauses reading."""
         if not self.lingers:
             self._transport.pause_reading()
 
     def resume_reading(self) -> None:
-        """Resumes reading."""
         self._transport.resume_reading()
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:

@@ -18,7 +18,7 @@ from drivecal.domain.errors import OverloadError
 LARGEST_BODY = 1_048_576
 """Bytes. The largest campaign that the contracts allow takes a fraction of it."""
 SECONDS_FOR_A_BODY = 30.0
-"""From the head of a request to the end of its body."""
+"""Limit from the head of a request to the end of its body."""
 SECONDS_FOR_A_PROBLEM = 300.0
 """The same for a pushed problem, which may be larger."""
 LONGEST_PATH = 8_192
@@ -143,7 +143,7 @@ class Places:
         self.taken = 0
 
     def take(self) -> Place:
-        """Returns a place, to be given back. Raises OverloadError if there is none."""
+        """Takes a place; the caller returns it. Raises OverloadError if all are taken."""
         with self._lock:
             if self.taken >= self._most:
                 raise OverloadError(f"{self._most:,} {self._what} already; try again later", self._retry_seconds)

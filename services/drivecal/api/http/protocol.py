@@ -14,7 +14,7 @@ from drivecal.api.http.closing import ClosingGently
 from drivecal.api.http.problems import MEDIA_TYPE, problem_content
 
 SECONDS_FOR_A_HEAD = 15.0
-"""From the connection, or from the first byte after an answer, to the end of the headers."""
+"""Limit from the connection, or from the first byte after an answer, to the end of the headers."""
 MOST_CONNECTIONS = 500
 """Largest number of open connections, idle ones included. Most systems allow a process 1,024 open files, of which the database takes 40 and
 more."""

@@ -42,12 +42,12 @@ def begin(token: Token, moment: float | None = None) -> str:
     return f"{end}-{_signature(token, end)}-{token.name}"
 
 
-def holder(value: str, names: Names, moment: float | None = None) -> Token | None:
+def holder(value: str, names: Names) -> Token | None:
     """Returns the token of the session in a cookie's value; None if the session is unknown or over."""
     if len(value) > _LONGEST or value.count("-") < 2:
         return None
     end, signature, name = value.split("-", 2)
-    if not (end.isascii() and end.isdecimal()) or int(end) <= (time.time() if moment is None else moment):
+    if not (end.isascii() and end.isdecimal()) or int(end) <= time.time():
         return None
     token = names.named(name)
     if token is None or not hmac.compare_digest(signature.encode(), _signature(token, int(end)).encode()):

@@ -1,25 +1,31 @@
-"""Setups of a campaign, and studies of its results."""
+"""Setups of a campaign, studies of its results, and the trust that it deserves."""
 
 from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
 from fastapi import APIRouter
+from sqlalchemy import Connection
 
+from drivecal.analysis.trust import Driven, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import calibration, refuse_comparison
+from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
 from drivecal.campaigns.results.failures import causes_of
+from drivecal.contracts.campaign import Study, StudyPage
 from drivecal.contracts.evaluation import FailurePage
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.studies import Study, StudyPage
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.contracts.trust import TrustAnswer
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.storage import campaigns, studies
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
 from drivecal.storage.studies import StoredStudy
 
@@ -50,8 +56,29 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id))
-        made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
-    return StudyPage(items=[_study(study) for study in made if _of_the_same(study, campaign)])
+        made = _about(connection, campaign)
+    return StudyPage(items=[_study(study) for study in made])
+
+
+@router.get("/trust")
+def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
+    """A light for the campaign's result, green, amber or red, and the reasons in words, the gravest first."""
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id), ", which needs no light")
+        made = [study for study in _about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
+        documents = [(study, studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}) for study in made]
+    validated = [
+        Validated(study.campaign, [ValidationRow.model_validate(item) for item in document["items"]])
+        for study, document in documents
+        if study.stage == StageName.VALIDATION
+    ]
+    own = _vehicle(campaign.spec)
+    driven = [
+        Driven(study.campaign, [RobustnessRow.model_validate(item) for item in document["items"]])
+        for study, document in documents
+        if study.stage == StageName.ROBUSTNESS and _vehicle(study.spec) == own
+    ]
+    return trust(campaign_answer(campaign, now(), silent=None), validated, driven)
 
 
 @router.get("/failures")
@@ -88,6 +115,16 @@ def _scenario(
     return ScenarioSetup(scenario=name, weight=begun_with.weights[name], fingerprint=fingerprint, **known)
 
 
+def _about(connection: Connection, campaign: StoredCampaign) -> list[StoredStudy]:
+    made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
+    return [study for study in made if _of_the_same(study, campaign)]
+
+
+def _vehicle(spec: Mapping[str, Any]) -> str | None:
+    model: str | None = (spec.get("vehicle") or {}).get("model")
+    return model
+
+
 def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
     """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space, evaluator and scale."""
     if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
@@ -105,4 +142,4 @@ def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> boo
 def _study(made: StoredStudy) -> Study:
     as_it_is = {name: getattr(made, name) for name in Study.model_fields if hasattr(made, name)}
     settings = made.spec.get(made.stage) or {}
-    return Study(**as_it_is, settings=settings, vehicle=(made.spec.get("vehicle") or {}).get("model"))
+    return Study(**as_it_is, settings=settings, vehicle=_vehicle(made.spec))

@@ -19,7 +19,7 @@ from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
-from drivecal.storage import audits, campaigns, comparisons, costs, results, revision_queries
+from drivecal.storage import audits, campaigns, comparisons, evaluations, results, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -90,7 +90,7 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
     """Savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
     with database.read() as connection:
         stored = calibration(campaigns.get(connection, campaign_id), ", which saves nothing")
-        rows = costs.by_outcome(connection, stored.sequence)
+        rows = evaluations.costs_by_outcome(connection, stored.sequence)
         origin = _map_origin(connection, stored)
         resolved = resolved_spec(stored) if stored.resolution else None
         proofs = audits.proofs(connection, stored.sequence, resolved.evaluator, resolved.scale) if resolved is not None else ()
@@ -108,18 +108,18 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
     if stored.basis is None:
         return MapOrigin(stored.id, made_by=None)
     maker = campaigns.get(connection, stored.source)
-    return MapOrigin(stored.id, maker.id, costs.by_outcome(connection, maker.sequence))
+    return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 
 @router.post("/{campaign_id}/pause", status_code=202)
 def pause(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
-    """Asks for a campaign to rest; what is being simulated is finished and kept. Asking again changes nothing."""
+    """Pauses a campaign; running simulations are finished and kept. Asking again changes nothing."""
     return _asked(database, campaign_id, "pause", response)
 
 
 @router.post("/{campaign_id}/resume", status_code=202)
 def resume(campaign_id: str, response: Response, database: DatabaseDependency) -> Campaign:
-    """Asks for a paused campaign to go on. Asking again changes nothing."""
+    """Resumes a paused campaign. Asking again changes nothing."""
     return _asked(database, campaign_id, "resume", response)
 
 

@@ -76,5 +76,5 @@ def _compared(database: Database, campaign_id: str) -> ComparisonResults:
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
         if campaign.kind != "comparison":
-            raise ConflictError(f"{campaign_id} is no comparison; POST /api/v1/comparisons makes one")
+            raise ConflictError(f"{campaign_id} is not a comparison; POST /api/v1/comparisons makes one")
         return compared(connection, campaign)

@@ -32,7 +32,7 @@ def evaluate(
     limits: LimitsDependency,
     idempotency_key: IdempotencyKey = None,
 ) -> Evaluation:
-    """Queues the evaluation of one parameter set; `Location` says where its result will be."""
+    """Queues the evaluation of one parameter set; `Location` is the URL of its result."""
     stored = submission.evaluate(database, limits, specification, idempotency_key)
     with database.read() as connection:
         answer = _evaluation(connection, stored)

@@ -55,9 +55,9 @@ def scenarios(database: DatabaseDependency, problem: str | None = None) -> Scena
     """The scenarios of all installed catalogues, and the catalogues that cannot be used; with `problem` those of a pushed problem, by its
     name or digest."""
     if problem not in {None, HIGHWAY}:
-        found = _bundle(database, problem or "").manifest
+        manifest = _bundle(database, problem or "").manifest
         return ProblemScenarioPage(
-            items=[ProblemScenario(id=name, problem=found.problem, data=data) for name, data in found.scenarios.items()]
+            items=[ProblemScenario(id=name, problem=manifest.problem, data=data) for name, data in manifest.scenarios.items()]
         )
     headings = [
         _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
@@ -80,10 +80,10 @@ def parameters(database: DatabaseDependency, problem: str | None = None) -> Para
     """The parameter spaces of all installed driving functions, and the functions that cannot be used; with `problem` that of a pushed
     problem, by its name or digest."""
     if problem not in {None, HIGHWAY}:
-        found = _bundle(database, problem or "").manifest
-        listed = list(map(_parameter, parameters_of(found)))
+        manifest = _bundle(database, problem or "").manifest
+        listed = list(map(_parameter, parameters_of(manifest)))
         return ParameterSpacePage(
-            items=[ParameterSpaceAnswer(driving_function=found.problem, name=found.problem, parameters=listed)]
+            items=[ParameterSpaceAnswer(driving_function=manifest.problem, name=manifest.problem, parameters=listed)]
         )
     spaces = [
         ParameterSpaceAnswer(driving_function=function.name, name=name, parameters=list(map(_parameter, space)))
@@ -113,7 +113,7 @@ def references(database: DatabaseDependency) -> ReferencePage:
 
 @router.get("/workers")
 def workers(database: DatabaseDependency) -> WorkerPage:
-    """The workers and what each is doing, as the dispatcher last reported them."""
+    """The workers with their activity, as the dispatcher last reported them."""
     with database.read() as connection:
         dispatcher = processes.read(connection, processes.DISPATCHER)
     judgement = judge(dispatcher, now())

@@ -1,7 +1,8 @@
-"""The page: its files as the build made them, under a policy that lets it speak to this server only."""
+"""The page and the documentation: files as the build made them, under a policy that lets them speak to this server only."""
 
 import gzip
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
@@ -12,12 +13,14 @@ from fastapi import APIRouter, Header, Response
 from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 
-from drivecal.api.http.auth import PAGE
+from drivecal.api.http.auth import HELP, PAGE
 
 router = APIRouter(include_in_schema=False)
 
 FILES = Path(__file__).parent.parent / "static"
 """Folder of the built page (services/web/build_hook.py)."""
+MANUAL = FILES.parent / "help"
+"""Folder of the built documentation (docs/build.py)."""
 START = "index.html"
 DOCS = "docs.html"
 REASON = "missing.txt"
@@ -26,8 +29,10 @@ TYPES = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
+    ".webp": "image/webp",
 }
 POLICY = (
     "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -40,8 +45,10 @@ GUARD = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+MANUAL_GUARD = GUARD | {"Content-Security-Policy": POLICY.replace("style-src 'self'", "style-src 'self' 'unsafe-inline'")}
+"""The search of the documentation's theme brings its styles by script. Scripts have to be files there as well."""
 FOREVER = "public, max-age=31536000, immutable"
-"""For files whose names change with their content."""
+"""`Cache-Control` of files whose names change with their content."""
 
 AcceptEncoding = Annotated[str, Header()]
 IfNoneMatch = Annotated[str, Header()]
@@ -56,9 +63,9 @@ class _File:
 
 @router.get("/")
 def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
-    """The page; where it was not built, a plain one that says why, and what there is instead."""
+    """The page; if it was not built, a plain one with the reason and the alternatives."""
     if not (FILES / START).is_file():
-        return Response(_instead(), 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")
+        return _instead(FILES)
     return _answer(FILES / START, "no-cache", accept_encoding, if_none_match)
 
 
@@ -66,7 +73,7 @@ def start(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "")
 def docs(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
     """The documentation of the API, which asks no other host."""
     if not (FILES / DOCS).is_file():
-        return Response(_instead(), 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")
+        return _instead(FILES)
     return _answer(FILES / DOCS, "no-cache", accept_encoding, if_none_match)
 
 
@@ -76,21 +83,37 @@ def redoc() -> Response:
     return RedirectResponse("/docs", 308)
 
 
+@router.get(HELP)
+def manual() -> RedirectResponse:
+    """The documentation's address with the slash that its relative links need."""
+    return RedirectResponse(HELP + "/", 308)
+
+
+@router.get(HELP + "/{name:path}")
+def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
+    """A page or file of the documentation."""
+    if not (MANUAL / START).is_file():
+        return _instead(MANUAL)
+    if (name or START) not in _names(MANUAL):
+        raise HTTPException(404, f"the documentation has no such page; it starts at {HELP}/")
+    return _answer(MANUAL / (name or START), "no-cache", accept_encoding, if_none_match, MANUAL_GUARD)
+
+
 @router.get(PAGE + "{name:path}")
 def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
     """A file of the page."""
-    if name not in _names():
-        raise HTTPException(404, "the page has no such file; it may have been built anew since: load it again")
+    if name not in _names(FILES):
+        raise HTTPException(404, "the page has no such file; the page may have changed since: load it again")
     return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)
 
 
-def _names() -> set[str]:
-    return {path.relative_to(FILES).as_posix() for path in FILES.rglob("*") if path.suffix in TYPES and path.is_file()}
+def _names(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix in TYPES and path.is_file()}
 
 
-def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) -> Response:
+def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, guard: Mapping[str, str] = GUARD) -> Response:
     asset = _read(path, path.stat().st_mtime_ns)
-    headers = GUARD | {"Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
+    headers = {**guard, "Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
     if asset.tag in if_none_match:
         return Response(status_code=304, headers=headers)
     content = asset.content
@@ -100,7 +123,7 @@ def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str) 
     return Response(content, headers=headers)
 
 
-@lru_cache(maxsize=50)
+@lru_cache(maxsize=100)
 def _read(path: Path, modified: int) -> _File:
     """Reads a file. `modified`: distinguishes the files of a new build."""
     del modified
@@ -108,14 +131,15 @@ def _read(path: Path, modified: int) -> _File:
     return _File(content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"')
 
 
-def _instead() -> str:
+def _instead(folder: Path) -> Response:
     try:
-        reason = (FILES / REASON).read_text(encoding="utf-8").strip()
+        reason = (folder / REASON).read_text(encoding="utf-8").strip()
     except OSError:
         reason = "it was not built when drivecal was installed"
-    return (
+    content = (
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>drivecal</title>'
-        "<h1>drivecal</h1><p>The server works, but its page is not there: "
-        f"{html.escape(reason)}.</p><p>Everything that the page shows is there all the same: see <code>drivecal --help</code> "
-        'and <a href="/openapi.json">the API</a>. Installing drivecal again builds the page.</p></html>'
+        f"<h1>drivecal</h1><p>The server works, but its {'page' if folder == FILES else 'documentation'} is not there: "
+        f"{html.escape(reason)}.</p><p>Everything else works: see <code>drivecal --help</code> "
+        'and <a href="/openapi.json">the API</a>. Installing drivecal again builds both.</p></html>'
     )
+    return Response(content, 200, headers=GUARD | {"Cache-Control": "no-store"}, media_type="text/html")

@@ -28,7 +28,7 @@ router = APIRouter()
 MOST_FOLLOWED = 20
 """Campaigns that one page follows at a time."""
 LARGEST_MESSAGE = 1_000
-"""Characters."""
+"""Largest message of a client, characters."""
 STALLED_SECONDS = 60.0
 """Time after which a page that reads nothing is disconnected; it comes back."""
 AGAIN_LATER, NOT_UNDERSTOOD = 1013, 1008

@@ -65,7 +65,7 @@ async def push(
 
 @router.get("")
 def list_problems(query: ProblemsQuery, database: DatabaseDependency) -> ProblemPage:
-    """What each name means, last pushed first; with `name` everything that was pushed under it."""
+    """The current problem of each name, last pushed first; with `name` every push of it."""
     with database.read() as connection:
         page, following = bundles.listing(connection, name=query.name, limit=query.limit, cursor=query.cursor)
     return ProblemPage(items=[ProblemHeading(**_heading(stored)) for stored in page], next_cursor=following)

@@ -67,7 +67,7 @@ def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iter
 
 
 class _Sink(io.RawIOBase):
-    """A file that collects what is written until it is taken."""
+    """A file that collects written bytes until they are taken."""
 
     def __init__(self) -> None:
         super().__init__()

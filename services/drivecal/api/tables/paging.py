@@ -19,7 +19,7 @@ ROWS_AT_A_TIME = 2000
 Rows = Sequence[BaseModel] | Sequence[Row]
 """Models, or plain rows that are the same in JSON and in a file."""
 Pages = Callable[[int, str | None], tuple[Rows, str | None]]
-"""Returns at most so many rows from a cursor on, and the cursor of what follows."""
+"""Returns at most so many rows from a cursor on, and the cursor of the next row."""
 Columns = Callable[[], Sequence[Column]]
 """Returns the columns of a file."""
 

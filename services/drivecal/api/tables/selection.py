@@ -49,7 +49,7 @@ def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object
     """Returns column, sign and value. Raises ValueError with message and remedy."""
     parts = _CONDITION.fullmatch(condition)
     if parts is None:
-        raise ValueError(f"{condition[:100]!r} is no condition", _REMEDY)
+        raise ValueError(f"{condition[:100]!r} is not a condition", _REMEDY)
     name, sign, text = parts["column"].strip(), parts["sign"], parts["value"]
     column = known.get(name)
     if column is None or column.kind == "numbers":

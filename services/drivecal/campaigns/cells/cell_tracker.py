@@ -8,15 +8,16 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.contracts.work import Cell, Probe, SetupRequest
+from drivecal.contracts.work import Cell, CellResult, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Donor, Outcome, Rating
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Work
@@ -47,7 +48,7 @@ class CellTracker:
         self._copies: dict[int, list[StoredEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._proofs: dict[int, int] = {}
-        """Certificate probes for reused cells without an answer, see `_probes`."""
+        """Evaluations whose runs reused cells without an answer would repeat: the answers of `_probes`."""
         self._requests: Mapping[int, SetupRequest] = {}
         self._inspection = Inspection(view.campaign, view.bench.evaluator_id, view.bench.scale)
         self._refuted: str | None = None
@@ -97,7 +98,9 @@ class CellTracker:
         self._exclusive = not share_runs
         self._pending = {cell.id: cell for cell in results.pending(connection, self._view.campaign)}
         self._pending |= self._inspection.load(connection, self._pending)
-        self._copies, self._proofs = {}, {}
+        self._copies = {}
+        reused = (cell for cell in self._pending.values() if cell.plan is Outcome.REUSED)
+        self._proofs = {cell.id: cell.proven_by for cell in reused if cell.proven_by is not None}
         for cell in self._pending.values():
             if cell.plan in COPIES and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
@@ -121,7 +124,7 @@ class CellTracker:
         answers: list[AnsweredCell] = []
         orphans: list[StoredEvaluation] = []
         again: list[StoredEvaluation] = []
-        finished: list[tuple[StoredEvaluation, Completed]] = []
+        finished: list[tuple[StoredEvaluation, Completed, Rating]] = []
         late = self._late(connection, completed)
         for completion in completed:
             cell = self._pending.get(completion.result.id)
@@ -130,15 +133,14 @@ class CellTracker:
             if completion.result.id in late:
                 again.append(cell)
             elif completion.result.breakdown is None:
-                finished.append((cell, self._rated(cell, completion)))
+                finished.append((cell, completion, self._rating(cell, completion.result)))
             else:
                 orphans += self._break_down(cell, completion, answers)
-        proofs = dict(pair for _, simulation in finished for pair in simulation.result.probed)
+        proofs = dict(pair for _, simulation, _ in finished for pair in simulation.result.probed)
         self._proofs |= proofs
-        finished = [(cell, self._valued(completion)) for cell, completion in finished]
-        stored = runs.insert_results(connection, [self._new_run(cell, simulation) for cell, simulation in finished])
-        for (cell, simulation), run in zip(finished, stored, strict=True):
-            self._simulated(cell, simulation, run, answers)
+        stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
+        for (cell, simulation, rating), run in zip(finished, stored, strict=True):
+            self._simulated(cell, simulation, rating, run, answers)
             if simulation.result.trace is not None:
                 traces.fill(connection, self._view.campaign, simulation.result.trace)
         orphans += self._settle(connection, answers)
@@ -148,14 +150,6 @@ class CellTracker:
             withdrawn = withdraw_certified(connection, self._refuted_setups)
             log.error("%s; %d answers of its setup by certificates are withdrawn", self._refuted, withdrawn)
         return self._work([*again, *orphans])
-
-    def _valued(self, completion: Completed) -> Completed:
-        """Returns a result whose score a failed run cannot beat (`Scale.worth`)."""
-        result, scale = completion.result, self._view.bench.scale
-        if result.score is None or result.rating is None:
-            return completion
-        score, rating = (scale.worth(value, failed=result.failure is not None) for value in (result.score, result.rating))
-        return replace(completion, result=replace(result, score=plain(score), rating=float(rating)))
 
     def _settle(self, connection: Connection, answers: list[AnsweredCell]) -> list[StoredEvaluation]:
         """Stores answers and the verdicts that follow from them; returns the cells that are to be simulated instead."""
@@ -174,7 +168,8 @@ class CellTracker:
             return {}
         probes: dict[int, list[Probe]] = {}
         place = simulated[0].stage, simulated[0].iteration
-        waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in self._pending.values() if cell.plan is Outcome.REUSED]
+        reused = (cell for cell in self._pending.values() if cell.plan is Outcome.REUSED and cell.id not in self._proofs)
+        waiting = [(cell.id, cell.setup_id, cell.parameters) for cell in reused]
         for number, setup_id, parameters in [*evaluations.reused(connection, self._view.campaign, *place), *waiting]:
             probes.setdefault(setup_id, []).append(Probe(number, parameters.floats))
         carriers: dict[int, list[int]] = {}
@@ -246,27 +241,26 @@ class CellTracker:
                 if cell.parameter_set_id in stored:
                     self._answer(cell, stored[cell.parameter_set_id], answers)
 
-    def _rated(self, cell: StoredEvaluation, completion: Completed) -> Completed:
-        """Returns a result with its score, which workers do not know for bundles."""
-        result = completion.result
-        if not self._view.bench.rates:
-            return completion
-        rating = self._view.bench.rate(cell.scenario, result.metrics, result.failure)
-        if rating is None:
-            raise ValueError(f"evaluation {cell.id} lacks a measure that its score needs")
-        if rating.undefined is not None:
-            self._counts["unscored"] += 1
-            self.undefined = self.undefined or rating.undefined
-        return replace(completion, result=replace(result, score=rating.score, rating=rating.rating))
+    def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating:
+        """Returns a result's rating, which workers do not know for bundles. A failed run cannot beat it (`Scale.worth`)."""
+        bench, score, rating = self._view.bench, result.score, result.rating
+        if bench.rates and (rated := bench.rate(cell.scenario, result.metrics, result.failure)) is not None:
+            score, rating = rated.score, rated.rating
+            self._counts["unscored"] += rated.undefined is not None
+            self.undefined = self.undefined or rated.undefined
+        if score is None or rating is None:
+            raise ValueError(f"evaluation {cell.id} has no score, or lacks a measure that its score needs")
+        score, rating = (bench.scale.worth(value, failed=result.failure is not None) for value in (score, rating))
+        return Rating(float(rating), plain(score))
 
-    def _simulated(self, cell: StoredEvaluation, completion: Completed, run: StoredRun, answers: list[AnsweredCell]) -> None:
-        if completion.result.score is None or completion.result.rating is None:
-            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+    def _simulated(
+        self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun, answers: list[AnsweredCell]
+    ) -> None:
         self._counts["unrepeatable"] += not run.agrees or completion.result.repeats is False
         if completion.result.agrees is False:
             self._refuted = _refutation(cell, completion)
             self._refuted_setups.add(cell.setup_id)
-        donor = Donor(cell.id, run.id, completion.result.score, completion.result.rating, completion.result.failure)
+        donor = Donor(cell.id, run.id, rating.score, rating.rating, completion.result.failure)
         if completion.shared:  # counted where it was simulated
             self._answer(cell, donor, answers)
         else:
@@ -284,15 +278,8 @@ class CellTracker:
             self._counts["checked"] += own is not None and own.result.agrees is not None
             answers.append(
                 AnsweredCell(
-                    id=other.id,
-                    outcome=outcome,
-                    score=result.score,
-                    rating=result.rating,
-                    run_id=result.run,
-                    failure=result.failure,
-                    milliseconds=None if own is None else own.result.milliseconds,
-                    worker=None if own is None else own.worker,
-                    attempts=0 if own is None else own.attempts,
+                    *(other.id, outcome, result.score, result.rating, result.run, result.failure),
+                    **_attempt(own),
                     agrees=self._inspection.compare(other, result.score),
                     proven_by=self._proofs.get(other.id) if own is None else own.result.proven_by,
                     proof_agrees=None if own is None else own.result.agrees,
@@ -308,18 +295,11 @@ class CellTracker:
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
                 continue
-            own = other is cell and not completion.shared
+            own = completion if other is cell and not completion.shared else None
             answers.append(
                 AnsweredCell(
-                    id=other.id,
-                    outcome=Outcome.FAILED,
-                    score=None,
-                    rating=None,
-                    run_id=None,
-                    failure=completion.result.breakdown,
-                    milliseconds=completion.result.milliseconds if own else None,
-                    worker=completion.worker if own else None,
-                    attempts=completion.attempts if own else 0,
+                    *(other.id, Outcome.FAILED, None, None, None, completion.result.breakdown),
+                    **_attempt(own),
                     agrees=self._inspection.compare(other, None),
                     detail=detail,
                 )
@@ -342,9 +322,7 @@ class CellTracker:
         self._counts["requested"] += 1
         self._counts[outcome.value] += 1
 
-    def _new_run(self, cell: StoredEvaluation, completion: Completed) -> NewRun:
-        if completion.result.score is None or completion.result.rating is None:
-            raise ValueError(f"the worker gave no score for evaluation {cell.id}")
+    def _new_run(self, cell: StoredEvaluation, completion: Completed, rating: Rating) -> NewRun:
         return NewRun(
             setup_id=cell.setup_id,
             parameter_set_id=cell.parameter_set_id,
@@ -354,8 +332,8 @@ class CellTracker:
             wall_milliseconds=completion.result.wall_milliseconds,
             worker=completion.worker,
             evaluator=self._evaluator_id,
-            score=completion.result.score,
-            rating=completion.result.rating,
+            score=rating.score,
+            rating=rating.rating,
             evaluation_id=cell.id,
             campaign_sequence=self._view.campaign,
             stage=cell.stage,
@@ -363,6 +341,11 @@ class CellTracker:
             individual=cell.individual,
             from_series=self._from_series,
         )
+
+
+def _attempt(own: Completed | None) -> dict[str, Any]:
+    """Returns the fields of the cell's own attempts; empty for a copy."""
+    return {} if own is None else {"milliseconds": own.result.milliseconds, "worker": own.worker, "attempts": own.attempts}
 
 
 def _refutation(cell: StoredEvaluation, completion: Completed) -> str:

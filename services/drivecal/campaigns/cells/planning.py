@@ -27,13 +27,13 @@ class View:
     """A campaign's view of the database: its own cells, and the runs up to its watermark."""
 
     campaign: int
-    """Its sequence."""
+    """Number of the campaign."""
     watermark: int
     bench: Bench
     influence_map: InfluenceMap | None = None
     influence_map_sequence: int | None = None
     checked_certificates: float | None = None
-    """The share of certified cells that are simulated all the same; None: nothing is certified."""
+    """Share of certified cells that are simulated as a check; None: no cell is certified."""
     traced: bool = False
     """The time series of its cells are wanted."""
 

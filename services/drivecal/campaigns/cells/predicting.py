@@ -8,7 +8,7 @@ import math
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,7 +21,7 @@ from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
 from drivecal.reduction.lots import SamplingPlan, most_released
@@ -191,16 +191,21 @@ class LotPlanner:
         return lot.individual // self._slice if lot.iteration == 0 else slices + lot.iteration - 1
 
     def plan(
-        self, connection: Connection, cells: Sequence[NewEvaluation], best: float | None, whole: Collection[int]
+        self,
+        connection: Connection,
+        cells: Sequence[NewEvaluation],
+        best: float | None,
+        whole: Collection[int],
+        reaches: Callable[[Mapping[str, CellScore]], bool] | None = None,
     ) -> list[NewEvaluation]:
         """Stores the batch's lots, and returns its cells with accepted predictions in the place of simulations.
 
-        Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective are simulated whole; so are audited
-        cells and those that answer others.
+        Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective, or of the front if `reaches` is
+        given, are simulated whole; so are audited cells and those that answer others.
         """
         if not self._forecasts or not cells:
             return list(cells)
-        promoted = {*whole, *self._promoted(cells, best)}
+        promoted = {*whole, *(self._promoted(cells, best) if reaches is None else self._reaching(cells, best, reaches))}
         leading = {cell.leader for cell in cells if cell.leader is not None}
         planned = list(cells)
         accepted: dict[str, Lot | None] = {}
@@ -262,19 +267,7 @@ class LotPlanner:
         predicted: dict[int, float] = defaultdict(float)
         means: dict[int, float] = defaultdict(float)
         variances: dict[int, float] = defaultdict(float)
-        prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
-        for cell in cells:
-            if cell.donor is not None and not cell.audited:
-                mean, variance = float(cell.donor.score), 0.0
-                score = mean
-            elif cell.scenario in prior:
-                mean, variance = prior[cell.scenario]
-                score = mean
-            else:
-                predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
-                score, mean, variance = (
-                    float(column[row]) for column in (predictions.scores, predictions.mean, predictions.variance)
-                )
+        for cell, score, mean, variance in self._believed(cells):
             predicted[cell.individual] += self._weights[cell.scenario] * score
             means[cell.individual] += self._weights[cell.scenario] * mean
             variances[cell.individual] += self._weights[cell.scenario] ** 2 * variance
@@ -284,6 +277,34 @@ class LotPlanner:
             if max(sign * predicted[individual], sign * mean + REACH * math.sqrt(variances[individual]))
             >= sign * best - ROUNDING
         }
+
+    def _believed(self, cells: Sequence[NewEvaluation]) -> Iterator[tuple[NewEvaluation, float, float, float]]:
+        """Yields each cell with its believed score, the mean and the variance."""
+        prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
+        for cell in cells:
+            if cell.donor is not None and not cell.audited:
+                yield cell, float(cell.donor.score), float(cell.donor.score), 0.0
+            elif cell.scenario in prior:
+                mean, variance = prior[cell.scenario]
+                yield cell, mean, mean, variance
+            else:
+                predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
+                yield cell, float(predictions.scores[row]), float(predictions.mean[row]), float(predictions.variance[row])
+
+    def _reaching(
+        self, cells: Sequence[NewEvaluation], best: float | None, reaches: Callable[[Mapping[str, CellScore]], bool]
+    ) -> set[int]:
+        """Individuals that reach the front with the better of their believed scores and `REACH` standard deviations beyond their means."""
+        if best is None:
+            return set()
+        sign = self._view.bench.scale.sign
+        hoped: dict[int, dict[str, CellScore]] = defaultdict(dict)
+        for cell, score, mean, variance in self._believed(cells):
+            value = sign * max(sign * score, sign * mean + REACH * math.sqrt(variance))
+            hoped[cell.individual][cell.scenario] = CellScore(
+                cell.parameter_set_id, cell.scenario, value, value, own=False, iteration=0, individual=cell.individual
+            )
+        return {individual for individual, scores in hoped.items() if reaches(scores)}
 
 
 def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:

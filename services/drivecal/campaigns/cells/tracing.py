@@ -60,7 +60,7 @@ def request_trace(connection: Connection, number: int) -> StoredCampaign:
 
 
 def _specification(connection: Connection, number: int) -> tuple[EvaluationSpecification, dict[str, Any]]:
-    """Returns what repeats an evaluation, and what it resolves to."""
+    """Returns the specification that repeats an evaluation, and its resolution."""
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
@@ -76,8 +76,8 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     if today.fingerprint != stored.fingerprint:
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(
-            f"evaluation {number} was driven with another {', '.join(changed) or 'version'} than is installed now, so its time series"
-            " cannot be had again; evaluate its parameters anew"
+            f"evaluation {number} was simulated with another {', '.join(changed) or 'version'} than is installed now, so its time series"
+            " cannot be repeated; evaluate its parameters anew"
         )
     return specification, problem.resolution() | ({} if tools is None else {"tools": tools})
 

@@ -20,7 +20,7 @@ from drivecal.storage.generations import Figures
 
 MOST_GENERATIONS = 10_000
 MOST_REMEMBERED = 100_000
-"""Runs."""
+"""Ended runs whose best objective is cached."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None
 
 
 _ended: dict[str, float | None] = {}
-"""By the run's id, which no other run ever has."""
+"""Best objectives of ended runs, by the run's unique id."""
 
 
 def _needed(figures: Figures | CellCounts) -> int:

@@ -42,12 +42,7 @@ class ComparisonJob(Job):
     """A comparison as a job. The rows of its runs hold all state; the comparison's own row is their sum."""
 
     def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: ComparisonProblem,
-        take_up: Callable[[int], Job],
-        clock: Callable[[], float] = time.monotonic,
+        self, database: Database, campaign: StoredCampaign, problem: ComparisonProblem, take_up: Callable[[int], Job]
     ) -> None:
         """`take_up` returns the job of a campaign by its number."""
         self._database = database
@@ -63,9 +58,8 @@ class ComparisonJob(Job):
         with database.read() as connection:
             self._waiting = comparisons.open_runs(connection, campaign.sequence)
             done = _Sum.over(comparisons.tallies(connection, campaign.sequence), self._sign).done
-        self._clock, self._next_sum = clock, clock()
-        self._eta = EtaEstimate(clock, done)
-        """Whether there is more to do now, though nothing was given to simulate and nothing is awaited."""
+        self._next_sum = time.monotonic()
+        self._eta = EtaEstimate(time.monotonic, done)
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -158,12 +152,12 @@ class ComparisonJob(Job):
             raise NoResultError(f"{failed} of {of} runs failed: {listed}{more}")
 
     def _sum_up_when_due(self, *, over: bool = False) -> None:
-        if over or self._clock() >= self._next_sum:
+        if over or time.monotonic() >= self._next_sum:
             self.sum_up()
 
     def sum_up(self) -> None:
         """Stores the sums over the runs in the comparison's own row."""
-        self._next_sum = self._clock() + SECONDS_BETWEEN_SUMS
+        self._next_sum = time.monotonic() + SECONDS_BETWEEN_SUMS
         with self._database.transaction() as connection:
             total = _Sum.over(comparisons.tallies(connection, self._sequence), self._sign)
             snapshot = Snapshot(

@@ -119,7 +119,7 @@ def basis_of(problem: CalibrationProblem) -> dict[str, Any]:
 
 
 def measure(scale: Scale) -> dict[str, float]:
-    """Returns what an analysis takes from a scale: s_rel are shares of the span, and `auto` tolerates changes by the tolerance."""
+    """Returns the part of a scale that analyses depend on: s_rel are shares of the span, `auto` tolerates changes by the tolerance."""
     return {"tolerance": scale.tolerance, "span": scale.span}
 
 

@@ -1,4 +1,4 @@
-"""What the parameters and scenarios of a campaign mean, in words: of a bundle as its manifest says, else as the plug-ins do."""
+"""Descriptions of a campaign's parameters and scenarios: of a bundle as its manifest says, else as the plug-ins do."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from drivecal.storage.problems import bundles
 
 @dataclass(frozen=True)
 class Meanings:
-    """Descriptions of parameters and titles of scenarios, by name; what has none is missing."""
+    """Descriptions of parameters and titles of scenarios, by name, if there are any."""
 
     parameters: Mapping[str, str] = field(default_factory=dict)
     scenarios: Mapping[str, str] = field(default_factory=dict)

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.goals import check_reuse, find_goals
 from drivecal.campaigns.resolve.resolvers import Optimization
 from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, given_set, search_space, space_to_document
 from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
@@ -48,6 +50,8 @@ class CalibrationProblem:
     notes: tuple[str, ...]
     constraints: Constraints
     """Constraints over the parameters; none for a plug-in without."""
+    goals: Goals | None = None
+    """Objectives and constraints; None for the weighted mean of the bench's score."""
 
     def analysis(self) -> SensitivityAnalysis | None:
         """A new sensitivity analysis; None if the specification names a map or wants no analysis."""
@@ -120,7 +124,8 @@ class CalibrationProblem:
         `resolved_spec.ResolvedSpec` is what it means once the campaign has been taken up.
         """
         fixed = fixed_to_document(self.space.fixed)
-        return _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+        resolution = _resolution(self.bench, self.space.parameters) | {"fixed": fixed, "weights": dict(self.weights)}
+        return resolution if self.goals is None else resolution | {"goals": self.goals.to_json()}
 
 
 @dataclass(frozen=True)
@@ -151,24 +156,28 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     The resolved specification names a bundle by its digest, so that a later push of the same name changes nothing.
     """
     diagnostics = Diagnostics()
-    found = find_workbench(specification, bundles, diagnostics)
+    workbench = find_workbench(specification, bundles, diagnostics)
     optimization = resolvers.choose_optimizer(specification, diagnostics)
-    weights, notes = resolvers.normalise_weights(specification.weights, found.scenarios, diagnostics)
-    notes += resolvers.note_vehicle(found.vehicle, found.vehicle_parameters)
+    weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
+    notes += resolvers.note_vehicle(workbench.vehicle, workbench.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
-    notes += found.notes
-    space = None if found.function is None else search_space(specification, found.function, diagnostics)
-    constraints = None if space is None else resolvers.find_constraints(found.function, space, diagnostics)
-    resolvers.check_abilities(optimization, constraints, diagnostics)
+    notes += workbench.notes
+    space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
+    constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
+    goals = find_goals(specification, workbench.known, weights, diagnostics) if workbench.known.scores and weights else None
+    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
+    specification = specification.model_copy(update={"reduction": reduction})
+    notes += more
+    resolvers.check_abilities(optimization, constraints, goals, diagnostics)
     notes += resolvers.note_search(optimization, constraints)
     if specification.baseline is None:
-        baseline, more = resolvers.own_baseline(found.baseline, constraints)
+        baseline, more = resolvers.own_baseline(workbench.baseline, constraints)
         notes += more
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
-        specification, found.vehicle, found.vehicle_parameters, list(weights), constraints, diagnostics
+        specification, workbench.vehicle, workbench.vehicle_parameters, list(weights), constraints, diagnostics
     )
     if specification.robustness is not None and specification.problem != HIGHWAY:
         message = (
@@ -178,45 +187,45 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
-        diagnostics.add("reduction.narrow", "there is no influence map by which the search space could be narrowed", remedy)
+        diagnostics.add("reduction.narrow", "there is no influence map to narrow the search space by", remedy)
     if constraints is not None and isinstance(specification.sensitivity, SensitivitySpecification):
         try:
             resolvers.plan_analysis(specification.sensitivity, constraints, tuple(weights))
         except InvalidInputError as error:
             diagnostics.problems.extend(error.problems)
     diagnostics.raise_if_any()
-    if found.make is None or space is None or constraints is None:
+    if workbench.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")
-    specification = specification.model_copy(update=dict(found.settled))
-    bench = found.make(weights)
+    specification = specification.model_copy(update=dict(workbench.settled))
+    bench = workbench.make(weights)
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
     return CalibrationProblem(
-        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints
+        specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )
 
 
 def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = no_bundles) -> EvaluationProblem:
     """Resolves a single evaluation. Its values may lie between grid points, within the driving function's limits."""
     diagnostics = Diagnostics()
-    found = find_workbench(specification, bundles, diagnostics)
-    scenarios = found.scenarios
+    workbench = find_workbench(specification, bundles, diagnostics)
+    scenarios = workbench.scenarios
     if specification.scenario is not None:
         if specification.scenario in scenarios:
             scenarios = (specification.scenario,)
         elif scenarios:
             diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
-    values = {} if found.function is None else free_values(specification.parameters, found.function, diagnostics)
+    values = {} if workbench.function is None else free_values(specification.parameters, workbench.function, diagnostics)
     diagnostics.raise_if_any()
-    if found.make is None or found.function is None:
+    if workbench.make is None or workbench.function is None:
         raise AssertionError("a part is missing without a finding")
     parameter_set = ParameterSet.of(values)
-    resolvers.constraints_of(found.function, ParameterSpace(next(iter(found.function.spaces.values())))).check(
+    resolvers.constraints_of(workbench.function, ParameterSpace(next(iter(workbench.function.spaces.values())))).check(
         parameter_set, "parameters"
     )
-    specification = specification.model_copy(update=dict(found.settled))
-    return EvaluationProblem(specification, found.make(scenarios), parameter_set)
+    specification = specification.model_copy(update=dict(workbench.settled))
+    return EvaluationProblem(specification, workbench.make(scenarios), parameter_set)
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
@@ -24,8 +25,10 @@ class ResolvedSpec:
     weights: Mapping[str, float]
     """Weights of the simulated scenarios in the catalogue's order, with sum 1; empty for a single evaluation."""
     setups: Mapping[str, str]
-    """Their fingerprints."""
+    """Fingerprints of the setups by scenario."""
     scale: Scale
+    goals: Goals | None = None
+    """None for the weighted mean of the score."""
 
 
 def problem_of(campaign: StoredCampaign, bundles: BundleSource = no_bundles) -> CalibrationProblem | EvaluationProblem:
@@ -61,7 +64,8 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
     weights, setups = resolution.get("weights", {}), resolution["setups"]
-    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution))
+    goals = Goals.from_json(resolution["goals"]) if "goals" in resolution else None
+    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution), goals)
 
 
 def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:

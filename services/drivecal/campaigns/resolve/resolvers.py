@@ -6,9 +6,11 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from drivecal.analysis.goals import Goals
 from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
+from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
@@ -16,7 +18,6 @@ from drivecal.contracts.specification import (
     SeparateThresholds,
     VehicleSpecification,
 )
-from drivecal.contracts.studies import STUDIES
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
@@ -31,7 +32,7 @@ from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.settings import SensitivitySettings
 
-ORDERING = ("swarm", "cma_es")
+ORDERING = ("swarm", "cma_es", "nsga2", "nsga3")
 """Built-in optimizers that move through the values of a parameter in their order."""
 MOST_WRONG_SETS = 200
 """Problems after which further start sets are not checked."""
@@ -114,7 +115,7 @@ def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[
 
 
 def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
-    """Notes what the threshold `auto` of a new analysis may miss with its number of samples."""
+    """Notes the rate of misses of the threshold `auto` for an analysis' number of samples."""
     wanted = specification.sensitivity
     if not isinstance(wanted, SensitivitySpecification) or wanted.threshold != "auto":
         return ()
@@ -272,12 +273,18 @@ def find_constraints(function: Parameterised | None, space: ParameterSpace, diag
     return constraints
 
 
-def check_abilities(optimization: Optimization | None, constraints: Constraints | None, diagnostics: Diagnostics) -> None:
-    """Adds a problem for each kind of parameter that the optimizer does not search, and for constraints that it does not cope with."""
+def check_abilities(
+    optimization: Optimization | None, constraints: Constraints | None, goals: Goals | None, diagnostics: Diagnostics
+) -> None:
+    """Adds a problem for each kind of parameter that the optimizer does not search, for constraints on parameters that it does not cope
+    with, and for several objectives or constraints on results if it handles a single number only."""
     if optimization is None or constraints is None:
         return
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
+    if goals is not None and goals.is_vector and "objectives" not in abilities.supported(optimization.plugin):
+        message = f"{name} searches by a single number, without constraints on results"
+        diagnostics.add("optimizer.kind", message, "choose nsga2, or give one objective and no constraints")
     for ability in abilities.lacking(optimization.plugin, wanted):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"

@@ -16,7 +16,7 @@ class Parameterised(Protocol):
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the function or problem."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
@@ -27,20 +27,18 @@ class Parameterised(Protocol):
         """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
 
 
-def search_parameters(
-    parameters: str | Sequence[ParameterSpecification], function: Parameterised, field: str = "parameters"
-) -> tuple[Parameter, ...]:
+def search_parameters(parameters: str | Sequence[ParameterSpecification], function: Parameterised) -> tuple[Parameter, ...]:
     """The grid of each listed parameter. Raises InvalidInputError for unknown spaces and names, empty grids, forbidden values."""
     if isinstance(parameters, str):
         if parameters not in function.spaces:
             remedy = f"one of {', '.join(function.spaces)}, or a list of parameters"
-            raise InvalidInputError(Problem(field, f"{function.name} has no parameter space {parameters!r}", remedy))
+            raise InvalidInputError(Problem("parameters", f"{function.name} has no parameter space {parameters!r}", remedy))
         return function.spaces[parameters]
     diagnostics = Diagnostics()
     grids: list[Parameter] = []
-    known = function_names(function)
+    known = tuple(_default_space(function))
     for index, listed in enumerate(parameters):
-        where = f"{field}[{index}]"
+        where = f"parameters[{index}]"
         if listed.name not in known:
             diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
             continue
@@ -63,11 +61,6 @@ def search_parameters(
             _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
     diagnostics.raise_if_any()
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
-
-
-def function_names(function: Parameterised) -> tuple[str, ...]:
-    """The names of all parameters of a driving function, in its order."""
-    return tuple(_default_space(function))
 
 
 def _default_space(function: Parameterised) -> dict[str, Parameter]:
@@ -212,7 +205,7 @@ def _check_free(function: Parameterised, usual: Parameter, value: Value, field: 
     except ValueError as error:
         diagnostics.add(field, str(error), "round it")
     if usual.kind == "integer" and value != value.to_integral_value():
-        diagnostics.add(field, f"{value} is no whole number", f"give e.g. {value.to_integral_value()}")
+        diagnostics.add(field, f"{value} is not a whole number", f"give e.g. {value.to_integral_value()}")
     _within_limits(function, usual.name, value, field, diagnostics)
 
 

@@ -4,16 +4,26 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivecal.analysis.goals import CellValue
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench, DrivingBench
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, constraints_of, parameters_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.goals import KnownValues
 from drivecal.campaigns.resolve.spaces import Parameterised
-from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, ProblemSpecification, VehicleSpecification
+from drivecal.contracts.specification import (
+    HIGHWAY,
+    CampaignSpecification,
+    EvaluationSpecification,
+    ProblemSpecification,
+    VehicleSpecification,
+)
 from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import NotFoundError
+from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.domain.parameters import Parameter, Setting
+from drivecal.domain.scales import COMFORT
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Vehicle
 
@@ -39,6 +49,7 @@ class Workbench:
     baseline: Mapping[str, Setting] | None = None
     """The problem's own baseline."""
     notes: tuple[str, ...] = ()
+    known: KnownValues = field(default_factory=KnownValues)
 
 
 def no_bundles(name: str) -> Bundle:
@@ -70,7 +81,8 @@ def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:
         def make(scenarios: Collection[str]) -> Bench:
             return DrivingBench({name: catalogued[name] for name in scenarios}, driver, driven, values, rater)
 
-    return Workbench({"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make)
+    known = KnownValues({COMFORT.name: CellValue(COMFORT)}, CLOSED_LOOP_MEASURES)
+    return Workbench({"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make, known=known)
 
 
 @dataclass(frozen=True)
@@ -80,7 +92,7 @@ class BundleFunction:
     name: str
     parameters: tuple[Parameter, ...]
     constraints: Mapping[str, Allows]
-    """By their text."""
+    """Constraints by their text."""
 
     @property
     def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
@@ -101,13 +113,17 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     manifest = bundle.manifest
     _refuse_driving_settings(wanted, diagnostics)
     scenarios = _scenarios(wanted.catalogue, manifest, diagnostics)
-    score = _score(wanted.evaluator, manifest, diagnostics)
+    score = _score(wanted, manifest, diagnostics)
     function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
     make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
     settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
     if isinstance(wanted, ProblemSpecification):
         settled["catalogue"] = list(scenarios)
-    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(bundle))
+    scores = {
+        name: CellValue(entry.scale(name), None if name == score else entry.formula) for name, entry in manifest.scores.items()
+    }
+    known = KnownValues() if score is None else KnownValues(scores, manifest.measures)
+    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(bundle), known=known)
 
 
 def _notes(bundle: Bundle) -> tuple[str, ...]:
@@ -139,10 +155,14 @@ def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diag
     return tuple(name for name in manifest.scenarios if name in listed)
 
 
-def _score(evaluator: str, manifest: Manifest, diagnostics: Diagnostics) -> str | None:
+def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> str | None:
+    """Returns the campaign's score: the evaluator, or else the first that an objective names, or else the manifest's first."""
+    evaluator = wanted.evaluator
     if evaluator in manifest.scores:
         return evaluator
     if evaluator == "reference":  # the default of the built-in problem
-        return next(iter(manifest.scores))
+        objectives = wanted.objectives if isinstance(wanted, CampaignSpecification) else None
+        named = [each.score for each in objectives or () if each.score in manifest.scores]
+        return next((score for score in named if score is not None), next(iter(manifest.scores)))
     diagnostics.add("evaluator", f"{manifest.problem} has no score {evaluator!r}", f"one of {', '.join(manifest.scores)}")
     return None

@@ -4,19 +4,18 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.confirmation import Confirmation, verdict_in
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
+from drivecal.analysis.confirmation import Confirmation, front_verdict, verdict_in
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.population import PopulationAnswers
 from drivecal.campaigns.stages.stage import CampaignStage, Round
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
 from drivecal.domain.campaigns import StageName
@@ -45,20 +44,13 @@ class Calibration(CampaignStage):
     name = StageName.CALIBRATION
     uses_map = True
 
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
-        super().__init__(database, campaign, problem, view, clock)
+        super().__init__(database, campaign, problem, view)
         self._optimization = problem.optimization
-        self._sign = view.bench.scale.sign
-        self._ranking = Ranking(problem.weights, self._sign)
+        self._answers = PopulationAnswers(problem, problem.optimization.population)
+        self._ranking = self._answers.ranking
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = problem.search_area(view.influence_map)
         self._notes = problem.notes
@@ -66,8 +58,6 @@ class Calibration(CampaignStage):
             self._notes = (*problem.notes, self._area.note())
         self._best, self._baseline = campaign.best, campaign.baseline
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
-        shape = self._optimization.population, len(problem.scenarios)
-        self._scores, self._ratings = np.full(shape, np.nan), np.full(shape, np.nan)
         self._before = CellCounts()
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
@@ -121,7 +111,7 @@ class Calibration(CampaignStage):
             if last is not None:
                 finished = last.iteration + last.finished
                 self._before = CellCounts(**generations.sums(connection, self._campaign.sequence, _COUNTED, finished))
-                self._take_in(connection, iterations=range(finished))
+                self._answers.take_in(connection, self._campaign.sequence, range(finished))
         self._optimizer = self._restored(last)
         with self._database.transaction() as connection:
             if last is None:
@@ -146,19 +136,16 @@ class Calibration(CampaignStage):
         optimizer = self._optimization.restore(area, constraints, last.optimizer_state)
         self._iteration = last.iteration
         if last.finished:
-            self._inform(optimizer)
+            self._answers.inform(optimizer)
         else:
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
             self._batches = self._split(last.iteration, self._proposal)
             self._round = Round(last.iteration, (), self._policy())
         return optimizer
 
-    def _inform(self, optimizer: Optimizer) -> None:  # higher is better for every optimizer
-        optimizer.tell(self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings))
-
     def _propose(self) -> Round:
         if self._optimizer is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         self._proposal = self._optimizer.ask()
         self._iteration = 0 if self._iteration is None else self._iteration + 1
         self._batches = self._split(self._iteration, self._proposal)
@@ -173,7 +160,7 @@ class Calibration(CampaignStage):
 
     def _next_batch(self) -> Round:
         if self._proposal is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         batch, problem = self._batches.pop(0), self._problem
         sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
         wanted = [
@@ -184,7 +171,7 @@ class Calibration(CampaignStage):
         if self._planner is not None:
             with self._database.transaction() as connection:
                 self._planner.learn(connection)
-                self._take_in(connection, [self._iteration])
+                self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
             self._planner.predict(dict(zip(batch, sets, strict=True)))
         return Round(self._iteration, [(problem.bench, wanted)], self._policy())
 
@@ -197,7 +184,8 @@ class Calibration(CampaignStage):
             return planned
         best = self._ranking.surest()
         given = range(len(self._problem.start_sets)) if asked.number == 0 else ()  # first in the start population
-        return self._planner.plan(connection, planned, None if best is None else best.objective, given)
+        reaches = None if self._problem.goals is None else self._ranking.reaches_front
+        return self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
 
     def _policy(self) -> Policy:
         reduction = self._problem.specification.reduction
@@ -235,7 +223,7 @@ class Calibration(CampaignStage):
             else:
                 tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
             for number in range(taken, len(tried)):
-                self._ranking.add(results.answers(connection, sequence, self.name, first + number))
+                self._ranking.add(self._answers.read(connection, sequence, first + number))
             if tried:
                 self._describe_best(connection)
             chosen = self._confirmation.choose(self._ranking)
@@ -256,18 +244,22 @@ class Calibration(CampaignStage):
         if confirmation.tried and best is not None:
             self._check_reuse(connection, self._optimization.iterations - 1)
             if self._verdict is None:
-                self._verdict = confirmation.verdict(best[0])
+                goals = self._problem.goals
+                is_front = goals is not None and goals.is_vector
+                self._verdict = (
+                    front_verdict(self._ranking.front(), confirmation.tried) if is_front else confirmation.verdict(best[0])
+                )
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
-                if confirmation.changed(best[0]):
+                if not is_front and confirmation.changed(best[0]):
                     self._tell_best(connection, best[0])
 
     def _close(self) -> None:
         """Closes an iteration: every cell has its answer."""
         if self._optimizer is None or self._iteration is None:
-            raise RuntimeError("the stage has not been taken up")
+            raise RuntimeError("the stage has not started")
         with self._database.transaction() as connection:
-            self._take_in(connection, iterations=[self._iteration])
-            objectives = self._weighted(self._scores)
+            self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
+            objectives = self._answers.objectives()
             self._check_reuse(connection, self._iteration)
             if self._planner is not None:
                 self._released = self._planner.released(connection, self._iteration)
@@ -278,34 +270,12 @@ class Calibration(CampaignStage):
             data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
-        self._inform(self._optimizer)
+        self._answers.inform(self._optimizer)
         self._proposal = None
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:
         """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
         self._error_rate = check_reuse(connection, self._view, iteration, self._problem.scenarios, self._error_rate)
-
-    def _take_in(self, connection: Connection, iterations: range | list[int]) -> None:
-        """Reads the answers of iterations: each individual keeps those of the iteration that requested it last."""
-        columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
-        only = iterations[0] if len(iterations) == 1 else None
-        wanted = set(iterations)
-        answers = results.answers(connection, self._campaign.sequence, StageName.CALIBRATION, only) if wanted else ()
-        taken = [answer for answer in answers if answer.iteration in wanted]
-        for answer in taken:
-            cell = answer.individual, columns[answer.scenario]
-            self._scores[cell] = np.nan if answer.score is None else answer.score
-            self._ratings[cell] = np.nan if answer.rating is None else answer.rating
-        self._ranking.add(taken)
-
-    def _weighted(
-        self, values: np.ndarray[tuple[int, int], np.dtype[np.float64]]
-    ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """Equation 6, shape (population,), added in the order of the scenarios; NaN for individuals without a result."""
-        total = np.zeros(len(values))
-        for column, weight in enumerate(self._problem.weights.values()):
-            total += weight * values[:, column]
-        return total
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
         now = CellCounts(**self._tracker.counts)
@@ -335,7 +305,9 @@ class Calibration(CampaignStage):
                 scores=dict(solution.scores),
                 alternatives=alternatives,
             )
-            if before is None or self._sign * (self._best.objective - before.objective) > EQUAL:
+            gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
+            goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
+            if before is None or gain > EQUAL or (goals is not None and goals.bounds and gain < -EQUAL):
                 self._tell_best(connection, solution)
         unknown = self._baseline is None or self._baseline.objective is None
         self._remember_baseline(connection)

@@ -22,7 +22,7 @@ from drivecal.reduction.prediction import ROUNDING
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.results import ReleasedCell
+from drivecal.storage.results import StoredEvaluation
 
 FIELD = "validation.of"
 
@@ -96,8 +96,9 @@ class PredictionValidation(StudyStage):
         del number
         differences: dict[str, list[float]] = {scenario: [] for scenario in self._drawn}
         for answer in answers:
-            if answer.score is not None:
-                differences[answer.scenario].append(self._drawn[answer.scenario][answer.individual].score - answer.score)
+            predicted = self._drawn[answer.scenario][answer.individual].score
+            if answer.score is not None and predicted is not None:
+                differences[answer.scenario].append(predicted - answer.score)
         self._differences = differences
 
     def _outcome(self) -> dict[str, Any]:
@@ -129,6 +130,6 @@ class PredictionValidation(StudyStage):
         }
 
 
-def _drawn(cells: Sequence[ReleasedCell], samples: int, seed: int) -> list[ReleasedCell]:
+def _drawn(cells: Sequence[StoredEvaluation], samples: int, seed: int) -> list[StoredEvaluation]:
     identities = [str(cell.id).encode() for cell in cells]
     return [cells[place] for place in draw(identities, min(samples, len(cells)), str(seed).encode())]

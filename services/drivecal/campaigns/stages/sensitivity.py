@@ -1,7 +1,6 @@
 """The sensitivity stage: simulates the runs of an analysis by phase, and makes the campaign's influence map from them."""
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -39,18 +38,11 @@ class Sensitivity(CampaignStage):
 
     name = StageName.SENSITIVITY
 
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         analysis = problem.analysis()
         if analysis is None:
             raise ValueError("the campaign has no sensitivity stage")
-        super().__init__(database, campaign, problem, view, clock)
+        super().__init__(database, campaign, problem, view)
         self._analysis: SensitivityAnalysis = analysis
         self._expected = problem.expected_runs()
         self._phase: Phase | None = None

@@ -2,7 +2,7 @@
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -48,15 +48,13 @@ class Stage(Job):
 
     name: ClassVar[StageName]
 
-    def __init__(
-        self, database: Database, campaign: StoredCampaign, view: View, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, database: Database, campaign: StoredCampaign, view: View) -> None:
         counts = campaign.counts(self.name)
         self._database = database
         self._campaign = campaign
         self._view = view
         self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
-        self._eta = EtaEstimate(clock, counts.requested)
+        self._eta = EtaEstimate(time.monotonic, counts.requested)
         self._resumed = False
         self._round: Round | None = None
         self._told_undefined = counts.unscored > 0
@@ -190,15 +188,8 @@ class CampaignStage(Stage):
     uses_map: ClassVar[bool] = False
     """Whether its view needs the campaign's influence map."""
 
-    def __init__(
-        self,
-        database: Database,
-        campaign: StoredCampaign,
-        problem: CalibrationProblem,
-        view: View,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__(database, campaign, view, clock)
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+        super().__init__(database, campaign, view)
         self._problem = problem
 
     def work(self) -> list[Work]:

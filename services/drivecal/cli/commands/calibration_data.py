@@ -30,7 +30,8 @@ def parameters(
     ] = None,
     names: NamesOption = None,
     span: Annotated[
-        float, typer.Option(min=1e-6, max=1e3, help="Half a range that no file gives, as a share of the value.")
+        float,
+        typer.Option(min=1e-6, max=1e3, help="Half the range of a parameter without one in any file, as a share of the value."),
     ] = 0.5,
     as_json: JsonOption = False,
 ) -> None:
@@ -47,10 +48,10 @@ def parameters(
         if content.skipped:
             tell(f"{source}: {len(content.skipped):,} curves, maps and other arrays are left out")
     if sections.guessed:
-        tell(f"no file gives a range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
+        tell(f"no file has a range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
     missing = sections.parameters.keys() - sections.baseline.keys()
     if missing and sections.baseline:
-        tell(f"no file gives a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")
+        tell(f"no file has a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")
 
 
 def _yaml(sections: Sections) -> Iterator[str]:

@@ -13,12 +13,10 @@ from drivecal.cli.application import (
     app,
     code_of_state,
     connect,
-    full_id,
     tell,
-    with_full_ids,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
-from drivecal.cli.views.output import dumped, print_answer, print_campaign, print_json, print_page, saved, when
+from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import (
     pays_text,
@@ -27,12 +25,12 @@ from drivecal.cli.views.savings import (
     print_failures,
     print_lots,
     print_narrowed,
+    print_trust,
 )
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import Campaign, ExpectedRuns
-from drivecal.contracts.studies import STUDIES
+from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -56,7 +54,6 @@ def submit(
     """Submit a campaign."""
     specification = read_document(file)
     with connect(url) as client:
-        specification = with_full_ids(client, specification)
         if dry_run:
             print_answer(client.expected_runs(specification), as_json, _print_expected)
         else:
@@ -84,13 +81,13 @@ def rerun(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run an ended campaign again with other weights or another evaluator, on the results that are there already."""
+    """Run an ended campaign again with other weights or another evaluator, on the stored results."""
     if weights is None and evaluator is None and problem is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator or --problem")
     given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
-        first = client.campaign(full_id(client, identifier))
+        first = client.campaign(client.full_id(identifier))
         changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
@@ -113,7 +110,7 @@ def list_campaigns(
 def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Show one campaign."""
     with connect(url) as client:
-        _print_whole(client, client.campaign(full_id(client, identifier)), as_json)
+        _print_whole(client, client.campaign(client.full_id(identifier)), as_json)
 
 
 @app.command()
@@ -122,32 +119,32 @@ def watch(
 ) -> None:
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
     with connect(url) as client:
-        campaign = follow(client, full_id(client, identifier), timeout, from_beginning=False)
+        campaign = follow(client, client.full_id(identifier), timeout, from_beginning=False)
         _print_whole(client, campaign, as_json)
     raise typer.Exit(code_of_state(campaign.state))
 
 
 @app.command()
 def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a campaign rest; what is being simulated is finished and kept."""
+    """Pause a campaign; running simulations are finished and kept."""
     _act(identifier, "pause", url, as_json)
 
 
 @app.command()
 def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Let a paused campaign go on."""
+    """Resume a paused campaign."""
     _act(identifier, "resume", url, as_json)
 
 
 @app.command()
 def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """End a campaign; what was simulated is kept."""
+    """End a campaign; finished simulations are kept."""
     _act(identifier, "cancel", url, as_json)
 
 
 def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
-        before = client.campaign(full_id(client, identifier))
+        before = client.campaign(client.full_id(identifier))
         after = client.act(before.id, action)
         if before.state in _DONE[action] and before.requested_action is None:
             tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")
@@ -175,13 +172,17 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
     compared = answered and campaign.kind == "comparison"
+    deserved = client.trust(campaign.id) if "trust" in campaign.links else None
     if as_json:
         accounting = None if account is None else account.model_dump(mode="json")
         tables = comparison_document(client, campaign.id) if compared else {}
         causes = dumped(client.failures(campaign.id).items) if answered and campaign.kind != "comparison" else []
-        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, **tables})
+        light = None if deserved is None else deserved.model_dump(mode="json")
+        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, "trust": light, **tables})
         return
     print_campaign(campaign)
+    if deserved is not None:
+        print_trust(deserved)
     if compared:
         print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
@@ -198,6 +199,11 @@ def _print_expected(expected: ExpectedRuns) -> None:
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
+    if expected.seconds is not None:
+        how = "measured" if expected.measured else "assumed"
+        typer.echo(
+            f"about {duration(expected.seconds)} at most on {expected.workers} workers ({expected.milliseconds:.1f} ms each, {how})"
+        )
     if expected.break_even_share is not None:
         typer.echo(pays_text(expected.break_even_share))
     for note in expected.notes:
@@ -214,8 +220,16 @@ def kind_text(campaign: Campaign) -> str:
     return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
 
 
+def counted(campaign: Campaign) -> CellCounts:
+    """Returns the cells of the search; of a campaign without one, those of all its stages together."""
+    if campaign.cells.proposed:
+        return campaign.cells
+    fields = CellCounts.model_fields
+    return CellCounts(**{name: sum(getattr(cells, name) for cells in campaign.stages.values()) for name in fields})
+
+
 def _row(campaign: Campaign) -> list[object]:
-    cells = campaign.cells
+    cells = counted(campaign)
     best = "-" if campaign.best is None else f"{campaign.best.objective:.3f}"
     share = f"{saved(cells):.1%}" if cells.requested else "-"
     return [

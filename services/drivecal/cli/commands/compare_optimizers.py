@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, with_full_ids
+from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
 from drivecal.cli.views.comparisons import print_expected
 from drivecal.cli.views.output import print_answer
@@ -20,10 +20,9 @@ def compare_optimizers(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare what they found."""
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
     specification = read_document(file)
     with connect(url) as client:
-        specification = with_full_ids(client, specification)
         if dry_run:
             print_answer(client.expected_comparison(specification), as_json, print_expected)
         else:

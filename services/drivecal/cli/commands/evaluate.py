@@ -84,7 +84,7 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
             next(pauses)
             evaluation = client.evaluation(evaluation.id)
     except KeyboardInterrupt as error:
-        tell(f"detached: evaluation {evaluation.id} goes on; end it with `drivecal cancel {evaluation.id}`")
+        tell(f"detached: evaluation {evaluation.id} continues; end it with `drivecal cancel {evaluation.id}`")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
     return evaluation
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import print_answer, print_columns
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.domain.errors import NotFoundError
@@ -19,9 +19,9 @@ def explain(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Say why a cell was answered without a simulation, or what was in the way."""
+    """Explain why a cell was answered without a simulation, or why it was not."""
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier)).id
+        campaign = client.campaign(client.full_id(identifier)).id
         explanation = client.explanation(evaluation)
     if explanation.campaign != campaign:
         raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {explanation.campaign}")

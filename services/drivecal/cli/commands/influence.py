@@ -1,4 +1,4 @@
-"""`drivecal influence`: influential bounds of a campaign or a map, and their comparison with another."""
+"""`drivecal influence` and `drivecal influence-maps`: influential bounds of campaigns and maps, and stored maps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, full_id, full_map_id
-from drivecal.cli.views.output import dumped, print_columns, print_json
+from drivecal.cli.application import JsonOption, UrlOption, app, connect
+from drivecal.cli.views.output import dumped, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.client import Client
+from drivecal.client.documents import read_document
+from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.report.rows import by_scenario, fixed, segment
@@ -34,7 +36,7 @@ class Described:
 def influence(
     identifier: Annotated[str, typer.Argument(metavar="ID", help="A campaign's or an influence map's id, or its beginning.")],
     compare: Annotated[
-        str | None, typer.Option(metavar="ID", help="Another campaign or map: list the pairs on which they do not agree.")
+        str | None, typer.Option(metavar="ID", help="Another campaign or map: list the pairs on which they disagree.")
     ] = None,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -55,9 +57,7 @@ def influence(
 def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
     """Prints a table per scenario, and the analysis behind the rows."""
     if not rows:
-        typer.echo(
-            "there are no rows: no influence map is in use (yet), or it lists nothing; `sensitivity: {}` asks for an analysis"
-        )
+        typer.echo("no rows: no influence map is in use yet, or it lists nothing; `sensitivity: {}` asks for an analysis")
         return
     measured = any(row.s_rel_intervals is not None for row in rows)
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
@@ -88,17 +88,17 @@ def bounds_text(row: InfluenceRow) -> str:
     return " .. ".join(ends) + (" (unknown)" if row.unknown else "")
 
 
-def picture(row: InfluenceRow, width: int = WIDTH) -> str:
+def picture(row: InfluenceRow) -> str:
     """Returns the parameter's range from left to right: `#` if influential, `.` if not; empty for an unknown range."""
     if row.space_lower is None or row.space_upper is None:
         return ""
     ends = segment(row)
     if ends is None:
-        return "." * width
+        return "." * WIDTH
     lower, upper = ends
-    start = min(width - 1, int(lower * width + 1e-9))
-    end = max(start + 1, width - int((1 - upper) * width + 1e-9))
-    return "." * start + "#" * (end - start) + "." * (width - end)
+    start = min(WIDTH - 1, int(lower * WIDTH + 1e-9))
+    end = max(start + 1, WIDTH - int((1 - upper) * WIDTH + 1e-9))
+    return "." * start + "#" * (end - start) + "." * (WIDTH - end)
 
 
 def _line(row: InfluenceRow, measured: bool) -> list[object]:
@@ -147,10 +147,10 @@ def _rests_on(basis: Mapping[str, Any]) -> str:
 def _described(client: Client, identifier: str) -> Described:
     """Returns a campaign's map within the campaign's bounds, or a map by its own id. Raises NotFoundError."""
     try:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
     except NotFoundError:
         try:
-            stored = client.influence_map(full_map_id(client, identifier))
+            stored = client.influence_map(client.full_map_id(identifier))
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
         return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis)
@@ -191,3 +191,50 @@ def _listed(pairs: Sequence[Pair]) -> str:
     return "; ".join(
         f"{scenario} {', '.join(name for _, name in group)}" for scenario, group in groupby(pairs, key=lambda pair: pair[0])
     )
+
+
+maps = typer.Typer(
+    no_args_is_help=True, help="Influence maps: where a parameter can change the score of a scenario, and where not."
+)
+app.add_typer(maps, name="influence-maps")
+
+
+@maps.command("list")
+def list_maps(
+    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the influence maps, newest first. The source is the campaign whose analysis made it, or `expert`."""
+    with connect(url) as client:
+        page = client.influence_maps(limit=limit)
+    rows = [[item.id, when(item.created_at), item.source, item.driving_function, item.name] for item in page.items]
+    print_page(page, as_json, ["id", "created", "source", "driving function", "name"], rows, limit)
+
+
+@maps.command("show")
+def show_map(
+    identifier: Annotated[str, typer.Argument(metavar="ID", help="The map's id, or the first characters of it.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show one influence map."""
+    with connect(url) as client:
+        print_answer(client.influence_map(client.full_map_id(identifier)), as_json, _print_map)
+
+
+@maps.command("post")
+def post_map(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="An influence map, YAML or JSON; - is standard input.")],
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Store an influence map, so that campaigns can name it in `sensitivity: {map: ID}`."""
+    specification = read_document(file)
+    with connect(url) as client:
+        print_answer(client.post_influence_map(specification), as_json, _print_map)
+
+
+def _print_map(influence_map: InfluenceMapAnswer) -> None:
+    typer.echo(f"influence map {influence_map.id}  {influence_map.name}  ({influence_map.source})")
+    print_influence(influence_map.rows or [], influence_map.basis)

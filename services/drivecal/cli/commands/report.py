@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import print_json
 from drivecal.client.client import Client
 from drivecal.contracts.tables import ComparisonTable, TableName
@@ -33,7 +33,7 @@ def report(
     from drivecal.report.writing import write_report  # matplotlib's second or two, for this command only
 
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
         if campaign.kind == "comparison":
             tables = {name: client.table(campaign.id, name, "csv") for name in COMPARISON_TABLES}
             written = write_comparison(collect_comparison(client, campaign), tables, output)

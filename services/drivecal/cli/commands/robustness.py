@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.studies import BENCH, Wanted, known, make, specification, wanted_of
 from drivecal.cli.views import robustness_differences
 from drivecal.cli.views.output import dumped, parameters_text, print_columns, print_json
@@ -38,11 +38,11 @@ def robustness(
         str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
     ] = None,
     compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Rank the best sets of a campaign by how far the vehicle may differ; drives them in other vehicles where that was not done yet."""
+    """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     if vehicle is not None and compare is not None:
         raise typer.BadParameter("name a vehicle model or another campaign, not both")
     given = {
@@ -56,9 +56,9 @@ def robustness(
         "refinements": refinements,
     }
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
         wanted = wanted_of(campaign, "robustness", given)
-        other = None if compare is None else _study_of(client, client.campaign(full_id(client, compare)))
+        other = None if compare is None else _study_of(client, client.campaign(client.full_id(compare)))
         maker = None if again else known(client, campaign, wanted)
         if maker is None:
             stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}

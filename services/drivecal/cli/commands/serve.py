@@ -42,7 +42,7 @@ def serve(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns go on at the next start."""
+    """Run the server: the API and the dispatcher with its workers. Ctrl-C or SIGTERM stops it; campaigns continue at the next start."""
     from drivecal.configuration import logs  # half a second, for this command only
 
     settings = load_settings(

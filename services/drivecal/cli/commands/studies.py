@@ -10,9 +10,8 @@ import typer
 from drivecal.cli.application import code_of_state, tell
 from drivecal.cli.views.progress import follow
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.specification import HIGHWAY
-from drivecal.contracts.studies import STUDIES, StudyName
 from drivecal.domain.campaigns import CampaignState
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)

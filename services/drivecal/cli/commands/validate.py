@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, full_id
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.studies import known, make, wanted_of
 from drivecal.cli.views.output import dumped, print_columns, print_json
 from drivecal.contracts.campaign import Campaign
@@ -28,7 +28,7 @@ def validate(
     ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
     largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Make the study anew, even where there is one.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -37,7 +37,7 @@ def validate(
     With `--predicted`: whether the predictions that the campaign released are right.
     """
     with connect(url) as client:
-        campaign = client.campaign(full_id(client, identifier))
+        campaign = client.campaign(client.full_id(identifier))
         given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references, "largest": largest}
         wanted = wanted_of(campaign, "validation", given)
         wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})

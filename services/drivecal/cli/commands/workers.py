@@ -10,7 +10,7 @@ from drivecal.report.rows import fixed
 
 @app.command()
 def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Show the workers: what each is doing, and how fast."""
+    """Show the workers with their activity and speed."""
     with connect(url) as client:
         print_answer(client.workers(), as_json, _print)
 

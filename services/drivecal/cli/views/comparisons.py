@@ -55,6 +55,6 @@ def print_expected(expected: ExpectedComparison) -> None:
         each = f"{expected.milliseconds:.1f} ms per simulation{'' if expected.measured else ', which is assumed: none was made yet'}"
         typer.echo(f"that takes at most about {duration(expected.seconds)} on {workers}, at {each}")
     else:
-        typer.echo("how long that takes is not known: there are no workers at this moment")
+        typer.echo("the duration is unknown: there are no workers now")
     for note in expected.notes:
         typer.echo(f"note: {note}")

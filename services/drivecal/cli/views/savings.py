@@ -1,4 +1,4 @@
-"""Savings below a campaign in `show` and `watch`: the self-check by scenario, and the balance of reuse."""
+"""What follows a campaign in `show` and `watch`: trust in its result, the self-check by scenario, and the balance of reuse."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,8 +8,18 @@ from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.rows import FAILURES, LOTS_NOTE, error_rates, exceeds_limit, failure_causes, released_lots, totals
+
+
+def print_trust(trust: TrustAnswer) -> None:
+    """Prints the light of a campaign's result and its reasons, the gravest first; nothing without a reason."""
+    if not trust.reasons:
+        return
+    typer.echo(f"\ntrust: {trust.light or 'open until the end'}")
+    for reason in trust.reasons:
+        typer.echo(f"  {reason.light:<6}{reason.text}")
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) -> None:
@@ -18,7 +28,7 @@ def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) ->
     if not rows:
         return
     tolerated = scale.amount(scale.tolerance)
-    typer.echo(f"\nerrors of reused results, found by simulating some of them all the same (wrong: by more than {tolerated})")
+    typer.echo(f"\nerrors of reused results, by simulating a sample of them (wrong: by more than {tolerated})")
     header = [
         "scenario",
         "audited",
@@ -58,7 +68,7 @@ def print_failures(causes: Sequence[FailureCause]) -> None:
 def print_accounting(accounting: Accounting) -> None:
     """Prints the balance of a campaign in seconds of its workers."""
     clock = "CPU time" if accounting.clock == "cpu" else "wall-clock time"
-    typer.echo(f"\nwhat was saved, in {clock} of the workers")
+    typer.echo(f"\nsavings, in {clock} of the workers")
     lines = [
         *((f"{outcome} cells", seconds) for outcome, seconds in accounting.savings.items()),
         *((DEDUCTIONS.get(name, name), -seconds) for name, seconds in accounting.deductions.items()),

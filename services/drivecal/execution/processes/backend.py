@@ -27,7 +27,7 @@ ENDING_SECONDS = 5.0
 class ConnectedProcess:
     """A running process with its connection, and answers that were not asked for yet, by the number of their call.
 
-    Threads send and receive, so that a process that is stopped, or holds its interpreter for long, keeps nobody else waiting.
+    Threads send and receive, so that a process that is stopped, or holds its interpreter for long, delays no other.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], connection: Connection, arrived: threading.Condition) -> None:

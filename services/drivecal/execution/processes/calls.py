@@ -1,4 +1,4 @@
-"""What goes between a coordinator and the process of a worker."""
+"""Messages between a coordinator and the process of a worker."""
 
 from dataclasses import dataclass
 from typing import Any

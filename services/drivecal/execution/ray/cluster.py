@@ -29,7 +29,7 @@ LONGEST_FOLDER = 40
 ANSWER_SECONDS = 1.0
 """Time limit for an answer of Ray's state store."""
 A_MOMENT = 60.0
-"""Between making a folder and locking it, s, amply."""
+"""Generous time between creating a folder and locking it, s."""
 
 _LOCAL = {
     "RAY_AUTH_MODE": "token",
@@ -48,7 +48,7 @@ class Cluster:
         self._own: OwnNode | None = None
         self._watch: ClusterWatch | None = None
         self.nodes: tuple[Node, ...] = ()
-        """Who lives, of a cluster that was joined; replaced as a whole, about twice a second."""
+        """Living nodes of a joined cluster; replaced as a whole, about twice a second."""
         os.environ.update(QUIET)
         if address is None:
             os.environ.update(_LOCAL)
@@ -83,8 +83,8 @@ class Cluster:
         self._watch = ClusterWatch(self.name, self._ask)
 
     def _join(self, address: str) -> None:
-        """Makes sure that this machine has a node in the cluster, and that everything is there that one needs. Raises UnavailableError:
-        what is wrong here can be mended while we wait."""
+        """Makes sure that this machine has a node in the cluster, and all that a node needs. Raises UnavailableError: faults here can be
+        mended while the server waits."""
         try:
             check_token(os.environ)
             self.nodes = ask(address)
@@ -133,7 +133,7 @@ class Cluster:
             self._folder = None
 
     def _ask(self) -> None:
-        """Asks the store of the cluster's state who is there, a local one anything. To be called by the watching thread."""
+        """Reads the members from the cluster's state store; a local store only has to answer. The watching thread calls it."""
         client = self.ray._private.worker.global_worker.gcs_client  # noqa: SLF001  # all public ways wait without end
         try:
             if self._folder is None:
@@ -141,7 +141,7 @@ class Cluster:
             else:
                 client.internal_kv_exists(b"drivecal", None, timeout=ANSWER_SECONDS)
         except self.ray.exceptions.AuthenticationError as error:
-            raise StartedAnewError("has started anew, or does not accept our token any more") from error
+            raise StartedAnewError("was restarted, or no longer accepts our token") from error
 
 
 _VITAL = {"raylet", "gcs_server"}
@@ -195,10 +195,10 @@ class _PrivateFolder:
         self._lock = os.open(self._folder, os.O_RDONLY)
         fcntl.flock(self._lock, fcntl.LOCK_EX)
         self.path = self._folder / "r"
-        """Ray opens it to everybody; the folder around it stays closed."""
+        """Ray opens it to all users; the folder around it stays private."""
 
     def remove(self) -> None:
-        """With all that is in it."""
+        """Removes the folder with its content."""
         shutil.rmtree(self._folder, ignore_errors=True)
         os.close(self._lock)
 

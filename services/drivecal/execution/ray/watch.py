@@ -23,7 +23,7 @@ class ClusterWatch:
     """Calls `ask` repeatedly in its own thread. `ask` returns soon or raises; StartedAnewError ends the watch."""
 
     def __init__(self, name: str, ask: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
-        """`name`: what is asked, for messages."""
+        """`name`: name of the store in messages."""
         self._name = name
         self._ask = ask
         self._clock = clock

@@ -1,7 +1,8 @@
 """The setup that each worker has loaded, the setups that it knows, and the setup to take next. Pure.
 
 The more runs of a setup a worker has seen, the more cells it can certify. So a worker returns to the setups that it has run most of; it
-takes other setups only if it has none of its own to do.
+takes other setups only if it has none of its own to do. Setups in which nothing but failures came back take turns, so that a campaign
+without any result shows that soon in all its scenarios.
 """
 
 from collections import Counter
@@ -26,6 +27,10 @@ class SetupAffinity:
         """Cells by worker."""
         self._most: dict[SetupKey, int] = {}
         """Cells of the worker that got most."""
+        self._failed: dict[SetupKey, int] = {}
+        """Failed cells of setups without a result."""
+        self._fruitful: set[SetupKey] = set()
+        """Setups with a result."""
 
     def meet(self, ready: Collection[str]) -> None:
         """Forgets workers that are gone."""
@@ -47,14 +52,31 @@ class SetupAffinity:
         if len(self._cells) > MOST_KNOWN:
             oldest = next(iter(self._cells))
             del self._cells[oldest], self._most[oldest]
+            self._failed.pop(oldest, None)
+            self._fruitful.discard(oldest)
+
+    def came_back(self, setup: SetupKey, *, failed: bool) -> None:
+        """Notes a cell that has failed, or has a result."""
+        if not failed:
+            self._fruitful.add(setup)
+            self._failed.pop(setup, None)
+        elif setup not in self._fruitful:
+            self._failed[setup] = self._failed.get(setup, 0) + 1
+
+    def is_fruitless(self, setup: SetupKey) -> bool:
+        """Whether all cells of a setup that came back have failed."""
+        return setup in self._failed
 
     def choose(self, worker: str, to_do: Mapping[SetupKey, float]) -> SetupKey | None:
         """Returns the setup to take next of those with seconds `to_do`; None without any.
 
-        A worker stays with the loaded setup if it is its own. Otherwise it takes the setup with the most seconds per worker at it, among
-        its own setups, or among all if it has no own setup to do. A setup that no worker knows is everybody's own. If no worker is at a
-        setup, one of several workers at another setup moves there, so that no setup is left to the end and to a single worker.
+        Setups without a result come after those with fewer failures. Otherwise a worker stays with the loaded setup if it is its own, or
+        takes the setup with the most seconds per worker at it, among its own setups, or among all if it has no own setup to do. A setup
+        that no worker knows is everybody's own. If no worker is at a setup, one of several workers at another setup moves there, so that
+        no setup is left to the end and to a single worker.
         """
+        least = min((self._failed.get(setup, 0) for setup in to_do), default=0)
+        to_do = {setup: seconds for setup, seconds in to_do.items() if self._failed.get(setup, 0) == least}
         own = [setup for setup in to_do if self._owns(worker, setup)]
         able = own or to_do
         last = self._last.get(worker)

@@ -25,13 +25,15 @@ MOST_SETUPS = 1_000
 K = TypeVar("K")
 V = TypeVar("V")
 
+REMEMBERED = 7
+"""Last batches of a setup whose costs count."""
+
 
 class CellCosts:
     """Measured seconds per cell of each setup: the lower median of the last batches, because compiling, loading a scenario and a busy
     machine slow single batches down. A setup without a measurement costs as much as others of its kind."""
 
-    def __init__(self, remembered: int = 7) -> None:
-        self._remembered = remembered
+    def __init__(self) -> None:
         self._kinds: dict[SetupKey, Kind] = {}
         self._measured: dict[SetupKey | Kind, deque[float]] = {}
         self._medians: dict[SetupKey | Kind, float] = {}
@@ -43,7 +45,7 @@ class CellCosts:
     def observe(self, setup: SetupKey, cells: int, seconds: float) -> None:
         """Notes the cost of a finished batch."""
         for name in filter(None, (setup, self._kinds.get(setup))):
-            measured = self._measured.get(name) or deque(maxlen=self._remembered)
+            measured = self._measured.get(name) or deque(maxlen=REMEMBERED)
             measured.append(max(seconds, 1e-6) / cells)
             _note(self._measured, name, measured)
             _note(self._medians, name, sorted(measured)[(len(measured) - 1) // 2])

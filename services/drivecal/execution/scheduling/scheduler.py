@@ -150,7 +150,7 @@ class Scheduler:
         self._put_back(self._sent.pop(batch_id))
 
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
-        """Some cells of a dispatch, which was not sent yet, are not to be simulated: they are forgotten, neither completed nor held.
+        """Forgets some cells of a dispatch that was not sent yet: they are neither completed nor held.
         Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
         first one; None if nothing is."""
         sent = self._sent[batch_id]
@@ -177,9 +177,9 @@ class Scheduler:
         fault = self._worker_health.fault(worker)
         return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
 
-    def is_kept_from(self, worker: str) -> bool:
-        """True if something waits that this worker refuses."""
-        return any(self._worker_health.refuses(worker, setup) for setup in self._queue.setups())
+    def kept_from(self, worker: str) -> list[SetupKey]:
+        """Returns the waiting setups that this worker refuses."""
+        return [setup for setup in self._queue.setups() if self._worker_health.refuses(worker, setup)]
 
     def trouble(self) -> str | None:
         """Returns a message about workers that refuse waiting setups, or None."""
@@ -215,6 +215,7 @@ class Scheduler:
             answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
             )
+            self._affinity.came_back(setup, failed=answer.breakdown is not None)
             if answer.breakdown is None:
                 completed += self._complete(leader, answer, result.worker, leader.simulation.breakdowns + 1)
             else:
@@ -237,6 +238,7 @@ class Scheduler:
         if sent is None:
             return []
         self._charge(sent, sent.charged if seconds is None else seconds)
+        self._affinity.came_back(sent.leaders[0].simulation.key, failed=True)
         answers = [(leader, _broken(leader, breakdown, detail)) for leader in sent.leaders]
         if breakdown is not Breakdown.ERROR:  # the worker is gone as well
             return [done for answer in answers for done in self._again_or_failed(*answer, worker, alone=sent.alone)]
@@ -279,7 +281,7 @@ class Scheduler:
         return group.waiting * (self._policy.target_seconds if cost is None else cost)
 
     def _size(self, worker: str, group: ClaimGroup) -> int:
-        if self._worker_health.on_probation(worker):
+        if self._worker_health.on_probation(worker) or self._affinity.is_fruitless(group.setup):
             return 1
         cost = self._costs.seconds_per_cell(group.setup)
         waiting = self._costs.seconds(self._queue.simulations(group.line.priority))

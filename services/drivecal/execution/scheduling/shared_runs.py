@@ -28,7 +28,7 @@ class SharedRuns:
         self._nodes: Mapping[str, str] = {}
         self._inboxes: dict[tuple[str, SetupKey], deque[RecordedRun]] = {}
         self._sizes: dict[tuple[str, SetupKey], int] = {}
-        """Bytes."""
+        """Size of each recording, bytes."""
 
     def meet(self, nodes: Mapping[str, str]) -> None:
         """Notes the node of each worker that lives, and forgets the other workers."""

@@ -26,7 +26,7 @@ KINDS: tuple[tuple[str, Dashes], ...] = (
     (PURPLE, (0, (5, 1, 1, 1, 1, 1))),
     (SKY, (0, (8, 3))),
 )
-"""Colour and dashes of lines of several kinds, to be told apart without colours as well."""
+"""Colour and dashes of lines of several kinds, distinguishable without colours."""
 INK, RULE, INFLUENTIAL = "#222222", "#C8C8C8", "#8A8A8A"
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that every machine draws the same

@@ -10,7 +10,7 @@ from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn,
 LARGEST_WITH_MARKERS = 60
 """Iterations up to which each gets a marker."""
 LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), ("minimum", "minimum", VERMILION, ":", "v"))
-"""Field, label, colour, dashes, marker: to be told apart without colours as well."""
+"""Field, label, colour, dashes, marker: distinguishable without colours."""
 
 
 def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:

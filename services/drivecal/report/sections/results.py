@@ -38,6 +38,14 @@ def summary(findings: ReportData) -> list[str]:
     return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
 
 
+def trust(findings: ReportData) -> list[str]:
+    """Returns the light of the result and the reasons for it; nothing without a reason."""
+    if findings.trust is None or not findings.trust.reasons:
+        return []
+    light = paragraph(f"Light: {findings.trust.light or 'open until the end'}.")
+    return [light, bullets(f"{reason.light}: {reason.text}" for reason in findings.trust.reasons)]
+
+
 def _errors(campaign: Campaign) -> str:
     audited, different, wrong = totals(campaign.error_rate.values(), "audited", "different", "wrong")
     if not audited:

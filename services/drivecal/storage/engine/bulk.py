@@ -1,4 +1,4 @@
-"""Statements over many values at once: `IN` in chunks, and inserts that leave existing rows alone."""
+"""Statements over many values at once: `IN` in chunks, and inserts that keep existing rows."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
@@ -14,7 +14,7 @@ LARGEST_ARRAY = 50_000
 
 
 def among(connection: Connection, column: Column[Any], values: Sequence[Any]) -> Iterator[ColumnElement[bool]]:
-    """Conditions that together say that `column` is among `values`, one for each chunk; both backends answer them from an index."""
+    """Returns conditions, one per chunk, that together select rows with `column` among `values`; an index answers them."""
     if connection.dialect.name == "postgresql":
         for start in range(0, len(values), LARGEST_ARRAY):
             kind = _Bytes() if isinstance(column.type, LargeBinary) else column.type

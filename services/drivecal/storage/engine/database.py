@@ -26,19 +26,19 @@ class Patience:
     """Waits for the database before UnavailableError, s. All but `lock` concern PostgreSQL."""
 
     lock: float
-    """For what another transaction holds, and for a connection of the pool."""
+    """Limit for a lock of another transaction, and for a connection of the pool."""
     connect: int
-    """For a new connection."""
+    """Limit for a new connection."""
     statement: int | None
-    """For one statement; None: as long as it takes."""
+    """Limit for one statement; None: no limit."""
     watched: bool
     """Whether to notice a server that accepts connections and does not answer, within seconds; see `answering`."""
 
 
 PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
-"""Background work: it waits for an outage to end, and a statement may take long."""
+"""Limits for background work: it waits for an outage to end, and a statement may take long."""
 PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
-"""Requests: a client waits for them."""
+"""Limits for requests, for which a client waits."""
 
 
 class Database:
@@ -47,7 +47,7 @@ class Database:
     def __init__(self, url: URL, engine: Engine, fence: Callable[[Connection], None] | None = None) -> None:
         self.url = url
         self.name = urls.shown(url)
-        """For messages: without the password."""
+        """The URL in messages, without the password."""
         self._engine = engine
         self._fence = fence
 
@@ -69,7 +69,7 @@ class Database:
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
-        """A connection that sees one consistent state and cannot write."""
+        """Yields a connection that sees one consistent state and cannot write."""
         with translated(self.name), self._engine.connect() as connection:
             if connection.dialect.name == "postgresql":
                 connection = connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
@@ -78,7 +78,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[Connection]:
-        """A connection whose writes are committed together at the end, or not at all where the body raises.
+        """Yields a connection whose writes are committed together at the end, or not at all if the body raises.
 
         On SQLite it has the write lock from its start. After UnavailableError the writes may have been committed all the same (the
         answer to the commit may be what got lost): read again before writing once more.
@@ -93,7 +93,7 @@ class Database:
     def upgrade(self) -> None:
         """Creates the database or brings it to this drivecal's revision. Safe when several processes do it at once.
 
-        Raises DatabaseError as `check`, but for what is only missing or older.
+        Raises DatabaseError as `check`, except for a missing or older schema.
         """
         with self._plain_errors():
             schema.prepare_file(self.url)
@@ -104,7 +104,7 @@ class Database:
                 schema.upgrade(connection, self.name)
 
     def check(self) -> None:
-        """Raises DatabaseError saying what is wrong and what to do if drivecal cannot work with this database as it is."""
+        """Raises DatabaseError with a remedy if drivecal cannot work with this database."""
         with self._plain_errors():
             schema.refuse_missing(self.url)
             with self._engine.connect() as connection:
@@ -125,7 +125,7 @@ class Database:
 
 
 def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
-    """An engine with drivecal's settings for SQLite or PostgreSQL."""
+    """Returns an engine with drivecal's settings for SQLite or PostgreSQL."""
     if url.get_backend_name() == "sqlite":
         # isolation_level None: the driver leaves transactions to us.
         arguments: dict[str, Any] = {"timeout": patience.lock, "isolation_level": None}
@@ -153,7 +153,7 @@ def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
 
 
 _KEEP_ALIVE = {"keepalives_idle": 5, "keepalives_interval": 5, "keepalives_count": 3, "tcp_user_timeout": 20_000}
-"""A connection to a machine that is gone is noticed within some 20 s instead of hours."""
+"""Settings with which a connection to a machine that is gone ends within some 20 s instead of hours."""
 
 
 def _prepare_sqlite(connection: Any, _record: Any) -> None:
@@ -162,7 +162,7 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    """Writers take the lock at once: two readers that both want to write later would end in a deadlock that no waiting resolves."""
+    """Begins a transaction; writers take the lock at once: two readers that both write later would end in a deadlock."""
     writes = connection.get_execution_options().get("drivecal_writes", False)
     connection.exec_driver_sql(f"PRAGMA query_only = {'OFF' if writes else 'ON'}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -17,8 +17,8 @@ _FOR_NOW = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
 
 @contextmanager
 def translated(database: str) -> Iterator[None]:
-    """Raises DatabaseError or UnavailableError in place of what the driver raises about the state of `database`, named as messages
-    may show it. Errors in statements are programming errors and pass unchanged."""
+    """Maps the driver's errors about the state of `database`, its name in messages, to DatabaseError or UnavailableError. Errors in
+    statements are programming errors and pass unchanged."""
     try:
         yield
     except PoolTimeoutError as error:

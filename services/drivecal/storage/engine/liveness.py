@@ -67,7 +67,7 @@ class ServerLiveness:
             self._next_try = self._clock() + TRY_AGAIN_SECONDS
         if news:
             log.warning(
-                "the database %s does not answer (%s): check that its server runs; all goes on by itself when it does",
+                "the database %s does not answer (%s): check that its server runs; drivecal continues by itself when it does",
                 self._database,
                 reason,
             )

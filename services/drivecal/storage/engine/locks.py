@@ -59,7 +59,7 @@ class _Releasing:
 
 
 class _FileLock(_Releasing):
-    """On `<database>.lock`, whose text is the process id of the holder. The file stays; what counts is the lock on it."""
+    """A lock on `<database>.lock`, whose text is the process id of the holder. The file stays after the release."""
 
     def __init__(self, database: Path, otherwise: str) -> None:
         path = database.with_name(database.name + ".lock")

@@ -71,7 +71,7 @@ def refuse_unmigrated(connection: Connection, database: str) -> None:
 
 
 def use_write_ahead_log(url: URL) -> None:
-    """Readers go on while one process writes. The mode stays in the file."""
+    """Switches to write-ahead logging, in which readers do not wait for the writer. The mode stays in the file."""
     file = sqlite_file(url)
     if file is not None:
         with closing(sqlite3.connect(file, timeout=30)) as connection:

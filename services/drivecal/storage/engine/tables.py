@@ -1,4 +1,4 @@
-"""The tables. `migrations/versions` makes exactly these; a test holds the two together."""
+"""The tables. `migrations/versions` creates exactly these; a test compares both."""
 
 from sqlalchemy import (
     Boolean,

@@ -80,7 +80,7 @@ class UtcDateTime(TypeDecorator[datetime]):
 
 
 def finite(document: Any) -> Any:
-    """`document` with null for every number that JSON cannot express (NaN, infinities)."""
+    """Returns `document` with null for every number that JSON cannot express (NaN, infinities)."""
     if isinstance(document, float):
         return document if math.isfinite(document) else None
     if isinstance(document, dict):
@@ -91,7 +91,7 @@ def finite(document: Any) -> Any:
 
 
 def to_json(document: Any) -> str:
-    """The text of a JSON column; NaN becomes null, which every reader of JSON understands."""
+    """Returns the text of a JSON column; NaN becomes null, which every reader of JSON understands."""
     try:
         return json.dumps(document, allow_nan=False)
     except ValueError:
@@ -99,5 +99,5 @@ def to_json(document: Any) -> str:
 
 
 def now() -> datetime:
-    """The present moment, in UTC."""
+    """Returns the current time in UTC."""
     return datetime.now(UTC)

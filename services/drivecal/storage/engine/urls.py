@@ -1,4 +1,4 @@
-"""Database URLs: what a user may write, what SQLAlchemy gets, and what messages show."""
+"""Database URLs: parses a user's URL for SQLAlchemy, and masks it for messages."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ EXAMPLES = "give e.g. sqlite:////home/me/drivecal.db or postgresql://user:passwo
 
 
 def parse(url: str) -> URL:
-    """The URL with its driver. Raises DatabaseError if it names no database file or server that drivecal can use."""
+    """Returns the URL with its driver. Raises DatabaseError if it names no database file or server that drivecal can use."""
     try:
         parsed = make_url(url)
     except (ArgumentError, ValueError) as error:
@@ -29,12 +29,12 @@ def parse(url: str) -> URL:
 
 
 def sqlite_file(url: URL) -> Path | None:
-    """The file of an SQLite database; None for PostgreSQL."""
+    """Returns the file of an SQLite database; None for PostgreSQL."""
     return Path(url.database or "") if url.get_backend_name() == "sqlite" else None
 
 
 def shown(url: URL) -> str:
-    """The URL for messages: the password masked, and of the options only the host, for one of them may be a password too."""
+    """Returns the URL for messages: with a masked password, and of the options only the host, because others may be passwords."""
     file = sqlite_file(url)
     if file is not None:
         return str(file)

@@ -1,4 +1,4 @@
-"""Backups: always one SQLite file that drivecal can open itself, whatever the database is; and back from there into an empty database.
+"""Backups: one SQLite file that drivecal can open, from any database, and its restore into an empty database.
 
 A backup holds one moment of the database, however long it takes and whatever is written meanwhile, and appears under its name only when
 it is complete, checked and on the disk. A restored database is complete or as empty as before.
@@ -25,7 +25,7 @@ from drivecal.storage.maintenance.transfer import Progress, copy_rows, count_row
 PAGES = 4_096
 """Pages of an SQLite database that are copied at a time, 16 MB."""
 PASSING = ("processes",)
-"""Tables that tell of the processes that served a database: a database with nothing but their rows counts as empty."""
+"""Tables of the processes that served a database: a database with rows only there counts as empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Copied:
 
     revision: str
     rows: dict[str, int]
-    """By table."""
+    """Number of rows by table."""
 
 
 def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
@@ -107,7 +107,7 @@ def _refuse_target(database: Database, file: Path, *, force: bool) -> None:
 
 @contextmanager
 def _partial(file: Path) -> Iterator[Path]:
-    """A file beside `file` that only we know, gone afterwards unless it was published."""
+    """Yields a temporary file beside `file`, and removes it unless it was published."""
     try:
         handle, name = tempfile.mkstemp(prefix=f"{file.name}.", suffix=".partial", dir=file.parent)
     except OSError as error:
@@ -183,7 +183,7 @@ def _refuse_rows(connection: Connection, name: str) -> None:
 
 
 def _make_anew(connection: Connection, name: str, revision: str) -> None:
-    """Empty tables at a backup's revision, in the place of empty ones of whatever revision."""
+    """Replaces empty tables of any revision by empty tables at a backup's revision."""
     if schema.revision_of(connection) is not None:
         for table in reversed(tables_of(connection)):
             table.drop(connection)

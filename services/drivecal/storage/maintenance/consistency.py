@@ -1,6 +1,6 @@
-"""Whether a database is whole: its tables, files and indexes, and whether what is stored can be read. Only reads.
+"""Checks that a database is whole: its tables, files and indexes, and that its documents can be read. Only reads.
 
-Each check gives one sentence per thing that is broken.
+Each check returns a message per fault.
 """
 
 import json

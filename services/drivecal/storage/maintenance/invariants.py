@@ -1,6 +1,6 @@
-"""Whether the rows of a database fit together: what every transaction promises to keep, checked afterwards. Only reads.
+"""Checks that the rows of a database fit together, as every transaction promises. Only reads.
 
-Each check gives one sentence per thing that is broken. In one snapshot nothing is, at any moment of a running server.
+Each check returns a message per fault. In one snapshot nothing is, at any moment of a running server.
 """
 
 from collections import Counter
@@ -85,7 +85,7 @@ def check_ended(connection: Connection) -> Iterator[str]:
 
 
 def check_answers(connection: Connection) -> Iterator[str]:
-    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by what may answer others."""
+    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by a result that may answer others."""
     cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
     joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
     same = and_(

@@ -45,7 +45,7 @@ class CellKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """Over campaigns: how many there are, their cells by outcome, cells that wait, and the seconds their simulations took."""
+    """Sums over campaigns: their number, cells by outcome, waiting cells, and seconds of their simulations."""
 
     campaigns: Counter[CampaignKey] = field(default_factory=Counter)
     cells: Counter[CellKey] = field(default_factory=Counter)

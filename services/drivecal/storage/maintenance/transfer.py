@@ -106,7 +106,7 @@ def _read(connection: Connection, table: Table) -> Iterator[tuple[Any, ...]]:
 
 
 def _neutral(column: Column[Any]) -> tuple[str, str]:
-    """An expression of PostgreSQL for what SQLite would store, and its type."""
+    """Returns PostgreSQL's expression of the value that SQLite would store, and its type."""
     if isinstance(column.type, JSON):
         return f"{column.name}::text", "text"
     if isinstance(column.type, DateTime):

@@ -1,4 +1,4 @@
-"""Influence maps: where parameters matter, from expert knowledge or from an analysis."""
+"""Influence maps: influential ranges of parameters, from expert knowledge or from an analysis."""
 
 import uuid
 from collections.abc import Mapping
@@ -24,9 +24,9 @@ class StoredInfluenceMap:
     source: str
     driving_function: str
     parameters: Any
-    """The parameters that it was made for, or checked against, with their grids, as a JSON document."""
+    """Parameters of the map, or those it was checked against, with their grids, as a JSON document."""
     scenarios: Mapping[str, Any]
-    """By scenario and parameter, as a JSON document."""
+    """Influence by scenario and parameter, as a JSON document."""
     basis: Mapping[str, Any] | None
     """Basis of the analysis: fixed values, setups, evaluator, settings; None for a map that a user posted."""
     created_at: datetime

@@ -92,7 +92,7 @@ def standing(connection: Connection, setup_ids: Sequence[int], evaluator: str, w
 
 
 def insert(connection: Connection, evaluator: str, rated: Sequence[tuple[int, Rating]]) -> None:
-    """Stores an evaluator's ratings of runs by their id; one that is there already stays."""
+    """Stores an evaluator's ratings of runs by their id; stored ratings stay."""
     rows = [{"run_id": run, "evaluator": evaluator, "score": rating.score, "rating": rating.rating} for run, rating in rated]
     if rows:
         statement = insert_into(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"])

@@ -32,7 +32,7 @@ class ReferenceCandidates:
 
 
 def stored_sets(
-    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str], chunk: int = CHUNK
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str]
 ) -> Iterator[ReferenceCandidates]:
     """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
     are of another function."""
@@ -44,7 +44,7 @@ def stored_sets(
         .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
         .order_by(runs.c.id)
     )
-    yield from _chunks(connection, query, names, chunk)
+    yield from _chunks(connection, query, names)
 
 
 def own_sets(
@@ -53,7 +53,6 @@ def own_sets(
     scenario: str,
     before: tuple[StageName, int, int],
     names: Sequence[str],
-    chunk: int = CHUNK,
 ) -> Iterator[ReferenceCandidates]:
     """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
     place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
@@ -78,11 +77,11 @@ def own_sets(
             tuple_(*place) < limit,
         )
     )
-    yield from _chunks(connection, query, names, chunk)
+    yield from _chunks(connection, query, names)
 
 
-def _chunks(connection: Connection, query: Select[Any], names: Sequence[str], chunk: int) -> Iterator[ReferenceCandidates]:
-    streamed = connection.execute(query.execution_options(yield_per=chunk))
+def _chunks(connection: Connection, query: Select[Any], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
+    streamed = connection.execute(query.execution_options(yield_per=CHUNK))
     for rows in streamed.partitions():
         yield from _parsed(rows, names)
 

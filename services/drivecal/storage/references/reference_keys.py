@@ -30,7 +30,7 @@ from drivecal.storage.engine.tables import ratings, reference_indexes, reference
 from drivecal.storage.references import parameter_sets
 
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
-"""From names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
+"""Maps names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
 CHUNK = 50_000
 """Runs per transaction: some 100 MB of memory, and other writers wait for about a second."""
 
@@ -86,7 +86,7 @@ def sync(
 
 
 def indexes(connection: Connection) -> list[Row[Any]]:
-    """What keys there are: rows of id, influence_map_sequence, setup_id, evaluator and run_id, up to which they are there."""
+    """Returns the existing indexes: rows of id, influence_map_sequence, setup_id, evaluator and run_id, the last run with a key."""
     return list(connection.execute(select(reference_indexes).order_by(reference_indexes.c.id)))
 
 
@@ -133,7 +133,7 @@ def _sync_chunk(
 def _rated(
     connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int, every: int = 1
 ) -> Sequence[Row[Any]]:
-    """Of the next `chunk` runs that the evaluator rated, in the order of their numbers: id, what their keys copy, origin, parameter set."""
+    """Returns the next `chunk` runs that the evaluator rated, by number: id, columns that keys copy, origin, parameter set."""
     query = (
         select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
         .join(parameter_sets_table)
@@ -150,7 +150,7 @@ def _rated(
 
 
 def _number(row: Row[Any]) -> int:
-    """From which watermark on a row of `_rated` is seen."""
+    """Returns the first watermark that sees a row of `_rated`."""
     number: int = row.since or row.id
     return number
 
@@ -178,7 +178,7 @@ def _ensure_index(connection: Connection, influence_map: int, setup_id: int, eva
 
 
 def _since(connection: Connection, index: int) -> int:
-    """Up to which run keys are there. Locks the row, so that one process syncs at a time."""
+    """Returns the last run with a key. Locks the row, so that one process syncs at a time."""
     query = select(reference_indexes.c.run_id).where(reference_indexes.c.id == index).with_for_update()
     since: int = connection.execute(query).scalar_one()
     return since
@@ -193,12 +193,12 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 
 
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
-    """The earliest origin of each key that is there already."""
+    """Returns the earliest origin of each stored key."""
     return {key: min(place for _, place in stored.values()) for key, stored in _stored(connection, index, keys).items()}
 
 
 def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, dict[int, tuple[int, tuple[int, ...]]]]:
-    """The numbers and origins of keys that are there already, by key and run."""
+    """Returns the numbers and origins of stored keys, by key and run."""
     origins: dict[bytes, dict[int, tuple[int, tuple[int, ...]]]] = {}
     query = (
         select(reference_keys.c.key, reference_keys.c.since, runs.c.id, *_ORIGIN)
@@ -211,7 +211,7 @@ def _stored(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[b
 
 
 def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
-    """By the drivers themselves: with a million rows, handing each through SQLAlchemy would take most of the time."""
+    """Inserts rows by the drivers themselves: with a million rows, SQLAlchemy would take most of the time."""
     if connection.dialect.name == "postgresql":
         driver: Any = connection.connection.driver_connection
         with driver.cursor() as cursor, cursor.copy(f"COPY {_COLUMNS} FROM STDIN (FORMAT BINARY)") as copy:

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
+from statistics import fmean
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, case, func, select, text
@@ -11,8 +12,11 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import insert, rows_among
-from drivecal.storage.engine.tables import parameter_sets, ratings, runs, setups
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
+
+RECENT_RUNS = 1_000
+"""Newest runs of a setup whose mean predicts the cost of the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +66,7 @@ def occupying() -> ColumnElement[float]:
 
 
 def insert_results(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
-    """Stores results exactly once and says for each, in order, what is stored for its cell. The first result of a cell stays.
+    """Stores results exactly once and returns the stored run of each, in order. The first result of a cell stays.
 
     A rating is stored together with its run, or it follows from the run's stored metrics (`ratings`): then a campaign that sees the run
     sees it too, whatever other campaigns simulate meanwhile. Only a rating `from_series` needs a stored run to be simulated again; if
@@ -131,13 +135,35 @@ def rated(connection: Connection, setup_id: int, evaluator: str, watermark: int,
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """A stored run with its rating; a metric is None if it was not finite."""
+
+    parameter_set: int
+    metrics: Mapping[str, float | None]
+    failure: str | None
+    score: float
+    rating: float
+
+
+def measured(connection: Connection, setup_id: int, evaluator: str) -> list[MeasuredRun]:
+    """Returns all runs of a setup that `evaluator` rated, in the order of their ids."""
+    query = (
+        select(runs.c.parameter_set_id, runs.c.metrics, runs.c.failure, ratings.c.score, ratings.c.rating)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        .where(runs.c.setup_id == setup_id)
+        .order_by(runs.c.id)
+    )
+    return [MeasuredRun(*row) for row in connection.execute(query)]
+
+
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, float]:
     """The scores that an evaluator gave to runs, by their id. Runs that it has not rated are left out."""
     return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
 
 
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
-    """The measured metrics of runs by id, None for what was not finite. Ids that are not stored are left out."""
+    """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
     query = select(runs.c.id, runs.c.metrics)
     return dict(rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]))
 
@@ -238,3 +264,16 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
 def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[float, float]]:
     rows = rows_among(connection, select(ratings), ratings.c.run_id, run_ids)
     return {(row.run_id, row.evaluator): (row.score, row.rating) for row in rows}
+
+
+def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
+    """Time for which one simulation without certificates occupies a worker, over the newest ones in each of these setups, which count
+    alike; None if there is none in one. Proved runs are not among them: they cost almost nothing."""
+    means = []
+    for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
+        newest = select(occupying().label("milliseconds"), runs.c.evaluation_id).where(runs.c.setup_id == setup)
+        recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
+        simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
+        times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
+        means += [fmean(times)] if times else []
+    return fmean(means) if fingerprints and len(means) == len(fingerprints) else None

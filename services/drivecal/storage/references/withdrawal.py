@@ -33,7 +33,7 @@ def withdraw_certified(connection: Connection, setup_ids: Collection[int]) -> in
     resting = or_(own, evaluations.c.run_id.in_(certified))
     count = connection.scalar(select(func.count()).where(resting)) or 0
     connection.execute(update(evaluations).where(resting).values(run_id=None, detail=WITHDRAWN))
-    reused = and_(evaluations.c.setup_id.in_(sorted(setup_ids)), evaluations.c.outcome == Outcome.REUSED)
+    reused = and_(evaluations.c.setup_id.in_(sorted(setup_ids)), evaluations.c.plan == Outcome.REUSED)
     connection.execute(update(evaluations).where(reused, evaluations.c.proven_by.is_not(None)).values(proven_by=None))
     for table in (reference_keys, ratings):
         for chunk in among(connection, table.c.run_id, ids):

@@ -33,8 +33,9 @@ from tests.support.scenario_files import (
     when_time,
 )
 
+from drivecal.bundles.archives import files_of
 from drivecal.bundles.highway_actions import Brake, CutIn, Drift
-from drivecal.client.problems import manifest_of, read_bundle_with_notes
+from drivecal.client.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.opendrive import read_opendrive
 
@@ -318,7 +319,7 @@ def folder(path: Path, content: bytes, **data: object) -> Path:
 @pytest.mark.parametrize("name", FILES)
 def test_a_folder_with_a_file_and_its_road_is_packed_and_checked_again_in_the_archive(name: str, tmp_path: Path) -> None:
     manifest, archive, notes = read_bundle_with_notes(folder(tmp_path / "b", FILES[name]()))
-    assert manifest_of(archive) == manifest
+    assert read_archived(files_of(archive)) == manifest
     assert any("the route is" in note for note in notes)
 
 

@@ -156,13 +156,14 @@ def waves() -> str:
     time = np.arange(1600) / 100.0
     dynamics = np.column_stack([30 + 0 * time] + [np.sin(k * time) for k in (0.5, 0.7, 0.9, 1.1)])
     run = Series(dynamics, np.cos(time[::10]))
-    return " ".join(LEARNED.rate_series(manoeuvre, run).rating.hex() for manoeuvre in Manoeuvre)  # type: ignore[attr-defined]
+    assert isinstance(LEARNED, SeriesEvaluator)
+    return " ".join(LEARNED.rate_series(manoeuvre, run).rating.hex() for manoeuvre in Manoeuvre)
 
 
 PROGRAM = f"""
 import sys, numpy as np
 from drivecal.domain.scenarios import Manoeuvre
-from drivecal.plugins.ports import Series
+from drivecal.plugins.ports import Series, SeriesEvaluator
 from drivecal.highway.comfort.learned import LEARNED
 {inspect.getsource(waves)}
 LEARNED.version

@@ -1,5 +1,6 @@
 """Triggered actions against a recorded SUMO: when they begin, and what they give back."""
 
+# ruff: noqa: N802  # the fake has SUMO's names
 from __future__ import annotations
 
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.highway.drive import actions
 from drivecal.highway.drive.actions import ActionError, Actions, EgoPlace
+from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
 FAR_AWAY = EgoPlace(0.0, 1.0)
@@ -22,44 +24,44 @@ class Sumo:
         self.road, self.speeds, self.modes, self.offsets = "e0", list[float](), list[int](), list[float]()
         self.vehicle = self.edge = self.lane = self
 
-    def getSpeed(self, _: str) -> float:  # noqa: N802  # SUMO's names
+    def getSpeed(self, _: str) -> float:
         return 30.0
 
-    def getRoadID(self, _: str) -> str:  # noqa: N802
+    def getRoadID(self, _: str) -> str:
         return self.road
 
-    def getLaneIndex(self, _: str) -> int:  # noqa: N802
+    def getLaneIndex(self, _: str) -> int:
         return 0
 
-    def getLaneNumber(self, edge: str) -> int:  # noqa: N802
+    def getLaneNumber(self, edge: str) -> int:
         return 1 if edge.startswith(":") else 2
 
-    def getWidth(self, _: str) -> float:  # noqa: N802
+    def getWidth(self, _: str) -> float:
         return 3.5
 
-    def getLateralLanePosition(self, _: str) -> float:  # noqa: N802
+    def getLateralLanePosition(self, _: str) -> float:
         return 0.0
 
-    def setLateralLanePosition(self, _: str, offset: float) -> None:  # noqa: N802
+    def setLateralLanePosition(self, _: str, offset: float) -> None:
         self.offsets.append(offset)
 
-    def moveTo(self, *_: object) -> None:  # noqa: N802
+    def moveTo(self, *_: object) -> None:
         return
 
-    def getLanePosition(self, _: str) -> float:  # noqa: N802
+    def getLanePosition(self, _: str) -> float:
         return 0.0
 
-    def setSpeedMode(self, _: str, mode: int) -> None:  # noqa: N802
+    def setSpeedMode(self, _: str, mode: int) -> None:
         self.modes.append(mode)
 
-    def setSpeed(self, _: str, speed: float) -> None:  # noqa: N802
+    def setSpeed(self, _: str, speed: float) -> None:
         self.speeds.append(speed)
 
 
 @pytest.fixture
 def sumo(monkeypatch: pytest.MonkeyPatch) -> Sumo:
     recorded = Sumo()
-    monkeypatch.setattr(actions, "libsumo", recorded)
+    monkeypatch.setattr(actions, "sumo", recorded)
     return recorded
 
 
@@ -76,7 +78,7 @@ def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     for step in range(8):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
-    assert sumo.modes == [actions.FREE]
+    assert sumo.modes == [FREE]
 
 
 def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
@@ -84,7 +86,7 @@ def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
     for step in range(6):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, -1]
-    assert sumo.modes == [actions.FREE_BUT_SAFE, actions.MODEL]
+    assert sumo.modes == [FREE_BUT_SAFE, MODEL]
     assert not these.pending
 
 
@@ -92,7 +94,7 @@ def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
 def test_a_gap_is_metres_of_the_way_and_not_of_the_line(sumo: Sumo, stretch: float, begins: bool) -> None:
     these = of({"do": "brake", "gap": 21})
     act(these, 0, EgoPlace(72.0, stretch))  # 28 m of the line between the centres; vehicles of 5 m
-    assert (actions.FREE_BUT_SAFE in sumo.modes) is begins
+    assert (FREE_BUT_SAFE in sumo.modes) is begins
 
 
 def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) -> None:

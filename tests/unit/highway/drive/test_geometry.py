@@ -16,6 +16,8 @@ from drivecal.domain.scenarios import CurvatureKnot, Road
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.observation import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
+from drivecal.highway.geometry import foot
+from drivecal.highway.geometry import hit as first_hit
 
 CURVE = Road(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)), limits=())
 SIZE = np.array([2.5, 1.0])
@@ -73,7 +75,7 @@ def test_the_compiled_code_and_the_catalogue_have_the_same_names() -> None:
 @given(s=st.floats(1, 599), d=st.floats(-8, 8), off=st.floats(-20, 20))
 def test_foot_points_are_those_of_the_domain(s: float, d: float, off: float) -> None:
     x, y, heading = to_cartesian(LINE[:, :5], s, d)
-    assert geometry.foot(LINE, x, y, s + off)[:2] == pytest.approx(project(LINE[:, :5], x, y, s), abs=1e-6)
+    assert foot(LINE, x, y, s + off)[:2] == pytest.approx(project(LINE[:, :5], x, y, s), abs=1e-6)
     assert geometry.searched(LINE, x, y, 0.0)[:3] == pytest.approx((s, d, heading), abs=1e-6)
 
 
@@ -162,13 +164,13 @@ def test_own_state_and_road_are_observed() -> None:
 def test_collisions_are_those_of_rectangles() -> None:
     def hit(dx: float, dy: float, heading: float) -> bool:
         outlines = np.array([[dx, dy, heading, 2.0, 0.9, 0.0]])
-        return bool(geometry.hit(outlines, np.zeros(8), SIZE) == 0)
+        return bool(first_hit(outlines, np.zeros(8), SIZE) == 0)
 
     assert hit(4.49, 0.0, 0.0)
     assert not hit(4.51, 0.0, 0.0)
     assert not hit(0.0, 1.91, 0.0)
     assert hit(0.0, 1.91, 0.3)
-    assert geometry.hit(np.zeros((0, 6)), np.zeros(8), SIZE) == -1
+    assert first_hit(np.zeros((0, 6)), np.zeros(8), SIZE) == -1
 
 
 def test_the_path_runs_along_the_lane() -> None:

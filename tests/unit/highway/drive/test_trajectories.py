@@ -19,7 +19,7 @@ from drivecal.roads.network import read_network
 @cache
 def road() -> HighwayRoad:
     """The examples' motorway: straight up to s = 600, then a left curve with a radius of 1,000 m up to 1,400."""
-    return HighwayRoad(corridor(read_network(NETWORK.read_bytes(), "road.net.xml"), ROUTE, "road.net.xml"))
+    return HighwayRoad(corridor(read_network(NETWORK.read_bytes(), "road.net.xml"), ROUTE, "road.net.xml"), {})
 
 
 @pytest.mark.parametrize(

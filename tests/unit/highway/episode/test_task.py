@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivecal.domain.roads import Floats
-from drivecal.highway.episode.task import fulfilled, speed_errors, target_offsets
+from drivecal.highway.episode.runner import fulfilled, speed_errors, target_offsets
 from drivecal.highway.scenarios.highway import HIGHWAY
 
 S1, S5 = HIGHWAY.scenarios["S1"], HIGHWAY.scenarios["S5"]

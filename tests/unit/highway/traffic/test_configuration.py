@@ -8,8 +8,9 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from drivecal.domain.errors import InvalidInputError
+from drivecal.highway import sumo
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.traffic.configuration import drift_offsets, edges, options, routes
+from drivecal.highway.traffic.configuration import drift_offsets, edges, routes
 
 S3 = HIGHWAY.scenarios["S3"]
 
@@ -60,7 +61,7 @@ def test_hostile_names_are_escaped() -> None:
 
 
 def test_seed_and_step_reach_sumo() -> None:
-    arguments = options(replace(S3, seed=7, step=0.2), "net", "routes")
+    arguments = sumo.options("net", "routes", 0.2, seed=7)
     assert arguments[arguments.index("--seed") + 1] == "7"
     assert arguments[arguments.index("--step-length") + 1] == "0.2"
 

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
+from drivecal.highway.geometry import foot, hit, with_directions
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.traffic.geometry import foot, hits, locate, place, with_directions
+from drivecal.highway.traffic.geometry import locate, place
 
 S4 = HIGHWAY.scenarios["S4"]
 LINE = reference_line(S4.road)
@@ -79,15 +80,15 @@ def test_rectangles_hit_where_points_of_one_lie_in_the_other(
     ego = (0.0, 0.0, ego_heading, 2.4, 0.9)
     shrunk, grown = ((x, y, heading, half_length + by, half_width + by) for by in (-0.15, 0.15))
     pose = np.array([0.0, 0.0, ego_heading, 0.0, 0.0, 0.0, 0.0, 0.0])
-    hit = hits(np.array([(x, y, heading, half_length, half_width)]), pose, OUTLINE)
+    is_hit = hit(np.array([(x, y, heading, half_length, half_width)]), pose, OUTLINE) >= 0
     if overlap_by_sampling(shrunk, ego):
-        assert hit
+        assert is_hit
     if not overlap_by_sampling(grown, ego) and not overlap_by_sampling(ego, grown):
-        assert not hit
+        assert not is_hit
 
 
 def test_nothing_is_hit_where_nothing_is() -> None:
-    assert not hits(np.zeros((0, 5)), np.zeros(8), OUTLINE)
+    assert hit(np.zeros((0, 5)), np.zeros(8), OUTLINE) == -1
 
 
 def test_a_front_on_a_curve_becomes_a_centre_behind_it() -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle import equations
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, understeer_gradient
 
@@ -73,7 +73,7 @@ def test_an_unstable_vehicle_keeps_its_last_valid_state() -> None:
     dynamics = np.full((300, 5), np.nan)
     assert not model.step(0.4, 0.0, dynamics)
     assert np.isfinite(dynamics).all()
-    assert np.abs(dynamics[:, 2]).max() <= kernels.ADHESION_LIMIT
+    assert np.abs(dynamics[:, 2]).max() <= equations.ADHESION_LIMIT
     assert not vehicle().turn(float("nan"), 0.0, np.zeros((10, 5)))
 
 

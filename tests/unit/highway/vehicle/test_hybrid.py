@@ -18,7 +18,7 @@ from tests.support.effort import examples
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.drives import Drives
-from drivecal.highway.vehicle import hybrid, kernels, residual
+from drivecal.highway.vehicle import equations, hybrid, residual
 from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
@@ -33,13 +33,13 @@ inputs = st.tuples(*([st.floats(-1.0, 1.0)] * 6))
 
 
 def packed(model: Residual, parameters: SingleTrackParameters = NOMINAL) -> Floats:
-    return np.concatenate([kernels.pack_plant(parameters), model.pack(parameters)])
+    return np.concatenate([equations.pack_plant(parameters), model.pack(parameters)])
 
 
 def outputs(model: Residual, shares: Floats) -> Floats:
     """The residual at this share of the range, shape (2,)."""
     x = shares * model.limits
-    return np.array(kernels.residual_outputs(tuple(x[:4].tolist()), float(x[4]), float(x[5]), packed(model)))
+    return np.array(equations.residual_outputs(tuple(x[:4].tolist()), float(x[4]), float(x[5]), packed(model)))
 
 
 def framework(model: Residual) -> MLPRegressor:
@@ -77,7 +77,7 @@ def test_the_residual_of_a_mirrored_motion_is_mirrored(shares: tuple[float, ...]
 def test_the_residual_is_bounded_and_ends_where_its_range_does(shares: tuple[float, ...], stretch: float) -> None:
     magnitudes = np.abs(outputs(shipped(), stretch * np.array(shares)))
     assert (magnitudes <= shipped().bounds).all()
-    if stretch * max(abs(share) for share in shares) >= 1.0 + kernels.FADE:
+    if stretch * max(abs(share) for share in shares) >= 1.0 + equations.FADE:
         assert magnitudes.tolist() == [0.0, 0.0]
 
 
@@ -159,8 +159,8 @@ def test_the_residual_of_a_vehicle_is_scaled_by_its_loads() -> None:
         2.0 * NOMINAL.yaw_inertia,
     )
     state = np.array([0.0, 0.0, 0.0, 30.0, -0.01, 0.05, 0.0, 0.0, 0.02, 0.0])
-    here = kernels.residual_accelerations(state, 0.01, 0.5, packed(shipped()))
-    there = kernels.residual_accelerations(state, 0.01, 0.5, packed(shipped(), heavy))
+    here = equations.residual_accelerations(state, 0.01, 0.5, packed(shipped()))
+    there = equations.residual_accelerations(state, 0.01, 0.5, packed(shipped(), heavy))
     assert here[2]
     assert there[:2] == pytest.approx(here[:2], rel=1e-12)
     assert abs(here[0]) > 1e-3

@@ -1,4 +1,4 @@
-"""What a simulated run leaves for certificates, and its form on the way to other workers."""
+"""Records of simulated runs for certificates, and their form on the way to other workers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -33,7 +33,7 @@ class Learned:
         return Rater(shipped())
 
     def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """Raises ValueError: metrics are no substitute for time series."""
+        """Raises ValueError: metrics cannot replace time series."""
         raise ValueError(
             f"a {manoeuvre.value} with {len(metrics)} metrics and no time series cannot be rated; simulate it again"
         )

@@ -2,27 +2,22 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf, isnan, sqrt
 from typing import NamedTuple
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import EGO, Action, Brake, CutIn, Drift
-from drivecal.domain.errors import DrivecalError, UnavailableError
+from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
+from drivecal.highway import sumo
 from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
-
-try:
-    import libsumo
-except ImportError as error:
-    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
+from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 DEFAULT_RATE, DEFAULT_SECONDS = 4.0, 3.0
 SHORTEST, SLOWEST = 0.1, 0.1
 """Seconds of a motion to the side at least; speed (m/s) by which a distance is divided at least."""
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
 """Largest speed and acceleration of a motion of least jerk, per its mean speed, and per way / seconds²."""
-FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
-"""SUMO's speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
 
 
 class ActionError(DrivecalError):
@@ -30,7 +25,7 @@ class ActionError(DrivecalError):
 
 
 class EgoPlace(NamedTuple):
-    """Where the ego vehicle is: s of its centre (m), metres of its way per metre of s, its speed (m/s), and d (m)."""
+    """Place of the ego vehicle: s of its centre (m), metres of its way per metre of s, its speed (m/s), and d (m)."""
 
     s: float
     stretch: float
@@ -99,8 +94,8 @@ class Actions:
     def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
         """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
 
-        Vehicles that have left the network do nothing. Those that are due to cut in inside of a junction do so behind it, on the edge whose
-        lanes the scenario numbers.
+        Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
+        whose lanes the scenario numbers.
         """
         vehicles = {
             name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
@@ -118,7 +113,7 @@ class Actions:
                 waiting.append((name, action, watch))
         self._waiting, self._late = waiting, []
         for name, action in due:
-            if isinstance(action, CutIn) and (name not in vehicles or libsumo.vehicle.getRoadID(name).startswith(":")):
+            if isinstance(action, CutIn) and (name not in vehicles or sumo.vehicle.getRoadID(name).startswith(":")):
                 self._late.append((name, action))
             else:
                 self._begin(name, action, moment)
@@ -128,7 +123,7 @@ class Actions:
             self._shift(name, time + step)
 
     def _begin(self, name: str, action: Action, moment: Moment) -> None:
-        vehicle = libsumo.vehicle
+        vehicle = sumo.vehicle
         self._events.begun.add(action.id or "")
         if isinstance(action, Brake):
             if name in self._speeding:
@@ -149,7 +144,7 @@ class Actions:
             self._shifts[name] = _Shift(action.id, moment.time, seconds, offset, way)
             return
         edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
-        count = libsumo.edge.getLaneNumber(edge)
+        count = sumo.edge.getLaneNumber(edge)
         centres = [0.0]
         for lane in range(1, count):
             centres.append(centres[-1] + 0.5 * (_width(edge, lane - 1) + _width(edge, lane)))
@@ -174,8 +169,8 @@ class Actions:
 
     def _left(self, name: str, other: str, moment: Moment) -> float:
         """Returns how far to the left of a vehicle the lane of another one is (m)."""
-        if other not in moment.vehicles:
-            raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the network")
+        if other not in moment.vehicles or isnan(moment.vehicles[other].s):
+            raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the road")
         own, there = moment.vehicles[name], moment.vehicles[other]
         return self._lateral(there.s, there.d, own.s) - own.d
 
@@ -185,8 +180,8 @@ class Actions:
             self._events.done.add(running.brake.id or "")
             vehicle = self._vehicles[name]
             if vehicle.model != "constant":
-                libsumo.vehicle.setSpeedMode(name, MODEL)
-                libsumo.vehicle.setSpeed(name, -1)
+                sumo.vehicle.setSpeedMode(name, MODEL)
+                sumo.vehicle.setSpeed(name, -1)
                 del self._speeding[name]
                 return
             running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
@@ -196,7 +191,7 @@ class Actions:
         change, target = running.rate * step, running.target
         speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
         running.speed = speed
-        libsumo.vehicle.setSpeed(name, speed)
+        sumo.vehicle.setSpeed(name, speed)
         if speed != target or running.until is not None:
             return
         if running.brake.hold is not None:
@@ -206,13 +201,13 @@ class Actions:
 
     def _shift(self, name: str, time: float) -> None:
         """Moves a vehicle sideways, and into the next lane when its centre crosses the marking, or after the junction."""
-        running, vehicle = self._shifts[name], libsumo.vehicle
+        running, vehicle = self._shifts[name], sumo.vehicle
         offset = running.at(time) - running.passed
         side = (running.steps > 0) - (running.steps < 0)
         if side:
             edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
             half = 0.5 * _width(edge, index)
-            if side * offset > half and not edge.startswith(":") and 0 <= index + side < libsumo.edge.getLaneNumber(edge):
+            if side * offset > half and not edge.startswith(":") and 0 <= index + side < sumo.edge.getLaneNumber(edge):
                 vehicle.moveTo(name, f"{edge}_{index + side}", vehicle.getLanePosition(name))
                 way = side * (half + 0.5 * _width(edge, index + side))
                 running.passed += way
@@ -242,5 +237,5 @@ def _rate(brake: Brake, speed: float, target: float) -> float:
 
 
 def _width(edge: str, lane: int) -> float:
-    width: float = libsumo.lane.getWidth(f"{edge}_{lane}")
+    width: float = sumo.lane.getWidth(f"{edge}_{lane}")
     return width

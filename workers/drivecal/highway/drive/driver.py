@@ -15,7 +15,7 @@ from drivecal.adapters.driver import Evaluate, serve
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller."""
-    from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleEntry
+    from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleValues
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.controllers import Checked, controller
     from drivecal.highway.drive.loop import Loop
@@ -27,14 +27,17 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor
+    from drivecal.roads.levels import other_levels
     from drivecal.roads.network import network_file, read_network
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
     scenario = described_in(folder, settings["data"], simulator.step)
     network = folder / network_file(scenario.network)
-    road = HighwayRoad(corridor(read_network(network.read_bytes(), scenario.network), scenario.route, scenario.network))
-    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
+    roads = read_network(network.read_bytes(), scenario.network)
+    route = corridor(roads, scenario.route, scenario.network)
+    road = HighwayRoad(route, other_levels(roads, route))
+    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message

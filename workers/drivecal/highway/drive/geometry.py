@@ -1,25 +1,27 @@
 """Compiled geometry of a run: where vehicles are on the corridor, what the ego vehicle observes, the path it keeps, collisions.
 
-Functions that call each other share this module, because numba's cache does not notice edits in imported modules. Arrays:
+Arrays:
 
-`line`, shape (n, 7): the corridor's reference line (s, x, y, heading, curvature) with cosine and sine of the heading. `lanes`, shape
-(n, m, 5): centre, width, limit and slope of the centre of each of m tracks at these rows, NaN if the track does not exist, and the position
-along its lanes as SUMO counts. `pose`: as from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of
-other vehicles' centres, their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6):
-their x, y, heading, half length, half width, and speed.
+`line`, shape (n, 7): the corridor's reference line, as from `with_directions`. `lanes`, shape (n, m, 5): centre, width, limit and slope of
+the centre of each of m tracks at these rows, NaN if the track does not exist, and the position along its lanes as SUMO counts. `pose`: as
+from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of other vehicles' centres, NaN on other levels,
+their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6): their x, y, heading, half
+length, half width, and speed.
 """
 
-from math import atan, cos, inf, isnan, pi, sin
+from math import atan, cos, inf, isnan, nan, pi, sin
 
 import numpy as np
-from numba import njit
 
 from drivecal.domain.roads import Floats
+from drivecal.highway import geometry as shared
+from drivecal.highway.compilation import compiled_with
+from drivecal.highway.geometry import foot, hit, point
 
-TOLERANCE = 1e-9
-"""Step (m) at which Newton's iteration ends."""
+compiled = compiled_with(shared)
+
 FARTHEST = 25.0
-"""Distance (m) from the line beyond which the foot point is searched anew: the vehicle drives elsewhere, or the iteration went astray."""
+"""Distance (m) from the line beyond which the foot point is searched again: the vehicle drives elsewhere, or the iteration went astray."""
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 VERGE = 0.5
@@ -35,7 +37,7 @@ S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH, ALONG = range(9)
 """Entries of `motion`."""
 
 
-@njit(cache=True)
+@compiled
 def nearest(line: Floats, x: float, y: float) -> float:
     """Returns s of the row that is closest to a point."""
     best, least = 0, inf
@@ -47,53 +49,16 @@ def nearest(line: Floats, x: float, y: float) -> float:
     return line[best, 0]
 
 
-@njit(cache=True)
-def point(line: Floats, s: float) -> tuple[float, float, float, float]:
-    """Returns x, y, heading and curvature of the line at s, interpolated as in `drivecal.domain.roads`; straight beyond its ends."""
-    spacing = line[1, 0]
-    last = len(line) - 1
-    if s < 0.0 or s > last * spacing:
-        row = 0 if s < 0.0 else last
-        ahead = s - row * spacing
-        return line[row, 1] + ahead * line[row, 5], line[row, 2] + ahead * line[row, 6], line[row, 3], 0.0
-    row = min(int(s / spacing), last - 1)
-    u = s - line[row, 0]
-    bend = (line[row + 1, 4] - line[row, 4]) / spacing
-    w = u / spacing
-    from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
-    blend = w * w * (3.0 - 2.0 * w)
-    x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1]) + from_start * line[row, 5] + from_end * line[row + 1, 5]
-    y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2]) + from_start * line[row, 6] + from_end * line[row + 1, 6]
-    return x, y, line[row, 3] + u * (line[row, 4] + 0.5 * bend * u), line[row, 4] + bend * u
-
-
-@njit(cache=True)
-def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float]:
-    """Returns s, d, and the line's heading and curvature at the foot point of (x, y), by Newton's iteration from s = `near`."""
-    s = near
-    d = heading = curvature = 0.0
-    for _ in range(30):
-        foot_x, foot_y, heading, curvature = point(line, s)
-        along, across = cos(heading), sin(heading)
-        dx, dy = x - foot_x, y - foot_y
-        d = dy * along - dx * across
-        step = (dx * along + dy * across) / max(1.0 - curvature * d, 0.1)
-        if abs(step) < TOLERANCE:
-            break
-        s += step
-    return s, d, heading, curvature
-
-
-@njit(cache=True)
+@compiled
 def searched(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float]:
-    """Returns the same as `foot`, searched along the whole line if the vehicle is not near it at s = `near`."""
-    s, d, heading, curvature = foot(line, x, y, near)
+    """Returns s, d, heading and curvature at the foot point, searched along the whole line if that is not near s = `near`."""
+    s, d, heading, _, _, curvature, _ = foot(line, x, y, near)
     if not (abs(d) <= FARTHEST and -FARTHEST <= s <= line[-1, 0] + FARTHEST):
-        s, d, heading, curvature = foot(line, x, y, nearest(line, x, y))
+        s, d, heading, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
     return s, d, heading, curvature
 
 
-@njit(cache=True)
+@compiled
 def _row(line: Floats, s: float) -> tuple[int, float]:
     """Returns the row at or before s and the share of the way to the next one."""
     position = s / line[1, 0]
@@ -101,7 +66,7 @@ def _row(line: Floats, s: float) -> tuple[int, float]:
     return row, min(max(position - row, 0.0), 1.0)
 
 
-@njit(cache=True)
+@compiled
 def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> float:
     """Returns a column of a track between rows; the row that exists if the track begins or ends there, else NaN."""
     here, there = lanes[row, track, column], lanes[row + 1, track, column]
@@ -113,7 +78,7 @@ def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> flo
     return value
 
 
-@njit(cache=True)
+@compiled
 def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
     """Returns the track whose centre is closest to d, -1 if there is none."""
     row, share = _row(line, s)
@@ -125,7 +90,7 @@ def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
     return best
 
 
-@njit(cache=True)
+@compiled
 def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, motion: Floats, front: Floats) -> bool:
     """Writes the ego vehicle's place in the corridor and SUMO's position of it; returns whether it is on the road.
 
@@ -133,7 +98,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     position of the vehicle's front along the track's lanes as SUMO counts. `front`: SUMO's position, i.e. x and y of the front and the
     angle in degrees clockwise from north, shape (3,). `size`: half length, half width.
     """
-    s, d, heading, curvature = foot(line, pose[0], pose[1], near)
+    s, d, heading, _, _, curvature, _ = foot(line, pose[0], pose[1], near)
     row, share = _row(line, s)
     track = track_at(line, lanes, s, d)
     motion[S], motion[D], motion[TRACK] = s, d, track
@@ -162,21 +127,25 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
 
 
-@njit(cache=True)
+@compiled
 def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
     """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3).
 
-    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0.
+    `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
+    on another level has x = NaN, and no place.
     """
     for i in range(len(raw)):
         half = 0.5 * others[i, 4]
         x, y, speed = raw[i, 0], raw[i, 1], raw[i, 2]
-        if step > 0.0:
+        others[i, 3] = (speed - outlines[i, 5]) / step if step > 0.0 else 0.0
+        if isnan(x):
+            others[i, 0] = others[i, 1] = outlines[i, 0] = outlines[i, 1] = nan
+            others[i, 2] = outlines[i, 5] = speed
+            continue
+        if step > 0.0 and not isnan(others[i, 0]):
             s, d, heading, curvature = searched(line, x, y, others[i, 0] + half + others[i, 2] * step)
-            others[i, 3] = (speed - outlines[i, 5]) / step
         else:
-            s, d, heading, curvature = foot(line, x, y, nearest(line, x, y))
-            others[i, 3] = 0.0
+            s, d, heading, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
         stretch = max(1.0 - curvature * d, 0.1)
         heading -= half * curvature / stretch
         others[i, 0] = s - half / stretch
@@ -190,29 +159,7 @@ def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: fl
         outlines[i, 5] = speed
 
 
-@njit(cache=True)
-def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
-    """Returns the first of `outlines` that overlaps the ego vehicle's rectangle, -1 if there is none; separating axis theorem."""
-    c, s = cos(pose[2]), sin(pose[2])
-    for i in range(len(outlines)):
-        dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
-        reach = size[0] + size[1] + outlines[i, 3] + outlines[i, 4]
-        if dx * dx + dy * dy > reach * reach:
-            continue
-        other_c, other_s = cos(outlines[i, 2]), sin(outlines[i, 2])
-        along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
-        length, width = outlines[i, 3], outlines[i, 4]
-        if (
-            abs(dx * c + dy * s) <= size[0] + length * along + width * across
-            and abs(dy * c - dx * s) <= size[1] + length * across + width * along
-            and abs(dx * other_c + dy * other_s) <= length + size[0] * along + size[1] * across
-            and abs(dy * other_c - dx * other_s) <= width + size[0] * across + size[1] * along
-        ):
-            return i
-    return -1
-
-
-@njit(cache=True)
+@compiled
 def _neighbours(
     line: Floats,
     lanes: Floats,
@@ -234,6 +181,8 @@ def _neighbours(
         return
     for i in range(len(others)):
         s = others[i, 0]
+        if isnan(s):
+            continue
         if lead > 0.0:
             s += others[i, 2] * lead / max(1.0 - point(line, s)[3] * others[i, 1], 0.1)
         if not 0.0 <= s <= line[-1, 0]:
@@ -249,7 +198,7 @@ def _neighbours(
             seen[first], seen[first + 1], seen[first + 2] = gap, others[i, 2], others[i, 3]
 
 
-@njit(cache=True)
+@compiled
 def _curvature(line: Floats, lanes: Floats, track: int, s: float) -> float:
     """Returns the curvature of a track's centre."""
     row, share = _row(line, s)
@@ -261,7 +210,7 @@ def _curvature(line: Floats, lanes: Floats, track: int, s: float) -> float:
     return curvature / (1.0 - curvature * centre) + (0.0 if isnan(bend) else bend)
 
 
-@njit(cache=True)
+@compiled
 def observe(
     line: Floats, lanes: Floats, ends: Floats, others: Floats, motion: Floats, pose: Floats, steering: float, half: float,
     time: float, lead: float, signals: Floats,
@@ -302,7 +251,7 @@ def observe(
         first += BESIDE
 
 
-@njit(cache=True)
+@compiled
 def record(
     line: Floats,
     lanes: Floats,
@@ -327,7 +276,7 @@ def record(
     row[12], row[13], row[14], row[15], row[16] = seen[0], seen[1], seen[3], seen[4], motion[WIDTH]
 
 
-@njit(cache=True)
+@compiled
 def settle(
     line: Floats, lanes: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, motion: Floats, pose: Floats,
     steering: float, size: Floats, time: float, row: Floats,
@@ -338,7 +287,7 @@ def settle(
     return hit(outlines, pose, size)
 
 
-@njit(cache=True)
+@compiled
 def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, path: Floats) -> None:
     """Writes the path along a track's centre at a constant speed from s on, as a trajectory (t, x, y, heading, curvature, speed, 0).
 
@@ -353,7 +302,7 @@ def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, pat
     for i in range(len(path)):
         s += speed * (path[i, 0] - before) / stretch
         before = path[i, 0]
-        x, y, heading, curvature = point(line, s)
+        x, y, heading, curvature, _ = point(line, s)
         row, share = _row(line, s)
         centre, slope = _lane(lanes, row, share, track, 0), _lane(lanes, row, share, track, 3)
         exists = not isnan(centre)

@@ -17,6 +17,7 @@ from drivecal.highway.drive.plants import UserVehicleModel
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
 from drivecal.highway.drive.trajectories import TrajectorySource
+from drivecal.highway.geometry import hit
 from drivecal.highway.vehicle.model import SingleTrackModel
 
 PATH_SPACING = 0.05
@@ -113,7 +114,7 @@ class Loop:
         names, outlines = [*self._traffic.names, "ego"], self._traffic.outlines
         starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
         for row, (x, y, heading, *size) in enumerate(starts[1:].tolist(), 1):
-            other = geometry.hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
+            other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
             if other >= 0:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
                 raise StartError(f"scenarios.{self._name}: {message}")

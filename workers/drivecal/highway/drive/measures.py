@@ -35,7 +35,7 @@ JERK_SAMPLES = 50
 CRITICAL = 3.0
 """Time to collision (s) below which its duration counts."""
 STANDSTILL = 0.1
-"""Own speed (m/s) below which there is no time headway."""
+"""Own speed (m/s) below which the time headway is undefined."""
 GRAVITY = 9.81
 ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9, 0.6
 """The vehicle of `energy_kwh`: battery electric, on a level road."""
@@ -43,7 +43,7 @@ ROLLING, DRAG, ROTATING, DRIVE, RECUPERATION = 0.01, 0.5 * 1.2 * 0.65, 1.05, 0.9
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What a run leaves behind.
+    """Record of a run.
 
     `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 17), `COLUMNS`. `dynamics`: after each 0.01 s,
     shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: way (m) of a drive at the limit for

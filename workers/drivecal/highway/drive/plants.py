@@ -16,10 +16,10 @@ from drivecal.domain.roads import Floats
 from drivecal.highway.drive.controllers import end_if_fatal, function_of
 from drivecal.highway.drive.programs import ProgramController
 from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle.equations import ADHESION_LIMIT, STEP
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 
-STEP = kernels.STEP
 _NO_PATH: Floats = np.zeros((2, 7))
 
 
@@ -164,7 +164,7 @@ class UserVehicleModel(SingleTrackModel):
             given.get("lateral_acceleration", speed * yaw_rate),
             given.get("steering_angle", steering),
         )
-        return bool(abs(state[7]) <= kernels.ADHESION_LIMIT and np.abs(state[:4]).sum() < 1e9)
+        return bool(abs(state[7]) <= ADHESION_LIMIT and np.abs(state[:4]).sum() < 1e9)
 
     def _guarded(self, what: str, call: Any, *arguments: Any) -> Any:
         try:

@@ -18,7 +18,7 @@ END_SECONDS = 1.0
 
 
 class ProgramError(DrivecalError):
-    """The program ended, or answered something that is no frame."""
+    """The program ended, or its answer is not a frame."""
 
 
 class ProgramController:

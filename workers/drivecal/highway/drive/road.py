@@ -1,11 +1,13 @@
 """The corridor of a scenario as the arrays of `geometry`, and places on it."""
 
+from collections.abc import Mapping
 from math import atan, cos, isnan, sin
 
 import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
 from drivecal.highway.drive.lanes import SumoLanes
+from drivecal.highway.geometry import with_directions
 from drivecal.roads.corridor import Corridor
 
 SMOOTHING = 5.0
@@ -15,10 +17,11 @@ SMOOTHING = 5.0
 class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
-    def __init__(self, corridor: Corridor) -> None:
-        self.corridor = corridor
+    def __init__(self, corridor: Corridor, levels: Mapping[str, tuple[float, float]]) -> None:
+        """`levels`: stretches of edges above or below the corridor (`roads.levels`)."""
+        self.corridor, self.levels = corridor, levels
         line = corridor.line
-        self.line: Floats = np.ascontiguousarray(np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])]))
+        self.line: Floats = with_directions(line)
         self.sumo = SumoLanes(corridor)
         self.lanes: Floats = np.ascontiguousarray(
             np.stack(

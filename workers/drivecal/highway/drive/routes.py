@@ -1,13 +1,13 @@
-"""SUMO's route file and command line options of a scenario. Pure."""
+"""SUMO's route file and command line options of a scenario."""
 
 from math import ceil
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.highway import sumo
+from drivecal.highway.sumo import EGO
 
-EGO = "ego"
-"""Id, type and route of the ego vehicle in SUMO."""
 RANDOM = frozenset({"EIDM", "W99"})
 """Models that are random by default."""
 LANE_CHANGE_SECONDS = 3.0
@@ -73,7 +73,7 @@ def routes_file(scenario: HighwayScenario) -> bytes:
 
 
 _FREE = {"speedFactor": "100", "speedDev": "0", "maxSpeed": "200"}
-"""What lets SUMO's ego vehicle take any speed."""
+"""Attributes with which SUMO's ego vehicle takes any speed."""
 _NOBODY = Driver.model_validate({})
 
 
@@ -142,27 +142,11 @@ def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
 
 
 def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:
-    """Returns SUMO's command line options.
-
-    SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
-    """
+    """Returns SUMO's command line options."""
     sideways = {}
     if _is_sublane(scenario):
         sideways = {"lateral-resolution": repr(SUBLANE)}
     elif any(entry.lane_change == "LC2013" for entry in (*scenario.traffic, *scenario.flows)):
         sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
-    values = {
-        "net-file": network,
-        "route-files": route_file,
-        "step-length": repr(step),
-        "seed": str(scenario.seed),
-        "collision.action": "warn",
-        "time-to-teleport": "-1",
-        "no-step-log": "true",
-        "no-warnings": "true",
-        "duration-log.disable": "true",
-        "xml-validation": "never",
-        "xml-validation.net": "never",
-        "xml-validation.routes": "never",
-    } | sideways
-    return [text for name, value in values.items() for text in (f"--{name}", value)]
+    shared = sumo.options(network, route_file, step, scenario.seed)
+    return shared + [text for name, value in sideways.items() for text in (f"--{name}", value)]

@@ -11,29 +11,33 @@ from typing import Any
 import numpy as np
 
 from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEntry
-from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
+from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
-from drivecal.highway.drive.actions import FREE, Actions, EgoPlace
+from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import EGO, drivers, is_exact, options, route_id, routes_file
+from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file
+from drivecal.highway.geometry import point
+from drivecal.highway.sumo import (
+    ARRIVED,
+    DEPARTED,
+    EGO,
+    FREE,
+    GET_LANE_POSITION,
+    GET_POSITION,
+    GET_ROAD,
+    GET_SPEED,
+    MAPPED_ANYWHERE,
+    MAPPED_WITHIN,
+    MOVE_TO_XY,
+    NO_LANE_CHANGES,
+    SET_SPEED,
+    STEP,
+    SUMO_ERRORS,
+)
 from drivecal.roads.corridor import LanePiece
 
-try:
-    import libsumo
-    from libsumo import _libsumo as compiled
-except ImportError as error:
-    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
-
-GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
-STEP, DEPARTED, ARRIVED = compiled.simulation_step, compiled.simulation_getDepartedNumber, compiled.simulation_getArrivedNumber
-SET_SPEED = compiled.vehicle_setSpeed
-"""Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call."""
-SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
-MAPPED_ANYWHERE = 2
-"""moveToXY's `keepRoute`: places the vehicle at exactly these coordinates."""
-MAPPED_WITHIN = 10.0
-"""moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
 CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
 
@@ -68,7 +72,7 @@ class Traffic:
         self._options = options(scenario, str(network), str(route_file), step)
         self._is_exact = is_exact(scenario)
         try:
-            libsumo.start(["sumo", *self._options])
+            sumo.load(self._options)
             self._loaded = True
             self._places = [
                 (key, *_front(road, vehicle, vehicle.length, f"{field}.traffic[{index}]"), vehicle.speed, vehicle.offset)
@@ -78,9 +82,9 @@ class Traffic:
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles, road.lateral)
-        curvature = geometry.point(road.line, self.start_s)[3]
+        curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
-        """Where the ego vehicle was when `others` were read."""
+        """Place of the ego vehicle when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
@@ -91,11 +95,11 @@ class Traffic:
 
     def reset(self) -> None:
         """Puts all vehicles to their starts. Raises TrafficError if SUMO refuses one."""
-        vehicle = libsumo.vehicle
+        vehicle = sumo.vehicle
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
-                libsumo.load(self._options)
+                sumo.load(self._options)
                 self._loaded = True
             else:
                 for name in vehicle.getLoadedIDList():
@@ -106,7 +110,7 @@ class Traffic:
                 vehicle.setPreviousSpeed(name, speed)
                 if offset:
                     vehicle.setLateralLanePosition(name, offset)
-            vehicle.setLaneChangeMode(EGO, 0)
+            vehicle.setLaneChangeMode(EGO, NO_LANE_CHANGES)
             vehicle.setSpeedMode(EGO, FREE)
             missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
             self.names = []
@@ -137,7 +141,7 @@ class Traffic:
             self._guide(index, motion, front, speed)
             STEP()
             if DEPARTED() or ARRIVED():
-                present = set(libsumo.vehicle.getIDList())
+                present = set(sumo.vehicle.getIDList())
                 if EGO not in present:
                     self._loaded = False
                     if motion.item(0) > self._road.length - self._scenario.ego.length - speed * self._step:
@@ -171,7 +175,7 @@ class Traffic:
             MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
             return
         begin = max(position - speed * self._step, 0.0)
-        libsumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
+        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
         SET_SPEED(EGO, (position - begin) / self._step)
         self._placed = along
 
@@ -188,10 +192,10 @@ class Traffic:
             others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
             outlines[row, 5] = GET_SPEED(name)
             if driver.lane_change == "none":
-                libsumo.vehicle.setLaneChangeMode(name, 0)
+                sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
             if driver.model == "constant":
-                libsumo.vehicle.setSpeedMode(name, FREE)
-                libsumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else outlines.item(row, 5))
+                sumo.vehicle.setSpeedMode(name, FREE)
+                sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else outlines.item(row, 5))
         self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
         self._cells = raw.reshape(-1).data  # a memoryview assigns single items several times faster than numpy
 
@@ -202,6 +206,15 @@ class Traffic:
             cells[cell], cells[cell + 1] = position(name)
             cells[cell + 2] = speed(name)
             cell += 3
+        if self._road.levels:
+            self._leave_out_other_levels()
+
+    def _leave_out_other_levels(self) -> None:
+        """Gives vehicles above or below the road no place on it."""
+        for row, name in enumerate(self.names):
+            stretch = self._road.levels.get(GET_ROAD(name))
+            if stretch is not None and stretch[0] <= GET_LANE_POSITION(name) <= stretch[1]:
+                self.raw[row, :2] = np.nan
 
 
 def _centre(road: HighwayRoad, placed: Placed, field: str) -> tuple[float, float]:
@@ -227,7 +240,7 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     edge, lane, position = road.sumo.ahead(edge, lane, position)
     name = f"{edge}_{lane}"
     try:
-        return name, min(position, libsumo.lane.getLength(name))
+        return name, min(position, sumo.lane.getLength(name))
     except SUMO_ERRORS as error:
         message = f"the network has no lane {name}"
         raise InvalidInputError(Problem(f"{field}.lane", message, "give an edge and a lane of the network")) from error

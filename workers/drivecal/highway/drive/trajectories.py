@@ -12,8 +12,8 @@ from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, 
 from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.planner.kernel import SPACING
 from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.highway.planner.plans import SPACING
 from drivecal.plugins.ports import Observation
 
 STEP = 0.05
@@ -148,9 +148,11 @@ class PlannerTrajectories(TrajectorySource):
         velocity = speed * np.cos(course), speed * np.sin(course)
         acceleration = forward * cosine - left * sine, forward * sine + left * cosine
         motion = to_frenet(self._road.line[:, :5], (x, y), velocity, acceleration, position)
-        rows = traffic.others
-        drift = [row[1] - self._before.get(name, row[1]) for name, row in zip(traffic.names, rows.tolist(), strict=True)]
-        self._before = dict(zip(traffic.names, rows[:, 1].tolist(), strict=True))
+        here = ~np.isnan(traffic.others[:, 0])  # not above or below the road
+        rows = traffic.others[here]
+        names = [name for name, is_here in zip(traffic.names, here.tolist(), strict=True) if is_here]
+        drift = [row[1] - self._before.get(name, row[1]) for name, row in zip(names, rows.tolist(), strict=True)]
+        self._before = dict(zip(names, rows[:, 1].tolist(), strict=True))
         curvature = np.interp(rows[:, 0], self._road.line[:, 0], self._road.line[:, 4])
         along = rows[:, 2] / np.maximum(1.0 - curvature * rows[:, 1], 0.1)
         neighbours = np.column_stack([rows[:, 0], rows[:, 1], along, np.array(drift) / self._period, rows[:, 4], rows[:, 5]])

@@ -9,7 +9,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.traffic.geometry import place, with_directions
+from drivecal.highway.geometry import with_directions
+from drivecal.highway.traffic.geometry import place
 from drivecal.highway.traffic.simulation import Simulation
 from drivecal.plugins.ports import Observation, Planner, VehicleModel
 

@@ -1,12 +1,14 @@
-"""Simulation and rating of parameter sets in one scenario."""
+"""Simulation and rating of parameter sets in one scenario, and the check of its task."""
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from drivecal.domain.evaluations import FAILED_RATING, Failure, Rating, RunResult
+from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.episode.loop import ClosedLoop, Drive
-from drivecal.highway.episode.task import fulfilled, speed_errors, target_offsets
 from drivecal.highway.episode.trace import Recorder, Trace
 from drivecal.highway.traffic.simulation import simulation
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, Series, SeriesEvaluator, VehicleModel
@@ -64,3 +66,33 @@ class EpisodeRunner:
         if self._series_evaluator is not None:
             return self._series_evaluator.rate_series(self._scenario.manoeuvre, series)
         return self._evaluator.rate(self._scenario.manoeuvre, metrics)
+
+
+def target_offsets(motion: Floats, scenario: Scenario) -> Floats:
+    """Returns the offsets (m, to the left) from the target lane's centre, shape (n,), of Frenet motions of shape (n, 6)."""
+    offsets: Floats = motion[:, 3] - scenario.task.target_lane * scenario.road.lane_width
+    return offsets
+
+
+def speed_errors(motion: Floats, scenario: Scenario) -> Floats:
+    """Returns the speed along the road minus the desired speed (m/s), shape (n,), of Frenet motions of shape (n, 6)."""
+    knots = np.array([knot.s for knot in scenario.task.speeds])
+    speeds = np.array([knot.speed for knot in scenario.task.speeds])
+    current = np.maximum(np.searchsorted(knots, motion[:, 0], side="right") - 1, 0)
+    errors: Floats = motion[:, 1] - speeds[current]
+    return errors
+
+
+def fulfilled(motion: Floats, scenario: Scenario) -> bool:
+    """Returns True if the whole scenario was driven and the task's tolerances held during its last `hold` seconds.
+
+    `motion`: the Frenet motion at the start and after each step, shape (n + 1, 6).
+    """
+    task = scenario.task
+    steps = round(scenario.duration / scenario.step)
+    if len(motion) != steps + 1:
+        return False
+    end = motion[-round(task.hold / scenario.step) - 1 :]
+    in_lane = np.abs(target_offsets(end, scenario)).max() <= task.lane_tolerance
+    at_speed = np.abs(speed_errors(end, scenario)).max() <= task.speed_tolerance
+    return bool(in_lane and at_speed)

@@ -1,1 +1,1 @@
-"""Interface to SUMO, the only package that imports libsumo."""
+"""SUMO of the built-in motorway: its vehicles, and where they are on the road."""

@@ -1,13 +1,12 @@
-"""SUMO's command line options and route file of a scenario. Pure."""
+"""SUMO's route file of a scenario, and the ways of drifting vehicles."""
 
 from itertools import pairwise
 from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
+from drivecal.highway.sumo import EGO
 
-EGO = "ego"
-"""Id and type of the ego vehicle in SUMO."""
 ROUTE = "road"
 
 
@@ -65,28 +64,6 @@ def _type(vehicle: TrafficVehicle) -> dict[str, str]:
         "maxSpeed": vehicle.desired_speed,
     }
     return {"id": vehicle.id, **EXACT, **{name: repr(value) for name, value in values.items()}}
-
-
-def options(scenario: Scenario, network: str, route_file: str) -> list[str]:
-    """Returns SUMO's command line options for a scenario with files at these paths.
-
-    SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
-    """
-    values = {
-        "net-file": network,
-        "route-files": route_file,
-        "step-length": repr(scenario.step),
-        "seed": str(scenario.seed),
-        "collision.action": "warn",
-        "time-to-teleport": "-1",
-        "no-step-log": "true",
-        "no-warnings": "true",
-        "duration-log.disable": "true",
-        "xml-validation": "never",
-        "xml-validation.net": "never",
-        "xml-validation.routes": "never",
-    }
-    return [text for name, value in values.items() for text in (f"--{name}", value)]
 
 
 def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:

@@ -1,75 +1,16 @@
-"""Compiled geometry of a run: positions on the road, road departure and collisions of the ego vehicle.
-
-Functions that call each other share this module, because numba's cache does not notice edits in imported modules.
-"""
+"""Compiled geometry of a run: positions on the road, road departure and collisions of the ego vehicle."""
 
 from math import cos, pi, sin
 
-import numpy as np
-from numba import njit
-
 from drivecal.domain.roads import Floats
+from drivecal.highway import geometry
+from drivecal.highway.compilation import compiled_with
+from drivecal.highway.geometry import foot, hit
 
-TOLERANCE = 1e-9
-"""Step (m) at which Newton's iteration ends."""
-
-
-@njit(cache=True)
-def with_directions(line: Floats) -> Floats:
-    """Extends the table of `drivecal.domain.roads.reference_line`, shape (n, 5), by cosine and sine of the heading, shape (n, 7).
-
-    Compiled, so that both equal the values computed by the functions here to the bit.
-    """
-    table = np.empty((len(line), 7))
-    table[:, :5] = line
-    for row in range(len(line)):
-        table[row, 5], table[row, 6] = cos(line[row, 3]), sin(line[row, 3])
-    return table
+compiled = compiled_with(geometry)
 
 
-@njit(cache=True)
-def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
-    """Returns s, d, and the line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
-
-    Compiled version of `drivecal.domain.roads.project`, with equal interpolation and Newton iteration from s = `near`. `line`: as from
-    `with_directions`.
-    """
-    spacing = line[1, 0]
-    last = len(line) - 1
-    s = near
-    d = heading = curvature = bend = across = 0.0
-    along = 1.0
-    for _ in range(30):
-        if s < 0.0 or s > last * spacing:
-            row = 0 if s < 0.0 else last
-            heading, curvature, bend = line[row, 3], 0.0, 0.0
-            ahead = s - row * spacing
-            along, across = line[row, 5], line[row, 6]
-            foot_x, foot_y = line[row, 1] + ahead * along, line[row, 2] + ahead * across
-        else:
-            row = min(int(s / spacing), last - 1)
-            u = s - line[row, 0]
-            bend = (line[row + 1, 4] - line[row, 4]) / spacing
-            w = u / spacing
-            from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
-            blend = w * w * (3.0 - 2.0 * w)
-            foot_x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1])
-            foot_x += from_start * line[row, 5] + from_end * line[row + 1, 5]
-            foot_y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2])
-            foot_y += from_start * line[row, 6] + from_end * line[row + 1, 6]
-            heading = line[row, 3] + u * (line[row, 4] + 0.5 * bend * u)
-            curvature = line[row, 4] + bend * u
-            along, across = cos(heading), sin(heading)
-        dx, dy = x - foot_x, y - foot_y
-        d = dy * along - dx * across
-        step = (dx * along + dy * across) / max(1.0 - curvature * d, 0.1)
-        if abs(step) < TOLERANCE:
-            break
-        s += step
-    return s, d, heading, along, across, curvature, bend
-
-
-@njit(cache=True)
+@compiled
 def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
     """Updates Frenet states and outlines in place from SUMO's raw values.
 
@@ -98,7 +39,7 @@ def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step
         outlines[i, 4] = 0.5 * neighbours[i, 5]
 
 
-@njit(cache=True)
+@compiled
 def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats, front: Floats) -> bool:
     """Writes the ego vehicle's Frenet motion and SUMO's position of it; returns whether it is on the road.
 
@@ -128,30 +69,8 @@ def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floa
     return bool(d - reach >= outline[2] and d + reach <= outline[3])
 
 
-@njit(cache=True)
-def hits(outlines: Floats, pose: Floats, outline: Floats) -> bool:
-    """Returns whether the ego vehicle's rectangle overlaps one of `outlines`, shape (n, 5), see `locate`; separating axis theorem."""
-    c, s = cos(pose[2]), sin(pose[2])
-    for i in range(len(outlines)):
-        dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
-        reach = outline[0] + outline[1] + outlines[i, 3] + outlines[i, 4]
-        if dx * dx + dy * dy > reach * reach:
-            continue
-        other_c, other_s = cos(outlines[i, 2]), sin(outlines[i, 2])
-        along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
-        length, width = outlines[i, 3], outlines[i, 4]
-        if (
-            abs(dx * c + dy * s) <= outline[0] + length * along + width * across
-            and abs(dy * c - dx * s) <= outline[1] + length * across + width * along
-            and abs(dx * other_c + dy * other_s) <= length + outline[0] * along + outline[1] * across
-            and abs(dy * other_c - dx * other_s) <= width + outline[0] * across + outline[1] * along
-        ):
-            return True
-    return False
-
-
-@njit(cache=True)
+@compiled
 def settle(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float, pose: Floats, outline: Floats) -> bool:
-    """Combines `locate` and `hits` in one call."""
+    """Combines `locate` and `hit` in one call; returns whether the ego vehicle has hit another."""
     locate(line, raw, neighbours, outlines, step)
-    return hits(outlines, pose, outline)
+    return hit(outlines, pose, outline) >= 0

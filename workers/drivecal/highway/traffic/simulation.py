@@ -13,28 +13,26 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.traffic.configuration import EGO, ROUTE, drift_offsets, options, routes
-from drivecal.highway.traffic.geometry import locate, settle, with_directions
+from drivecal.highway import sumo
+from drivecal.highway.geometry import with_directions
+from drivecal.highway.sumo import (
+    EGO,
+    GET_POSITION,
+    GET_SPEED,
+    MAPPED_ANYWHERE,
+    MAPPED_WITHIN,
+    MOVE_TO_XY,
+    STEP,
+    SUMO_ERRORS,
+)
+from drivecal.highway.traffic.configuration import ROUTE, drift_offsets, routes
+from drivecal.highway.traffic.geometry import locate, settle
 
-try:
-    import libsumo
-    from libsumo import _libsumo as compiled
-except ImportError as error:
-    raise UnavailableError(f"the SUMO simulator cannot be used: {error}; install libsumo") from error
-
-GET_POSITION, GET_SPEED, MOVE_TO_XY = compiled.vehicle_getPosition, compiled.vehicle_getSpeed, compiled.vehicle_moveToXY
-STEP = compiled.simulation_step
-"""Compiled functions behind `libsumo`, without its Python wrappers, which take a third of a call; a run has two thousand calls."""
-SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 PLACE_TOLERANCE = 0.5
 """Largest distance (m) between the start of a vehicle and the nearest position on a lane."""
-MAPPED_ANYWHERE = 2
-"""moveToXY's `keepRoute`: places the vehicle at exactly these coordinates."""
-MAPPED_WITHIN = 10.0
-"""moveToXY's `matchThreshold` (m): SUMO's search radius for the lane."""
 
 
 class SimulationError(DrivecalError):
@@ -79,12 +77,8 @@ class Simulation:
                 route_file.write_bytes(routes(scenario))
             except InvalidInputError as error:
                 raise SimulationError(f"scenario {scenario.id}: {error}") from error
-            arguments = options(scenario, str(network), str(route_file))
             try:
-                if libsumo.isLoaded():
-                    libsumo.load(arguments)
-                else:
-                    libsumo.start(["sumo", *arguments])
+                sumo.load(sumo.options(str(network), str(route_file), scenario.step, scenario.seed))
             except SUMO_ERRORS as error:
                 raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
@@ -116,16 +110,16 @@ class Simulation:
 
         Raises SimulationError if a vehicle is missing afterwards, which SUMO does not report. The next `load` then reloads the scenario.
         """
-        vehicle = libsumo.vehicle
+        vehicle = sumo.vehicle
         try:
             for name in vehicle.getLoadedIDList():
                 vehicle.remove(name)
             for name, lane, position, speed in self._places:
                 vehicle.add(name, ROUTE, typeID=name)
-                vehicle.setLaneChangeMode(name, 0)
+                vehicle.setLaneChangeMode(name, sumo.NO_LANE_CHANGES)
                 vehicle.moveTo(name, lane, position)
                 vehicle.setPreviousSpeed(name, speed)
-            vehicle.setSpeedMode(EGO, 0)
+            vehicle.setSpeedMode(EGO, sumo.FREE)
             missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
         except SUMO_ERRORS as error:
             self._scenario = None
@@ -143,10 +137,9 @@ class Simulation:
         `pose`: the ego vehicle at the end of the step; `front`: as from `geometry.place`, on the road, which SUMO does not
         check. Raises SimulationError if a vehicle is lost; the next `load` then reloads the scenario.
         """
-        vehicle = libsumo.vehicle
         try:
             for _, name, offsets in self._drifts:
-                vehicle.setLateralLanePosition(name, offsets[index])
+                sumo.vehicle.setLateralLanePosition(name, offsets[index])
             MOVE_TO_XY(EGO, "", -1, front[0], front[1], front[2], MAPPED_ANYWHERE, MAPPED_WITHIN)
             STEP()
             self._read()
@@ -163,14 +156,14 @@ class Simulation:
             cells[cell + 2] = speed(name)
             cell += 4
         for row, name, _ in self._drifts:
-            cells[4 * row + 3] = self._lanes[row] + libsumo.vehicle.getLateralLanePosition(name)
+            cells[4 * row + 3] = self._lanes[row] + sumo.vehicle.getLateralLanePosition(name)
 
 
 def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:
     """Returns SUMO's lane and the position along it, which differs from the arc length on curved edges."""
     x, y, _ = to_cartesian(line, s, d)
-    edge, position, lane = libsumo.simulation.convertRoad(x, y)
-    mapped_x, mapped_y = libsumo.simulation.convert2D(edge, position, lane)
+    edge, position, lane = sumo.simulation.convertRoad(x, y)
+    mapped_x, mapped_y = sumo.simulation.convert2D(edge, position, lane)
     if hypot(mapped_x - x, mapped_y - y) > PLACE_TOLERANCE:
         raise SimulationError(f"the network has no lane for vehicle {name} at s = {s} m, d = {d} m; place it on the road")
     return f"{edge}_{lane}", position

@@ -15,7 +15,6 @@ from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.channels import LENGTH, UNITS
 from drivecal.highway.comfort.regression import features_of
 from drivecal.highway.comfort.regression_arrays import Regression
-from drivecal.highway.training.panel import Panel
 from drivecal.highway.training.rated_drives import RatedDrive, group_of_profile, group_of_set, simulated, synthetic
 from drivecal.plugins.ports import Floats
 
@@ -28,6 +27,33 @@ FEATURES = 24
 MOST_DILATIONS = 4
 PENALTIES = np.logspace(0.0, 5.0, 21)
 GOLDEN = 0.5 * (np.sqrt(5.0) + 1.0)
+RATERS = 15
+STRICTNESS, FRIENDLINESS, INCONSISTENCY = 0.1, 0.4, 0.6
+BEST = 7.0
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """A simulated panel that applies the reference scale with individual tastes. No human rated any manoeuvre.
+
+    Rater i gives round(clip(7 - g_i (7 - r) + b_i + e)), with the reference rating r, `strictness` g_i ~ N(1, 0.1), `friendliness`
+    b_i ~ N(0, 0.4), shape (n,), and inconsistency e ~ N(0, 0.6), which varies between ratings. The panel's rating is the mean of all
+    raters, its score the rounded mean.
+    """
+
+    strictness: Floats
+    friendliness: Floats
+
+    @classmethod
+    def of(cls, seed: int) -> Panel:
+        """Draws a panel of `RATERS` raters."""
+        rng = np.random.default_rng(seed)
+        return cls(rng.normal(1.0, STRICTNESS, RATERS), rng.normal(0.0, FRIENDLINESS, RATERS))
+
+    def rate(self, reference: float, rng: np.random.Generator) -> float:
+        """Returns the panel's rating of a manoeuvre with this reference rating."""
+        ratings = BEST - (BEST - reference) * self.strictness + self.friendliness + rng.normal(0.0, INCONSISTENCY, RATERS)
+        return float(np.floor(np.clip(ratings, 0.0, BEST) + 0.5).mean())
 
 
 def is_held_out(group: str) -> bool:

@@ -10,7 +10,7 @@ from numba import njit
 
 from drivecal.highway.training.manoeuvres import QUIET, STEP
 from drivecal.highway.training.multibody import Recording
-from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle import equations
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
@@ -37,12 +37,12 @@ def _drive(plant: Floats, inputs: Floats, start: Floats, out: Floats, extremes: 
         rate, acceleration = (inputs[k + 1, 0] - inputs[k, 0]) / 0.01, (inputs[k + 1, 1] - inputs[k, 1]) / 0.01
         if extremes.shape[0] > 0:
             v, yaw_rate = state[3], state[5]
-            slip, yaw = kernels.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
-            lateral, speed, pull = kernels.residual_inputs(v, yaw_rate, slip, yaw, rate, acceleration, plant)
-            first, second = kernels.residual_outputs(lateral, speed, pull, plant)
+            slip, yaw = equations.plain_slip_and_yaw(v, state[4], yaw_rate, state[8], plant)
+            lateral, speed, pull = equations.residual_inputs(v, yaw_rate, slip, yaw, rate, acceleration, plant)
+            first, second = equations.residual_outputs(lateral, speed, pull, plant)
             for j, value in enumerate((*lateral, speed, pull, first, second)):
                 extremes[j] = max(extremes[j], abs(value))
-        outside += not kernels.advance(state, rate, acceleration, plant, 0.01)
+        outside += not equations.advance(state, rate, acceleration, plant, 0.01)
         out[k, 0], out[k, 1], out[k, 2] = state[5], state[7], state[1]
     return outside
 
@@ -112,4 +112,4 @@ class Drives:
 
 def hybrid_plant(parameters: SingleTrackParameters, residual: Residual) -> Floats:
     """Returns the `plant` of a hybrid vehicle."""
-    return np.concatenate([kernels.pack_plant(parameters), residual.pack(parameters)])
+    return np.concatenate([equations.pack_plant(parameters), residual.pack(parameters)])

@@ -15,7 +15,7 @@ from drivecal.highway.training import multibody
 from drivecal.highway.training.drives import EVERY, Drives, hybrid_plant
 from drivecal.highway.training.manoeuvres import TRAINED, UNSEEN, draw
 from drivecal.highway.training.multibody import Recording
-from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle import equations
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
@@ -81,7 +81,7 @@ def fit_baseline(drives: Drives) -> SingleTrackParameters:
         return replace(start, cornering_stiffness_front=float(front), cornering_stiffness_rear=float(rear))
 
     def residuals(logarithms: Floats) -> Floats:
-        return _scaled(drives.outputs(kernels.pack_plant(parameters(logarithms))) - drives.truth)
+        return _scaled(drives.outputs(equations.pack_plant(parameters(logarithms))) - drives.truth)
 
     begin = np.log([start.cornering_stiffness_front, start.cornering_stiffness_rear])
     return parameters(least_squares(residuals, begin, diff_step=[1e-4, 1e-4], x_scale=0.1).x)
@@ -101,12 +101,12 @@ def fit_residual(drives: Drives, baseline: SingleTrackParameters) -> Residual:
         baseline=np.array(astuple(baseline)),
     )
     plant = hybrid_plant(baseline, free)
-    places = range(kernels.LAYERS, len(plant))
-    begin = plant[kernels.LAYERS :]
+    places = range(equations.LAYERS, len(plant))
+    begin = plant[equations.LAYERS :]
     typical = np.tile(TYPICAL, UNITS)
 
     def plant_of(weights: Floats) -> Floats:
-        return np.concatenate([plant[: kernels.LAYERS], weights])
+        return np.concatenate([plant[: equations.LAYERS], weights])
 
     def residuals(weights: Floats) -> Floats:
         return np.concatenate([_scaled(drives.outputs(plant_of(weights)) - drives.truth), DECAY * weights / typical])

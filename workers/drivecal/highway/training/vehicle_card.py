@@ -8,7 +8,7 @@ from drivecal.highway.training import multibody
 from drivecal.highway.training.drives import Drives, hybrid_plant
 from drivecal.highway.training.multibody import Recording
 from drivecal.highway.training.tables import table
-from drivecal.highway.vehicle import kernels
+from drivecal.highway.vehicle import equations
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
@@ -40,8 +40,8 @@ def errors(residual: Residual, kinds: Sequence[str], drives: Drives) -> dict[str
     """
     kind_of_drive = np.array(kinds)
     baseline = SingleTrackParameters(*residual.baseline.tolist())
-    means = {"converted": _root_mean_square(drives.errors(kernels.pack_plant(multibody.converted())))}
-    plants = {"plain": kernels.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
+    means = {"converted": _root_mean_square(drives.errors(equations.pack_plant(multibody.converted())))}
+    plants = {"plain": equations.pack_plant(baseline), "hybrid": hybrid_plant(baseline, residual)}
     for name, plant in plants.items():
         by_drive = drives.errors(plant)
         means[name] = _root_mean_square(by_drive)

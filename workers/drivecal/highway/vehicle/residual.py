@@ -30,7 +30,7 @@ _EXPECTED = {
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """A network with one hidden layer of tanh units; `kernels.residual_inputs` and `.residual_outputs` define its inputs and outputs.
+    """A network with one hidden layer of tanh units; `equations.residual_inputs` and `.residual_outputs` define its inputs and outputs.
 
     `hidden`: (units, 15), weights of the four lateral inputs, of the same times speed, of the same times longitudinal acceleration, of 1,
     speed and longitudinal acceleration.

@@ -102,5 +102,5 @@ def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
     )
 
 
-def _end_of(log: Path, lines: int = 15) -> str:
-    return "\n".join(log.read_text(errors="replace").splitlines()[-lines:])
+def _end_of(log: Path) -> str:
+    return "\n".join(log.read_text(errors="replace").splitlines()[-15:])

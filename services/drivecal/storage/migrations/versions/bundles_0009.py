@@ -13,7 +13,7 @@ NAME = sa.Text().with_variant(sa.Text(collation="C"), "postgresql")
 
 
 def upgrade() -> None:
-    """Only adds."""
+    """Adds tables and columns."""
     op.create_table(
         "bundles",
         sa.Column("digest", NAME, nullable=False),

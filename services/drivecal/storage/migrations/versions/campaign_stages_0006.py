@@ -10,7 +10,7 @@ depends_on = None
 
 IDENTITY = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 COLUMNS = {1: "sensitivity_cells", 2: "cells", 3: "robustness_cells", 4: "validation_cells"}
-"""By the number of the stage."""
+"""Columns by the number of the stage."""
 
 
 def upgrade() -> None:

@@ -1,4 +1,4 @@
-"""Reference keys hold what their donors give, so that a look-up reads nothing else."""
+"""Reference keys hold the columns of their donors, so that a look-up reads no other table."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Leases, events, priorities, studies: what a service needs to be trusted, and the stages after the calibration."""
+"""Leases, events and priorities of a durable queue, and studies of the stages after the calibration."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -15,7 +15,7 @@ MOMENT = sa.DateTime(timezone=True)
 
 
 def upgrade() -> None:
-    """Creates everything."""
+    """Creates all tables."""
     op.create_table(
         "influence_maps",
         sa.Column("sequence", IDENTITY, nullable=False),

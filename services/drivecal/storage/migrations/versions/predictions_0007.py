@@ -1,4 +1,4 @@
-"""Predicted answers: lots, and what the predictor said of each cell."""
+"""Predicted answers: lots, and the prediction of each cell."""
 
 import sqlalchemy as sa
 from alembic import op

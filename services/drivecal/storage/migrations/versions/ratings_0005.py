@@ -13,7 +13,7 @@ MOMENT = sa.DateTime(timezone=True)
 
 
 def upgrade() -> None:
-    """Adds; nothing that is stored changes, and every rating that is there is as old as its run."""
+    """Adds a column; stored rows stay, and every stored rating is as old as its run."""
     op.add_column("ratings", sa.Column("since", IDENTITY, nullable=False, server_default="0"))
     late = sa.text("since > 0")
     op.create_index(op.f("ix_ratings_since"), "ratings", ["since"], sqlite_where=late, postgresql_where=late)

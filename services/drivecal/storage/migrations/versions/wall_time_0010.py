@@ -10,5 +10,5 @@ depends_on = None
 
 
 def upgrade() -> None:
-    """Only adds. Null in stored runs: nobody measured it."""
+    """Only adds. Null in stored runs, in which it was not measured."""
     op.add_column("runs", sa.Column("wall_milliseconds", sa.Float(), nullable=True))

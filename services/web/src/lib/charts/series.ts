@@ -49,3 +49,15 @@ export function chartsOf(series: Reported, units: Readonly<Record<string, string
     series: names.map((name, at) => ({ name: name.replaceAll("_", " "), values: series[name] ?? [], colour: SERIES[at] ?? "", ...(at % 2 === 1 ? { dash: "6 3" } : {}) })),
   }));
 }
+
+/** A chart of one quantity of several runs, each with times of its own. */
+export function beside(title: string, unit: string, runs: readonly { name: string; colour: string; x: readonly number[]; values: readonly number[] }[]): SeriesChart {
+  const x = runs.reduce<readonly number[]>((longest, run) => (run.x.length > longest.length ? run.x : longest), []);
+  return {
+    title,
+    xTitle: "time / s",
+    yTitle: unit,
+    x,
+    series: runs.map((run, place) => ({ name: run.name, values: run.values, colour: run.colour, x: run.x, ...(place === 0 ? {} : { dash: "6 3" }) })),
+  };
+}

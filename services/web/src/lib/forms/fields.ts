@@ -19,6 +19,11 @@ export function choicesAt(choices: Choices, path: string): readonly string[] {
 /** Smaller and larger numbers than these are no limit that anybody reaches. */
 const BEYOND = 1e7;
 
+/** The first paragraph of a description, without references to a paper that few readers have at hand. */
+export function aboutSection(description: string): string {
+  return (description.split("\n\n")[0] ?? "").replaceAll("`", "").replaceAll(/ \((Sections?|Tables?|Figures?) [^)]*\)/g, "");
+}
+
 /** What is said below a field: its description, else ours; and its limits. */
 export function helpAt(path: string, schema: Schema, names: readonly string[] = []): string {
   const own = schema.description?.split("\n\n")[0]?.replaceAll("`", "") ?? HELP[path.replace(/\[\d+\]/g, "[]")] ?? "";

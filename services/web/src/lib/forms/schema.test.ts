@@ -46,10 +46,11 @@ test("a change leaves the rest, and taking it back leaves nothing", () => {
 
 test("two documents are compared leaf by leaf", () => {
   expect(differences({ a: { b: 1, c: [1, 2] }, d: "x", w: {} }, { a: { b: 2, c: [1, 2] }, e: null })).toEqual([
-    { path: "a.b", first: "1", other: "2" },
-    { path: "d", first: "x", other: null },
-    { path: "e", first: null, other: "null" },
+    { path: "a.b", values: ["1", "2"] },
+    { path: "d", values: ["x", null] },
+    { path: "e", values: [null, "null"] },
   ]);
+  expect(differences({ a: 1 }, { a: 1 }, { a: 2 })).toEqual([{ path: "a", values: ["1", "1", "2"] }]);
 });
 
 test("lists are written with commas, and as JSON where they hold more than words and numbers", () => {

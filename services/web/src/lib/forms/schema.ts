@@ -121,8 +121,9 @@ function leaves(value: unknown, path = ""): Record<string, string> {
   return { [path]: typeof value === "string" ? value : JSON.stringify(value) };
 }
 
-/** The paths at which two documents differ, with both values; null where one has none. */
-export function differences(first: unknown, other: unknown): { path: string; first: string | null; other: string | null }[] {
-  const [a, b] = [leaves(first), leaves(other)];
-  return [...new Set([...Object.keys(a), ...Object.keys(b)])].filter((path) => a[path] !== b[path]).map((path) => ({ path, first: a[path] ?? null, other: b[path] ?? null }));
+/** The paths at which documents differ, with the value of each; null where one has none. */
+export function differences(...documents: readonly unknown[]): { path: string; values: (string | null)[] }[] {
+  const known = documents.map((document) => leaves(document));
+  const paths = [...new Set(known.flatMap((each) => Object.keys(each)))];
+  return paths.map((path) => ({ path, values: known.map((each) => each[path] ?? null) })).filter(({ values }) => new Set(values).size > 1);
 }

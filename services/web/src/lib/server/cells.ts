@@ -2,21 +2,40 @@
 
 import { get } from "./api";
 import { go } from "../route.svelte";
-import type { Best, CellAnswer, PageSolution } from "./types";
+import type { Best, CellAnswer, EvaluationDetail, PageSolution } from "./types";
+
+/** The number of the evaluation at a place of the calibration. */
+async function cellAt(campaign: string, iteration: number, individual: number, scenario: string): Promise<number> {
+  return (await get<CellAnswer>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
+}
 
 /** Opens the evaluation, with its replay, at a place of the calibration. */
 export async function openCell(campaign: string, iteration: number, individual: number, scenario: string): Promise<void> {
-  const cell = await get<CellAnswer>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`);
-  go(["evaluations", String(cell.evaluation)]);
+  go(["evaluations", String(await cellAt(campaign, iteration, individual, scenario))]);
 }
 
 /** Sets of the same objective and rating as the best may come before it. */
 const MOST = 100;
 
-/** Opens the evaluation of the best set in a scenario; where it is not among the first of the ranking any more, the ranking. */
-export async function openBest(campaign: string, best: Best, scenario: string): Promise<void> {
+type Values = Readonly<Record<string, number | string>>;
+const same = (wanted: Values, given: Values): boolean => Object.entries(wanted).every(([name, value]) => given[name] === value);
+
+/** The number of the best set's evaluation in a scenario; null if it is not among the first of the ranking any more. */
+export async function bestCell(campaign: string, best: Best, scenario: string): Promise<number | null> {
   const { items } = await get<PageSolution>(`/campaigns/${campaign}/solutions?limit=${MOST}`);
-  const row = items.find((item) => Object.entries(best.parameters).every(([name, value]) => item.parameters[name] === value));
-  if (row) await openCell(campaign, row.iteration, row.individual, scenario);
-  else go(["campaigns", campaign, "ranking"]);
+  const row = items.find((item) => same(best.parameters, item.parameters));
+  return row ? cellAt(campaign, row.iteration, row.individual, scenario) : null;
+}
+
+/** The number of the baseline's evaluation in a scenario, the first of the search; null if another set is there. */
+export async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<number | null> {
+  const cell = await cellAt(campaign, 0, 0, scenario);
+  const { parameters: given } = await get<Pick<EvaluationDetail, "parameters">>(`/evaluations/${cell}`);
+  return same(parameters, given) ? cell : null;
+}
+
+/** Opens the evaluation of a set in a scenario, or the ranking if there is none. */
+export async function openFound(campaign: string, cell: Promise<number | null>): Promise<void> {
+  const evaluation = await cell;
+  go(evaluation === null ? ["campaigns", campaign, "ranking"] : ["evaluations", String(evaluation)]);
 }

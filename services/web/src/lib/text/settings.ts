@@ -48,7 +48,7 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   rows.push(["Vehicle", own ? null : model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
   rows.push(["Evaluator", setup?.evaluator.replace(/\b([0-9a-f]{8})[0-9a-f]{16,}\b/, "$1") ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
-  rows.push(["To compare with", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
+  rows.push(["Baseline", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
   if (Array.isArray(spec["optimizers"])) {
     rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((setting) => named(setting["label"] ?? setting["kind"], list(setting, ["kind", "label"]))).join("; ")]);
     for (const name of ["populations", "seeds", "iterations", "start"]) rows.push([name.charAt(0).toUpperCase() + name.slice(1), spec[name] === undefined ? null : text(spec[name])]);

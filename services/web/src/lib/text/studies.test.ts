@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { sideBySide } from "../charts/robust";
-import { calibrates, intervalText, kindOf, sameBoxes, settingsText, studiesOf } from "./studies";
-import type { RobustnessRow } from "../server/types";
+import { calibrates, intervalText, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySpecification } from "./studies";
+import type { Campaign, RobustnessRow } from "../server/types";
 
 const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
 
@@ -31,4 +31,21 @@ test("two studies are laid side by side by their sets, whatever the order of par
     ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, scores: {}, trials: [] });
   const pairs = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
   expect(pairs.map((entry) => [entry.first?.rank ?? null, entry.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
+});
+
+const ENDED = { id: "abc", name: "mine (robustness)", kind: "calibration", spec: { optimizer: { kind: "genetic" }, vehicle: { model: "hybrid" }, validation: {} }, links: {}, best: {}, ended_at: "2026-01-01", cells: { predicted: 0 } } as unknown as Campaign;
+const MAPPED = { ...ENDED, links: { influence_map: "/api/v1/influence-maps/m1" } } as unknown as Campaign;
+
+test("studies are offered of an ended search with a result, if there is something to examine", () => {
+  expect(possibleStudies(ENDED, true)).toEqual(["robustness"]);
+  expect(possibleStudies(MAPPED, false)).toEqual(["validation"]);
+  expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, false)).toEqual(["validation"]);
+  expect(possibleStudies({ ...MAPPED, ended_at: null }, true)).toEqual([]);
+  expect(possibleStudies({ ...MAPPED, best: null }, true)).toEqual([]);
+});
+
+test("a study is a campaign without a search, on the bench of its subject", () => {
+  expect(studySpecification(ENDED, "robustness")).toEqual({ vehicle: { model: "hybrid" }, optimizer: null, sensitivity: null, robustness: { of: "abc" }, validation: null, name: "mine (robustness)" });
+  expect(studySpecification(MAPPED, "validation")).toMatchObject({ sensitivity: { map: "m1" }, validation: {}, robustness: null });
+  expect(studySpecification(ENDED, "validation")).toMatchObject({ sensitivity: null, validation: { of: "abc" } });
 });

@@ -49,3 +49,22 @@ export function intervalText(rows: readonly Pick<ValidationRow, "interval_over">
 export function sameBoxes(first: Readonly<Record<string, unknown>>, other: Readonly<Record<string, unknown>>): boolean {
   return BOXES.every((name) => JSON.stringify(first[name]) === JSON.stringify(other[name]));
 }
+
+/** All released predictions of a scenario. */
+const EVERY = 1_000_000;
+const OF_A_STUDY = /( \((robustness|validation)( in [^()]*)?\))+$/;
+
+/** The studies that can be made of an ended search: of its best sets, and of its map or else its predictions. */
+export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "links" | "best" | "ended_at" | "cells">, drives: boolean): StudyStage[] {
+  if (campaign.kind !== "calibration" || !calibrates(campaign) || campaign.ended_at === null || campaign.best === null) return [];
+  const validates = campaign.links["influence_map"] !== undefined || campaign.cells.predicted > 0;
+  return [...(drives ? (["robustness"] as const) : []), ...(validates ? (["validation"] as const) : [])];
+}
+
+/** The specification of a campaign that makes only a study of another one, as `drivecal robustness` and `drivecal validate` submit it. */
+export function studySpecification(campaign: Pick<Campaign, "id" | "name" | "spec" | "links">, stage: StudyStage): Record<string, unknown> {
+  const map = campaign.links["influence_map"]?.split("/").at(-1);
+  const stages =
+    stage === "robustness" ? { robustness: { of: campaign.id } } : map === undefined ? { validation: { of: campaign.id, samples: EVERY } } : { sensitivity: { map }, validation: {} };
+  return { ...campaign.spec, optimizer: null, sensitivity: null, robustness: null, validation: null, ...stages, name: `${campaign.name.replace(OF_A_STUDY, "").slice(0, 180)} (${stage})` };
+}

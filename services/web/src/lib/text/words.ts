@@ -82,3 +82,11 @@ export function referenceWords(reason: string): string {
   if (reason === "unanswered") return "Would fit by now:";
   return "Answered by";
 }
+
+/** The lights of a result; `open` while its search goes on. */
+export const LIGHTS: Record<"green" | "amber" | "red" | "open", { sign: string; title: string; meaning: string }> = {
+  green: { sign: "✓", title: "Trustworthy", meaning: "Nothing that is known speaks against the result." },
+  amber: { sign: "!", title: "Check first", meaning: "The best set has its scores, but something limits what they mean." },
+  red: { sign: "✕", title: "Do not use", meaning: "There is no result, or its scores are in doubt." },
+  open: { sign: "…", title: "Open until the end", meaning: "The light comes when the search has ended." },
+};

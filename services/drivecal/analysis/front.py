@@ -1,0 +1,195 @@
+"""Fronts of several objectives: non-dominated points, hypervolume, knee, and the weights under which each point wins. Pure.
+
+Points have shape (n, m), one row per set; higher is better in every column.
+"""
+
+from bisect import bisect_left, insort
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.plugins.ports import Floats
+
+MOST_EXACT = 3
+"""Objectives up to which hypervolumes and winning weights are computed."""
+FLAT = 1e-9
+"""Smallest distance beyond the plane through the extremes that makes a knee, in shares of the front's ranges."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+def non_dominated(points: Floats, violations: Floats | None = None) -> Mask:
+    """Returns which points no other point dominates, shape (n,); equal points are all kept.
+
+    Points with the least sum of violations, shape (n,), dominate all others, so that any feasible point dominates infeasible ones (Deb
+    2002, IEEE Transactions on Evolutionary Computation 6(2), Section VI-A).
+    """
+    kept = np.zeros(len(points), dtype=np.bool_)
+    if not len(points):
+        return kept
+    candidates = np.arange(len(points)) if violations is None else np.flatnonzero(violations == violations.min())
+    distinct, places = np.unique(
+        -points[candidates], axis=0, return_inverse=True
+    )  # ascending: better first objectives come first
+    kept[candidates] = _leading(distinct)[places.reshape(-1)]
+    return kept
+
+
+def _leading(distinct: Floats) -> Mask:
+    """Which rows no other row dominates, lower is better; rows are distinct and in lexicographic order, so only earlier ones dominate."""
+    leading = np.ones(len(distinct), dtype=np.bool_)
+    if distinct.shape[1] == 1:
+        leading[1:] = False
+    elif distinct.shape[1] == 2:
+        leading[1:] = distinct[1:, 1] < np.minimum.accumulate(distinct[:, 1])[:-1]
+    else:
+        front = np.empty_like(distinct)
+        size = 0
+        for place, row in enumerate(distinct):
+            if size and (front[:size] <= row).all(axis=1).any():
+                leading[place] = False
+            else:
+                front[size] = row
+                size += 1
+    return leading
+
+
+def hypervolume(points: Floats, reference: Floats) -> float | None:
+    """Returns the volume that the points dominate, above `reference`, shape (m,); exact. None for more than MOST_EXACT objectives.
+
+    Three objectives are swept along the last one: each slice between two of its values has the area of the points above it.
+    """
+    gains = points - reference
+    gains = gains[(gains > 0).all(axis=1)]
+    if points.shape[1] > MOST_EXACT:
+        return None
+    if not len(gains):
+        return 0.0
+    if points.shape[1] == 1:
+        return float(gains.max())
+    if points.shape[1] == 2:
+        gains = np.column_stack([gains, np.ones(len(gains))])
+    gains = gains[np.argsort(-gains[:, 2], kind="stable")]
+    lower = np.append(gains[1:, 2], 0.0)
+    volume, steps = 0.0, _Staircase()
+    for (x, y, height), below in zip(gains.tolist(), lower.tolist(), strict=True):
+        steps.add(x, y)
+        volume += steps.area * (height - below)
+    return volume
+
+
+class _Staircase:
+    """Area that points (x, y) span with the origin; points that others dominate are left out."""
+
+    def __init__(self) -> None:
+        self.area = 0.0
+        self._steps: list[tuple[float, float]] = []
+        """Ascending x, descending y."""
+
+    def add(self, x: float, y: float) -> None:
+        """Adds (x, y), and its area beyond that of the others."""
+        steps = self._steps
+        place = bisect_left(steps, (x, y))
+        if place < len(steps) and steps[place][1] >= y:
+            return
+        first = place
+        while first > 0 and steps[first - 1][1] <= y:
+            first -= 1
+        last = place + (place < len(steps) and steps[place][0] == x)
+        left = steps[first - 1][0] if first else 0.0
+        floor = steps[last][1] if last < len(steps) else 0.0
+        for right, height in [*steps[first:last], (x, floor)]:
+            self.area += (min(right, x) - left) * (y - height)
+            left = min(right, x)
+        del steps[first:last]
+        insort(steps, (x, y))
+
+
+def scaled(points: Floats) -> Floats:
+    """Returns points in shares of the front's ranges: 0 for the worst value of an objective on the front, 1 for the best, 1 if all are
+    equal."""
+    lowest, highest = points.min(axis=0), points.max(axis=0)
+    span = highest - lowest
+    return np.where(span > 0, (points - lowest) / np.where(span > 0, span, 1.0), 1.0)
+
+
+def knee(points: Floats) -> int | None:
+    """Returns the position of the point that lies farthest beyond the plane through the extremes; None without one.
+
+    The plane goes through the best value of each objective, with the others at their worst on the front (Das 1999, Structural Optimization
+    18(2-3)); for two objectives that is the line through both extremes.
+    """
+    if not len(points) or points.shape[1] == 1:
+        return None
+    beyond = scaled(points).sum(axis=1) - 1.0
+    varying = int((np.ptp(points, axis=0) > 0).sum())
+    place = int(np.argmax(beyond))
+    return place if varying > 1 and beyond[place] > points.shape[1] - varying + FLAT else None
+
+
+def extremes(points: Floats) -> list[int]:
+    """Returns the position of the best point of each objective; of equal ones the best in the sum of all scaled objectives."""
+    sums = scaled(points).sum(axis=1)
+    return [int(np.lexsort((-sums, -points[:, column]))[0]) for column in range(points.shape[1])]
+
+
+@dataclass(frozen=True, slots=True)
+class WinningWeights:
+    """The weights of scaled objectives, of sum 1, under which a set has the largest weighted sum: corners of a convex region, and the
+    region's share of all weightings."""
+
+    corners: tuple[tuple[float, ...], ...]
+    share: float
+
+
+def winning_weights(points: Floats) -> list[WinningWeights] | None:
+    """Returns where each point of a front wins: an interval for two objectives, a polygon for three, empty for one that never wins.
+
+    Exact, by cutting the simplex of all weights with the half plane of each other point. Points win together where they are equal. None
+    for more than MOST_EXACT objectives.
+    """
+    if points.shape[1] > MOST_EXACT:
+        return None
+    shares = scaled(points)
+    return [_region(shares, place) for place in range(len(points))]
+
+
+def _region(shares: Floats, place: int) -> WinningWeights:
+    """Cuts the simplex by the rival that is farthest ahead at one of the corners left, until none is."""
+    corners = np.eye(shares.shape[1])
+    whole = _size(corners)
+    ahead = shares[place] - shares
+    while len(corners):
+        margins = (ahead @ corners.T).min(axis=1)
+        rival = int(np.argmin(margins))
+        if margins[rival] >= -FLAT:
+            break
+        corners = _cut(corners, ahead[rival])
+        ahead[rival] = 0.0
+    return WinningWeights(tuple(tuple(row) for row in corners.tolist()), _size(corners) / whole)
+
+
+def _cut(corners: Floats, normal: Floats) -> Floats:
+    """Returns the part of a convex polygon, shape (k, m), in which the product with `normal` is at least 0 (Sutherland and Hodgman
+    1974)."""
+    sides = corners @ normal
+    before, earlier = np.roll(sides, 1), np.roll(corners, 1, axis=0)
+    crossed = sides * before < 0
+    way = np.where(crossed, before / np.where(crossed, before - sides, 1.0), 0.0)
+    both = np.stack([earlier + (corners - earlier) * way[:, None], corners], axis=1).reshape(-1, corners.shape[1])
+    kept: Floats = both[np.stack([crossed, sides >= 0], axis=1).reshape(-1)]
+    apart = np.abs(kept - np.roll(kept, 1, axis=0)).max(axis=1) > FLAT
+    return kept[apart] if apart.any() else kept[:1]
+
+
+def _size(corners: Floats) -> float:
+    """Length of an interval or area of a polygon in the simplex, by the first coordinates; 1 for a single objective."""
+    if corners.shape[1] == 1:
+        return float(len(corners))
+    if corners.shape[1] == 2:
+        return float(np.ptp(corners[:, 0])) if len(corners) else 0.0
+    if len(corners) < 3:
+        return 0.0
+    x, y = corners[:, 0], corners[:, 1]
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)

@@ -1,0 +1,201 @@
+"""Objectives and constraints of a campaign: what they make of the values of one set in its scenarios. Pure.
+
+A value of a cell is the campaign's score, another score (a formula over measures) or a measure. Goals are stored with a campaign as plain
+data, so that its results can be read without its problem.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.scoring import rate
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import Scale
+
+SCORE = "score"
+"""Key of the campaign's own score, which cells store."""
+AggregateKind = Literal["mean", "min", "max", "quantile"]
+
+
+@dataclass(frozen=True)
+class CellValue:
+    """A value of cells; without `formula` and `measure` it is the campaign's score. `failed`: worth of a measure of failed runs, which have
+    none without it."""
+
+    scale: Scale | None = None
+    """Of a score."""
+    formula: str | None = None
+    measure: str | None = None
+    failed: float | None = None
+
+    @property
+    def key(self) -> str:
+        """Identity among the values of a cell."""
+        if self.measure is not None:
+            return f"measure {self.measure} {self.failed}"
+        return SCORE if self.formula is None or self.scale is None else f"score {self.scale.name}"
+
+    def of(self, measures: Mapping[str, float | None], failure: str | None) -> float | None:
+        """Returns the value of a run; None if it lacks a measure."""
+        if self.measure is not None:
+            return measures.get(self.measure) if failure is None else self.failed
+        if self._formula is None or self.scale is None:
+            raise ValueError("the campaign's own score is stored, and not computed again")
+        known = {name: value for name, value in measures.items() if value is not None}
+        scored = rate(self._formula, self.scale, known, failure)
+        return None if scored is None else scored.value
+
+    @cached_property
+    def _formula(self) -> Formula | None:
+        return None if self.formula is None else Formula(self.formula)
+
+
+@dataclass(frozen=True, slots=True)
+class Aggregate:
+    """A number of the values in several scenarios. `level`: of a quantile, the least value that so much of the weight does not exceed."""
+
+    kind: AggregateKind = "mean"
+    level: float = 0.5
+
+    def __call__(self, values: Sequence[float], shares: Sequence[float]) -> float:
+        """Aggregates values with positive shares of sum 1, in the order of the scenarios."""
+        match self.kind:
+            case "mean":
+                total = 0.0
+                for value, share in zip(values, shares, strict=True):
+                    total += share * value
+                return total
+            case "min":
+                return min(values)
+            case "max":
+                return max(values)
+            case "quantile":
+                reached = 0.0
+                for value, share in sorted(zip(values, shares, strict=True)):
+                    reached += share
+                    if reached >= self.level - 1e-12:
+                        return value
+                return max(values)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A value aggregated over scenarios. `shares`: positive weights by scenario, of sum 1, in the catalogue's order."""
+
+    name: str
+    value: CellValue
+    shares: Mapping[str, float]
+    aggregate: Aggregate
+
+    def amount(self, cells: Mapping[str, Mapping[str, float]]) -> float | None:
+        """Returns the aggregate of a set's values by scenario and key; None if one is missing."""
+        values = [cells[scenario].get(self.value.key) for scenario in self.shares if scenario in cells]
+        known = [value for value in values if value is not None]
+        return self.aggregate(known, list(self.shares.values())) if len(known) == len(self.shares) else None
+
+
+@dataclass(frozen=True)
+class Objective(Goal):
+    """An objective. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count; `reference`: the worst end of its
+    range, from which hypervolumes are measured."""
+
+    sign: int
+    tolerance: float = 0.0
+    reference: float | None = None
+    unit: str = "1"
+
+    def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
+        """Whether it is the mean of the campaign's score with these weights (Eq. 6)."""
+        return self.value.key == SCORE and self.aggregate.kind == "mean" and dict(self.shares) == dict(shares)
+
+    def compared(self, amount: float) -> float:
+        """Returns what dominance compares, higher is better: the amount without differences up to the tolerance."""
+        return self.sign * (round(amount / self.tolerance) * self.tolerance if self.tolerance > 0 else round(amount, 9)) + 0.0
+
+
+@dataclass(frozen=True)
+class Bound(Goal):
+    """A constraint: an amount of at least, for `sign` 1, or at most `limit`. `span`: the unit of its violations."""
+
+    sign: int
+    limit: float
+    span: float
+
+    def violation(self, amount: float) -> float:
+        """Returns by how much it is broken, in spans; 0 if it is kept."""
+        return max(0.0, self.sign * (self.limit - amount) / self.span)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A set's objectives, in their order and units, and its sum of violations."""
+
+    amounts: tuple[float, ...]
+    violation: float
+
+
+@dataclass(frozen=True)
+class Goals:
+    """All objectives and constraints of a campaign."""
+
+    objectives: tuple[Objective, ...]
+    bounds: tuple[Bound, ...] = ()
+
+    @cached_property
+    def computed(self) -> dict[str, CellValue]:
+        """Values that cells do not store, by key."""
+        values = [goal.value for goal in (*self.objectives, *self.bounds)]
+        return {value.key: value for value in values if value.key != SCORE}
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether an optimizer needs the ability `objectives`."""
+        return len(self.objectives) > 1 or bool(self.bounds)
+
+    def values(self, measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
+        """Returns the computed values of a run, by key; those that it lacks are missing."""
+        values = {key: value.of(measures, failure) for key, value in self.computed.items()}
+        return {key: value for key, value in values.items() if value is not None}
+
+    def judge(self, cells: Mapping[str, CellScore]) -> Judged | None:
+        """Returns the judgement of a set from its cells by scenario; None if a value is missing."""
+        values = {name: dict(cell.values) for name, cell in cells.items()}
+        for name, cell in cells.items():
+            if cell.score is not None:
+                values[name][SCORE] = cell.score
+        amounts = [objective.amount(values) for objective in self.objectives]
+        bounded = [(bound, bound.amount(values)) for bound in self.bounds]
+        if any(amount is None for amount in (*amounts, *(amount for _, amount in bounded))):
+            return None
+        violation = sum(bound.violation(amount) for bound, amount in bounded if amount is not None)
+        return Judged(tuple(amount for amount in amounts if amount is not None), violation)
+
+    def compared(self, judgement: Judged) -> tuple[float, ...]:
+        """Returns what dominance compares, higher is better."""
+        return tuple(goal.compared(amount) for goal, amount in zip(self.objectives, judgement.amounts, strict=True))
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns plain data."""
+        return {"objectives": list(map(_document, self.objectives)), "constraints": list(map(_document, self.bounds))}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Any]) -> "Goals":
+        """Inverts `to_json`."""
+        return cls(
+            tuple(Objective(**_parts(each)) for each in document["objectives"]),
+            tuple(Bound(**_parts(each)) for each in document["constraints"]),
+        )
+
+
+def _document(goal: Goal) -> dict[str, Any]:
+    value = goal.value
+    scale = None if value.scale is None else value.scale.to_json()
+    return asdict(goal) | {"value": asdict(value) | {"scale": scale}, "shares": dict(goal.shares)}
+
+
+def _parts(document: Mapping[str, Any]) -> dict[str, Any]:
+    value, scale = document["value"], document["value"]["scale"]
+    read = CellValue(**(value | {"scale": None if scale is None else Scale.from_json(scale)}))
+    return {**document, "value": read, "aggregate": Aggregate(**document["aggregate"])}

@@ -1,0 +1,208 @@
+"""Trust in the result of a search: a light, and the reasons for it in words. Pure.
+
+Red: there is no result, its scores are in doubt, or a limit of the reduction is broken. Amber: the best set has its scores, but the search
+may have missed better ones, or something was not examined. Green: nothing that is known speaks against it. There is no light before the
+end, unless it is red already, and none for a campaign without a search.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from drivecal.analysis.confirmation import CONFIRMED, verdict_in
+from drivecal.analysis.solutions import EQUAL
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.specification import ReductionSpecification
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.contracts.trust import Light, Reason, TrustAnswer
+from drivecal.domain.campaigns import CampaignState
+
+FEW = 0.01
+"""Share of cells without a result, or without a score, up to which a search is as good as one without them."""
+SHORT = 8
+"""Characters of a campaign's id in a sentence."""
+_ORDER: tuple[Light, ...] = ("red", "amber", "green")
+_DEFAULT = ReductionSpecification()
+
+
+@dataclass(frozen=True, slots=True)
+class Validated:
+    """A validation of the campaign's influence map, or of its predictions, by the `campaign` with this id."""
+
+    campaign: str
+    rows: Sequence[ValidationRow]
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """A robustness study of the campaign's best sets, by the `campaign` with this id."""
+
+    campaign: str
+    rows: Sequence[RobustnessRow]
+
+
+def trust(campaign: Campaign, validated: Sequence[Validated] = (), driven: Sequence[Driven] = ()) -> TrustAnswer:
+    """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first."""
+    if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
+        return TrustAnswer(light=None, reasons=[])
+    reasons = [
+        *_end(campaign),
+        *_confirmation(campaign),
+        *_baseline(campaign),
+        *_map(campaign, _newest(validated, of_predictions=False)),
+        *_references(campaign),
+        *_predictions(campaign, _newest(validated, of_predictions=True)),
+        *_noise(campaign),
+        *_failures(campaign),
+        *_robustness(driven),
+    ]
+    reasons.sort(key=lambda reason: _ORDER.index(reason.light))
+    ended, worst = CampaignState(campaign.state).ended, reasons[0].light if reasons else None
+    return TrustAnswer(light=worst if ended or worst == "red" else None, reasons=reasons)
+
+
+def _end(campaign: Campaign) -> Iterator[Reason]:
+    state = CampaignState(campaign.state)
+    if state is CampaignState.FAILED:
+        yield Reason(light="red", about="end", text=f"The campaign failed: {campaign.error or 'no reason is stored'}")
+    elif state.ended and campaign.best is None:
+        yield Reason(light="red", about="end", text="No parameter set has a score in every scenario.")
+    elif state is CampaignState.CANCELLED:
+        yield Reason(light="amber", about="end", text="The campaign was cancelled before its search was complete.")
+
+
+def _confirmation(campaign: Campaign) -> Iterator[Reason]:
+    if campaign.best is None:
+        return
+    verdict = verdict_in(campaign.notes)
+    if verdict is not None:
+        light: Light = "green" if verdict.startswith(CONFIRMED) else "red"
+        yield Reason(light=light, about="confirmation", text=f"The best set is {verdict}.")
+    elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
+        text = "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a reference's."
+        yield Reason(light="amber", about="confirmation", text=text)
+    elif not campaign.cells.reused and CampaignState(campaign.state).ended:
+        text = "Every score of the best set was simulated, repeats a simulation or provably equals one."
+        yield Reason(light="green", about="confirmation", text=text)
+
+
+def _baseline(campaign: Campaign) -> Iterator[Reason]:
+    if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
+        return
+    gain = campaign.scale.sign * (campaign.best.objective - campaign.baseline.objective)
+    if gain > EQUAL:
+        yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
+    else:
+        yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
+
+
+def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:
+    uses_map = _setting(campaign, "mode") in {"influence", "both"} or campaign.narrowed is not None
+    compared = [(study, row) for study, row in rows if row.compared and row.error_rate is not None] if uses_map else []
+    inspected = _is_inspected(campaign)
+    limit = _setting(campaign, "max_error") if inspected else _DEFAULT.max_error
+    then = (
+        "Lots keep most wrong answers out; the search may still have missed better sets."
+        if inspected
+        else "Nothing inspected them."
+    )
+    for study, row in compared:
+        rate, lower = row.error_rate or 0.0, row.lower_95 or 0.0
+        if rate > limit:
+            light: Light = "red" if lower > limit and not inspected else "amber"
+            text = f"The influence map is wrong for {rate:.1%} of the compared variants in {row.scenario} (validation {study[:SHORT]})."
+            yield Reason(light=light, about="map", scenario=row.scenario, text=f"{text} {then}")
+    if compared and all((row.error_rate or 0.0) <= limit for _, row in compared):
+        worst, variants = max(row.error_rate or 0.0 for _, row in compared), sum(row.compared for _, row in compared)
+        wrong = f"at most {worst:.1%} of the variants in a scenario are" if worst else f"none of {variants:,} variants is"
+        yield Reason(light="green", about="map", text=f"The influence map was validated: {wrong} wrong.")
+    elif uses_map and not compared and campaign.cells.reused and not inspected:
+        text = "The influence map answered cells without lots (max_error is 1), and was not validated."
+        yield Reason(light="amber", about="map", text=text)
+
+
+def _references(campaign: Campaign) -> Iterator[Reason]:
+    """Audits and lots of answers by references."""
+    inspected = _is_inspected(campaign)
+    for scenario, rate in campaign.error_rate.items():
+        share = rate.wrong / rate.audited if rate.audited else 0.0
+        seen = f"{rate.wrong:,} of {rate.audited:,} audited answers in {scenario} were wrong"
+        if rate.stopped:
+            yield Reason(light="amber", about="references", scenario=scenario, text=f"Reuse was stopped: {seen}.")
+        elif not inspected and rate.wrong:
+            light: Light = "red" if share > _DEFAULT.max_error else "amber"
+            yield Reason(light=light, about="references", scenario=scenario, text=f"{seen}, and no lots were inspected.")
+        if rate.contradictions:
+            keys = "1 key" if rate.contradictions == 1 else f"{rate.contradictions:,} keys"
+            text = f"Under {keys} of the influence map simulated results in {scenario} differ."
+            yield Reason(light="amber", about="references", scenario=scenario, text=text)
+    yield from _lots("references", "reused answers", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
+
+
+def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:
+    yield from _lots("predictions", "predicted answers", [(each.lots, each.rejected) for each in campaign.released.values()])
+    for study, row in rows:
+        if not row.bases or not row.released or not row.inspected or row.limit is None:
+            continue
+        share, lower = (row.beyond or 0) / row.bases, row.lower_95 or 0.0
+        allowed = row.limit * row.inspected / row.released
+        light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
+        text = f"{share:.1%} of the simulated predictions in {row.scenario} are wrong; the limit allows {allowed:.1%}"
+        yield Reason(light=light, about="predictions", scenario=row.scenario, text=f"{text} (validation {study[:SHORT]}).")
+
+
+def _lots(about: str, what: str, counts: Iterable[tuple[int, int]]) -> Iterator[Reason]:
+    lots, rejected = (sum(column) for column in zip(*counts, strict=True)) if (counts := list(counts)) else (0, 0)
+    if lots:
+        then = f"{rejected:,} failed and were simulated whole" if rejected else "all passed"
+        yield Reason(light="green", about=about, text=f"A sample of each of {lots:,} lots of {what} was simulated: {then}.")
+
+
+def _noise(campaign: Campaign) -> Iterator[Reason]:
+    unrepeatable = sum(cells.unrepeatable for cells in campaign.stages.values())
+    if unrepeatable:
+        text = f"{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise."
+        yield Reason(light="amber", about="noise", text=text)
+
+
+def _failures(campaign: Campaign) -> Iterator[Reason]:
+    cells = campaign.cells
+    for count, what in ((cells.failed, "have no result"), (cells.unscored, "have no score, because its formula has no value")):
+        if count:
+            share = count / max(1, cells.requested)
+            light: Light = "amber" if share > FEW else "green"
+            text = f"{count:,} of {cells.requested:,} requested cells {what} ({share:.1%})."
+            yield Reason(light=light, about="failures", text=text)
+
+
+def _robustness(driven: Sequence[Driven]) -> Iterator[Reason]:
+    recommended = next((row for study in driven for row in study.rows if row.recommended), None)
+    if recommended is None:
+        return
+    if recommended.degree:
+        more = "at least " if recommended.at_least else ""
+        text = f"The recommended set keeps its scores in vehicles that differ by up to {more}{recommended.radius:.1%} of the ranges."
+        yield Reason(light="green", about="robustness", text=text)
+    else:
+        text = "Even the most robust set loses its scores in the vehicles most like the nominal one."
+        yield Reason(light="amber", about="robustness", text=text)
+
+
+def _newest(validated: Iterable[Validated], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:
+    """Returns the newest row of each scenario, with its campaign."""
+    rows: dict[str, tuple[str, ValidationRow]] = {}
+    for study in validated:
+        for row in study.rows:
+            if (row.released is not None) is of_predictions:
+                rows.setdefault(row.scenario, (study.campaign, row))
+    return list(rows.values())
+
+
+def _is_inspected(campaign: Campaign) -> bool:
+    """Returns whether answers by references are inspected in lots."""
+    return bool(_setting(campaign, "max_error") < 1)
+
+
+def _setting(campaign: Campaign, name: str) -> Any:
+    given = campaign.spec.get("reduction") or {}
+    return given.get(name, getattr(_DEFAULT, name))

@@ -1,0 +1,154 @@
+"""Resolves the objectives and constraints of a campaign against the scores and measures of its problem."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from drivecal.analysis.goals import SCORE, Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    ConstraintSpecification,
+    GoalSpecification,
+    ObjectiveSpecification,
+    Quantile,
+    ReductionSpecification,
+)
+from drivecal.domain.scales import Direction
+
+
+@dataclass(frozen=True)
+class KnownValues:
+    """Values of a problem that goals can name: scores by name, the campaign's own without a formula, and the units of measures."""
+
+    scores: Mapping[str, CellValue] = field(default_factory=dict)
+    measures: Mapping[str, str] = field(default_factory=dict)
+
+
+def find_goals(
+    specification: CampaignSpecification, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
+) -> Goals | None:
+    """Returns the goals; None for the default, the weighted mean of the campaign's score, and with problems in `diagnostics`."""
+    if not specification.objectives and not specification.constraints:
+        return None
+    before = len(diagnostics.problems)
+    given = specification.objectives or [_own_score(known)]
+    objectives = [_objective(each, f"objectives[{place}]", known, weights, diagnostics) for place, each in enumerate(given)]
+    bounds = [
+        _bound(each, f"constraints[{place}]", known, weights, diagnostics)
+        for place, each in enumerate(specification.constraints)
+    ]
+    _refuse_equal_names(given, diagnostics)
+    if len(diagnostics.problems) > before:
+        return None
+    goals = Goals(
+        tuple(objective for objective in objectives if objective is not None),
+        tuple(bound for bound in bounds if bound is not None),
+    )
+    plain = len(goals.objectives) == 1 and not bounds and goals.objectives[0].is_weighted_mean(weights)
+    return None if plain and goals.objectives[0].tolerance == 0 else goals
+
+
+def check_reuse(
+    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics
+) -> tuple[ReductionSpecification, tuple[str, ...]]:
+    """Returns the settings of reuse under these goals, with a note: references and predictions answer one score only."""
+    if goals is None or not goals.computed or not (reduction.predicts or reduction.uses_map):
+        return reduction, ()
+    named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))
+    if "mode" in reduction.model_fields_set:
+        message = f"references and predictions answer the campaign's score only, and {named} would have no value"
+        diagnostics.add("reduction.mode", message, "give mode: exact, which repeats equal sets and proven runs")
+        return reduction, ()
+    note = f"cells are answered by equal sets and certificates only, as references and predictions have no {named}"
+    return reduction.model_copy(update={"mode": "exact"}), (note,)
+
+
+def _own_score(known: KnownValues) -> ObjectiveSpecification:
+    return ObjectiveSpecification(score=next(name for name, value in known.scores.items() if value.key == SCORE))
+
+
+def _objective(
+    given: ObjectiveSpecification, field: str, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
+) -> Objective | None:
+    value = _value(given, field, known, diagnostics)
+    shares = _shares(given, field, weights, diagnostics)
+    if value is None or shares is None:
+        return None
+    scale = value.scale
+    direction = Direction(given.direction) if given.direction is not None else None if scale is None else scale.direction
+    if direction is None:
+        diagnostics.add(f"{field}.direction", "a measure has no direction of its own", "give maximise or minimise")
+        return None
+    if scale is not None and direction is not scale.direction:
+        message = f"the score {scale.name} is one to {scale.direction}"
+        diagnostics.add(f"{field}.direction", message, "leave it out, or declare another score")
+    reference = given.reference
+    if reference is None and scale is not None:
+        reference = scale.lower if direction is Direction.MAXIMISE else scale.upper
+    sign = 1 if direction is Direction.MAXIMISE else -1
+    unit = known.measures[given.measure] if given.measure is not None else "1" if scale is None else scale.unit
+    return Objective(given.label, value, shares, _aggregate(given.aggregate), sign, given.tolerance, reference, unit)
+
+
+def _bound(
+    given: ConstraintSpecification, field: str, known: KnownValues, weights: Mapping[str, float], diagnostics: Diagnostics
+) -> Bound | None:
+    value = _value(given, field, known, diagnostics)
+    shares = _shares(given, field, weights, diagnostics)
+    limit = given.at_most if given.at_least is None else given.at_least
+    if value is None or shares is None or limit is None:
+        return None
+    sign = -1 if given.at_least is None else 1
+    aggregate = _aggregate(given.aggregate or ("min" if sign > 0 else "max"))
+    return Bound(given.label, value, shares, aggregate, sign, limit, value.scale.span if value.scale else abs(limit) or 1.0)
+
+
+def _value(given: GoalSpecification, field: str, known: KnownValues, diagnostics: Diagnostics) -> CellValue | None:
+    if given.score is not None:
+        if given.score in known.scores:
+            return known.scores[given.score]
+        diagnostics.add(f"{field}.score", f"there is no score {given.score!r}", nearest(given.score, list(known.scores)))
+        return None
+    measure = given.measure or ""
+    if measure not in known.measures:
+        diagnostics.add(f"{field}.measure", f"there is no measure {measure!r}", nearest(measure, list(known.measures)))
+        return None
+    return CellValue(measure=measure, failed=given.failed)
+
+
+def _shares(
+    given: GoalSpecification, field: str, weights: Mapping[str, float], diagnostics: Diagnostics
+) -> dict[str, float] | None:
+    """Weights of sum 1, by scenario in the catalogue's order."""
+    chosen = list(weights) if given.scenarios == "all" else [name for name in weights if name in given.scenarios]
+    unknown = {
+        f"{field}.scenarios": [] if given.scenarios == "all" else [name for name in given.scenarios if name not in weights]
+    }
+    unknown[f"{field}.weights"] = [name for name in given.weights if name not in chosen]
+    for place, names in unknown.items():
+        for name in names:
+            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", f"one of {', '.join(chosen or weights)}")
+    if any(unknown.values()):
+        return None
+    if chosen == list(weights) and not given.weights:
+        return dict(weights)
+    own = {name: given.weights.get(name, 1.0) if given.weights else weights[name] for name in chosen}
+    total = sum(own.values())
+    return {name: weight / total for name, weight in own.items()}
+
+
+def _aggregate(given: str | Quantile) -> Aggregate:
+    match given:
+        case Quantile(quantile=level):
+            return Aggregate("quantile", level)
+        case "mean" | "min" | "max":
+            return Aggregate(given)
+    raise AssertionError(given)
+
+
+def _refuse_equal_names(given: list[ObjectiveSpecification], diagnostics: Diagnostics) -> None:
+    labels = [each.label for each in given]
+    for place, label in enumerate(labels):
+        if label in labels[:place]:
+            diagnostics.add(f"objectives[{place}].name", f"two objectives have the name {label}", "give each a name of its own")

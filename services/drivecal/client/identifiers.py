@@ -1,0 +1,45 @@
+"""Ids of campaigns and influence maps that users abbreviate by their first characters."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from drivecal.domain.errors import NotFoundError
+
+LENGTH = 32
+"""Characters of a whole id."""
+_ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")
+
+Complete = Callable[[str], str]
+
+
+def is_abbreviated(identifier: str) -> bool:
+    """Returns whether an identifier can be the beginning of an id."""
+    return _ABBREVIATION.fullmatch(identifier) is not None
+
+
+def completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
+    """Returns the only one of the `newest` ids that begins with `identifier`, or an unknown `identifier` itself.
+
+    Raises NotFoundError if several begin so.
+    """
+    if len(identifier) >= LENGTH or not identifier:
+        return identifier
+    matching = [full for full in newest() if full.startswith(identifier)]
+    if len(matching) > 1:
+        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} ids begin so; give more characters")
+    return matching[0] if matching else identifier
+
+
+def with_full_ids(specification: Mapping[str, Any], campaign: Complete, influence_map: Complete) -> Mapping[str, Any]:
+    """Returns a specification with full ids of the influence map and the campaigns that it names."""
+    full = dict(specification)
+    for section, name, complete in (
+        ("sensitivity", "map", influence_map),
+        ("robustness", "of", campaign),
+        ("validation", "of", campaign),
+    ):
+        settings = full.get(section)
+        if isinstance(settings, Mapping) and isinstance(settings.get(name), str):
+            full[section] = {**settings, name: complete(settings[name])}
+    return full

@@ -1,0 +1,69 @@
+/** Campaigns as a table lists them: found, sorted, studies below what they examine. */
+
+import { withoutSimulation } from "./words";
+import { calibrates } from "./studies";
+import type { Campaign, CellCounts } from "../server/types";
+
+export const COLUMNS = ["name", "state", "best", "saved", "simulated", "took", "created"] as const;
+export type Column = (typeof COLUMNS)[number];
+export type Order = readonly [Column, "up" | "down"];
+
+type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at">;
+
+export interface Listed<T> {
+  campaign: T;
+  /** It is a study of the campaign above. */
+  below: boolean;
+}
+
+/** The cells of the search; of a campaign without one, those of all its stages together. */
+export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<CellCounts, "requested" | "simulated" | "repeated" | "reused" | "predicted" | "certified"> {
+  if (campaign.cells.proposed > 0) return campaign.cells;
+  const sum = (name: keyof CellCounts): number => Object.values(campaign.stages).reduce((total, cells) => total + (cells[name] ?? 0), 0);
+  return { requested: sum("requested"), simulated: sum("simulated"), repeated: sum("repeated"), reused: sum("reused"), predicted: sum("predicted"), certified: sum("certified") };
+}
+
+/** The share of requested cells that needed no simulation; null before the first. */
+export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | null {
+  const cells = countedCells(campaign);
+  return cells.requested > 0 ? withoutSimulation(cells) / cells.requested : null;
+}
+
+/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind or its problem. */
+export function isFound(campaign: Known, search: string): boolean {
+  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? "")].join(" ").toLowerCase();
+  return search.toLowerCase().split(/\s+/).filter(Boolean).every((word) => text.includes(word) || campaign.id.startsWith(word));
+}
+
+/** The id of the campaign that a study examines, if it is among those known; its map's maker counts as well. */
+export function subjectOf(campaign: Known, known: readonly Known[]): string | null {
+  if (calibrates(campaign)) return null;
+  const of = campaign.spec.robustness?.["of"] ?? campaign.spec.validation?.["of"];
+  if (typeof of === "string") return known.find((entry) => entry.id === of)?.id ?? null;
+  const map = campaign.spec.sensitivity?.["map"];
+  if (typeof map !== "string") return null;
+  // The list is newest first: the oldest campaign with this map made it.
+  return known.findLast((entry) => entry.id !== campaign.id && calibrates(entry) && entry.links["influence_map"]?.endsWith(`/${map}`))?.id ?? null;
+}
+
+function valueOf(campaign: Known, column: Column): number | string {
+  if (column === "name" || column === "state") return campaign[column].toLowerCase();
+  if (column === "best") return campaign.best?.objective ?? -Infinity;
+  if (column === "saved") return savedShare(campaign) ?? -1;
+  if (column === "simulated") return countedCells(campaign).simulated;
+  return column === "took" ? campaign.seconds.wall : (campaign.created_at ?? "");
+}
+
+/** The campaigns that a search finds, in order; studies follow what they examine, if that is listed. */
+export function arranged<T extends Known>(campaigns: readonly T[], search: string, [column, way]: Order): Listed<T>[] {
+  const sign = way === "up" ? 1 : -1;
+  const listed = campaigns.filter((campaign) => isFound(campaign, search));
+  const ordered = [...listed].sort((a, b) => {
+    const [x, y] = [valueOf(a, column), valueOf(b, column)];
+    return x === y ? 0 : sign * (x < y ? -1 : 1);
+  });
+  const subjects = new Map(ordered.map((campaign) => [campaign.id, subjectOf(campaign, listed)]));
+  return ordered
+    .filter((campaign) => subjects.get(campaign.id) === null)
+    .flatMap((campaign) => [{ campaign, below: false }, ...ordered.filter((entry) => subjects.get(entry.id) === campaign.id).map((entry) => ({ campaign: entry, below: true }))]);
+}

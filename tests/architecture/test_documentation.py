@@ -1,0 +1,161 @@
+"""What the documentation shows can be typed: commands exist with their options, files are valid, Python compiles."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from pydantic import TypeAdapter, ValidationError
+from tests.support.documentation import DOCS, PAGES, Block, blocks, program
+
+from drivecal.bundles.archives import content_digest, files_digest
+from drivecal.bundles.checks import checked
+from drivecal.bundles.highway import HighwayScenario
+from drivecal.bundles.manifest import AnySimulator
+from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.resolve.bundle_bench import Bundle
+from drivecal.campaigns.resolve.maps import resolve_map
+from drivecal.campaigns.resolve.problem import resolve
+from drivecal.cli.main import app
+from drivecal.client.documents import located_yaml, read_document
+from drivecal.client.problems import read_bundle
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.domain.errors import InvalidInputError
+from drivecal.highway.planner.spaces import RANGES
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted(
+    [*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/commands/demo/expert_map.yaml"]
+)
+
+
+def shown_commands() -> Iterator[tuple[Path, list[str]]]:
+    """The words of every command line in the code blocks of the pages."""
+    for page in PAGES:
+        for block in (one for one in blocks(page) if one.language != "text"):
+            for line in block.text.replace("\\\n", " ").splitlines():
+                try:
+                    words = shlex.split(line.removeprefix("$ "), comments=True)
+                except ValueError:  # prose or output with an apostrophe
+                    continue
+                while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
+                    words.pop(0)
+                if words and Path(words[0]).name in {"drivecal", "make"}:
+                    end = next((index for index, word in enumerate(words) if word in {"|", ">", "&", "&&", ";"}), len(words))
+                    yield page, [Path(words[0]).name, *words[1:end]]
+
+
+def parse(command: Any, name: str, words: list[str], parent: Any = None) -> None:
+    """Raises where the command line does not take these words. Runs nothing."""
+    context = command.make_context(name, list(words), parent=parent)
+    rest = [*getattr(context, "_protected_args", []), *context.args]
+    if hasattr(command, "resolve_command") and rest:
+        name, subcommand, rest = command.resolve_command(context, rest)
+        parse(subcommand, name, rest, context)
+
+
+@pytest.mark.parametrize(
+    ("page", "words"), list(shown_commands()), ids=lambda value: value.name if isinstance(value, Path) else " ".join(value)[:60]
+)
+def test_every_command_shown_in_the_documentation_can_be_typed(page: Path, words: list[str]) -> None:
+    assert page.exists()
+    if words[0] == "make":
+        targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+        assert {word for word in words[1:] if not word.startswith("-")} <= targets
+    else:
+        parse(typer.main.get_command(app), "drivecal", words[1:])
+
+
+@pytest.mark.parametrize(
+    "words", [["shwo", "x"], ["show"], ["show", "x", "--josn"], ["export", "x", "--format", "xml"], ["db", "upgrad"]]
+)
+def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> None:
+    with pytest.raises(Exception, match=r"(?i)no such|missing|not one of"):
+        parse(typer.main.get_command(app), "drivecal", words)
+
+
+def example(name: str) -> Bundle:
+    """The bundle of an example folder."""
+    manifest, archive = read_bundle(ROOT / "deploy" / "examples" / "problems" / name)
+    return Bundle(content_digest(archive), files_digest(archive), manifest)
+
+
+@pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.name)
+def test_every_example_file_can_be_used(file: Path) -> None:
+    document = read_document(str(file))
+    if "scenarios" in document:
+        assert resolve_map(validated(InfluenceMapSpecification, document)).influence_map.scenarios
+    elif "optimizers" in document:
+        assert resolve_comparison(validated(ComparisonSpecification, document)).runs
+    else:
+        assert resolve(validated(CampaignSpecification, document), example).scenarios
+
+
+def test_the_values_of_the_example_are_the_defaults_where_it_says_so() -> None:
+    given = validated(CampaignSpecification, read_document(str(ROOT / "deploy" / "examples" / "highway.yaml")))
+    chosen, usual = resolve(given).optimization, resolve(CampaignSpecification()).optimization
+    assert chosen is not None
+    assert usual is not None
+    resolved, default = chosen.settings, usual.settings
+    differing = {name for name in type(default).model_fields if getattr(resolved, name) != getattr(default, name)}
+    assert differing == {"population", "iterations"}
+    sections = {
+        name for name in CampaignSpecification.model_fields if getattr(given, name) != getattr(CampaignSpecification(), name)
+    }
+    assert sections == {"name", "baseline", "weights", "optimizer"}
+
+
+def test_the_built_in_parameters_are_told_as_they_are() -> None:
+    page = DOCS / "pages" / "reference" / "motorway.md"
+    shown = re.findall(r"^\| (P\d+) \| (\S+) to (\S+)(?: dB)? in steps of (\S+) \| (.+) \|$", page.read_text(), re.MULTILINE)
+    assert shown == [(name, *texts[:3], texts[-1]) for name, *texts in RANGES]
+
+
+def test_the_readme_is_read_in_a_minute() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 120
+    assert len(text.encode()) <= 9_000
+
+
+def test_the_reference_is_that_of_the_code() -> None:
+    made = program("reference").pages()
+    written = {path.name: path.read_text() for path in (DOCS / "pages" / "reference").glob("*.md") if path.name != "index.md"}
+    assert written == made, "type: make docs"
+
+
+def shown_in(language: str) -> list[Block]:
+    """The blocks of a language on all pages."""
+    return [block for page in PAGES for block in blocks(page) if block.language == language and "--8<--" not in block.text]
+
+
+@pytest.mark.parametrize("block", shown_in("python"), ids=str)
+def test_python_in_the_documentation_compiles(block: Block) -> None:
+    compile(block.text, str(block), "exec")
+
+
+@pytest.mark.parametrize("block", shown_in("yaml"), ids=str)
+def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
+    document, _ = located_yaml(block.text.encode())
+    assert isinstance(document, dict)
+    if "scores" in document:
+        checked(document)
+    elif "simulator" in document:
+        TypeAdapter(AnySimulator).validate_python(document["simulator"])
+    elif "scenarios" in document:
+        for scenario in document["scenarios"].values():
+            HighwayScenario.model_validate(scenario)
+    elif "scrape_configs" not in document:  # a file of Prometheus
+        validated(CampaignSpecification, document)
+
+
+def test_wrong_yaml_would_be_noticed() -> None:
+    for text in ("name: x\noptimiser: {}\n", "simulator: {kind: python}\n", "scores: {}\nproblem: x\n"):
+        with pytest.raises((InvalidInputError, ValidationError)):
+            test_yaml_in_the_documentation_is_valid(Block(ROOT, "yaml", "", text))

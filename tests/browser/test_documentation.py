@@ -1,0 +1,41 @@
+"""The documentation as a browser shows it: its search, its colours, nothing inline, no other host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import expect
+from tests.browser.conftest import Opening
+from tests.support.server import RunningApi, serving
+
+from drivecal.api.routes.page import MANUAL, REASON, START
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    """Skips if the documentation was not built."""
+    if not (MANUAL / START).is_file():
+        reason = (MANUAL / REASON).read_text().strip() if (MANUAL / REASON).is_file() else "make docs builds it"
+        pytest.skip(f"the documentation was not built: {reason}")
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('help') / 'drivecal.db'}") as running:
+        yield running
+
+
+def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, opening: Opening) -> None:
+    page = opening(f"{api.url}/help")
+    expect(page.get_by_role("heading", level=1)).to_contain_text("drivecal")
+    expect(page.get_by_role("img", name="A campaign on the built-in motorway")).to_be_visible()
+    page.get_by_role("link", name="tokens", exact=True).click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("Tokens")
+    page.keyboard.press("/")
+    page.keyboard.type("certificate")
+    expect(page.get_by_role("link").filter(has_text="repeat a stored one").first).to_be_visible()
+
+
+def test_every_page_opens_without_a_complaint(api: RunningApi, opening: Opening) -> None:
+    page = opening(f"{api.url}/help/", dark=True)
+    for file in sorted(MANUAL.rglob("*.html")):
+        if file.parent.name != "decisions" and file.name != "404.html":
+            page.goto(f"{api.url}/help/{file.relative_to(MANUAL).as_posix()}")
+            expect(page.locator("h1").first).to_be_visible()

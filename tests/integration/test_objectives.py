@@ -1,0 +1,195 @@
+"""Campaigns with several objectives and constraints: searched, resumed, predicted and confirmed by a dispatcher."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.benchmarks._objective import runner
+from tests.support.computed import ComputedBackend, rating_of
+from tests.support.runs import SMALL, dispatcher, everything, get, nothing_matters, post_map, run, submit
+
+from drivecal.analysis.confirmation import CONFIRMED, verdict_in
+from drivecal.analysis.solutions import Ranking
+from drivecal.api.tables.front import front_table
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.storage import results, studies
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
+
+JERK = "peak_lateral_jerk_mps3"
+NSGA2 = {"kind": "nsga2", "population": 24, "iterations": 8, "seed": 3}
+TWO = [{"score": "comfort"}, {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": 20.0, "reference": 20.0}]
+SPLIT = [{"score": "comfort", "name": name, "scenarios": [name]} for name in ("S1", "S2")]
+
+
+def measured(scenario: str, cell: Cell) -> CellResult:
+    """Comfort, and a jerk that grows with P1 and falls with P2; failures below a rating of 0.7."""
+    rating = rating_of(scenario, cell)
+    failure = "collision" if rating < 0.7 else None
+    jerk = 5.0 + 3.0 * cell.parameters["P1"] - 4.0 * cell.parameters["P2"] + 0.3 * rating
+    return CellResult(cell.id, rating, 0 if failure else round(rating), {JERK: jerk}, failure, 7.0)
+
+
+def backend(seed: int = 0) -> ComputedBackend:
+    return ComputedBackend(seed=seed, answer=measured)
+
+
+def ranking_of(database: Database, campaign: StoredCampaign) -> Ranking:
+    """The ranking by stored rows alone."""
+    resolved = resolved_spec(get(database, campaign))
+    assert resolved.goals is not None
+    ranking = Ranking(resolved.weights, resolved.scale.sign, resolved.goals)
+    with database.read() as connection:
+        ranking.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION, valued=resolved.goals.values))
+    return ranking
+
+
+def vectors(database: Database, campaign: StoredCampaign) -> list[tuple[float, ...]]:
+    return [each.solution.judgement.amounts for each in ranking_of(database, campaign).front() if each.solution.judgement]
+
+
+def test_a_score_and_a_measure_are_searched_together(database: Database) -> None:
+    ended = run(database, submit(database, objectives=TWO, optimizer=NSGA2, reduction={"mode": "exact"}), backend())
+    front = vectors(database, ended)
+    assert len(front) > 2
+    assert front == sorted(front, key=lambda each: -each[0])
+    assert [each[1] for each in front] == sorted((each[1] for each in front), reverse=True)
+    assert ended.best is not None
+    assert ended.best.objective == pytest.approx(front[0][0])
+    with database.read() as connection:
+        rows = list(results.stream(connection, ended.sequence))
+    by_set: dict[int, dict[str, results.StoredEvaluation]] = {}
+    for row in rows:
+        by_set.setdefault(row.parameter_set_id, {})[row.scenario] = row
+    for cells in by_set.values():
+        given = {name: measured(name, Cell(0, row.parameters.floats)) for name, row in cells.items()}
+        comfort = float(np.mean([answer.score or 0 for answer in given.values()]))
+        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in given.values())
+        assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
+
+
+@pytest.mark.parametrize("kind", ["nsga2", "nsga3"])
+def test_a_killed_search_ends_with_the_same_rows(database: Database, kind: str) -> None:
+    spec: dict[str, Any] = {
+        "objectives": TWO,
+        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
+        "optimizer": NSGA2 | {"kind": kind},
+        "reduction": {"mode": "off"},
+    }
+    whole = run(database, submit(database, **spec), backend())
+    killed = submit(database, **spec)
+    for seed in range(100):
+        working = dispatcher(database, backend(seed))
+        for _ in range(7):
+            working.step()
+        if get(database, killed).state.ended:
+            break
+    assert get(database, killed).state is CampaignState.SUCCEEDED
+    assert seed > 1
+    assert everything(database, killed) == everything(database, whole)
+    assert vectors(database, killed) == vectors(database, whole)
+
+
+def test_feasible_sets_win(database: Database) -> None:
+    bound = [{"measure": JERK, "at_most": 7.0, "failed": 20.0}]
+    spec: dict[str, Any] = {"optimizer": NSGA2, "reduction": {"mode": "exact"}, "constraints": bound}
+    ended = run(database, submit(database, **spec), backend())
+    best = ranking_of(database, ended).best()
+    assert best is not None
+    assert best[0].violation == 0
+    assert ended.best is not None
+    jerks = [measured(name, Cell(0, dict(ended.best.parameters))) for name in ended.best.scores]
+    assert all(answer.failure is None and answer.metrics[JERK] <= 7.0 for answer in jerks)
+
+
+def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(database: Database) -> None:
+    stored_map = post_map(database, nothing_matters())
+    spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": NSGA2, "reduction": {"mode": "influence", "confirm": 500}}
+    ended = run(database, submit(database, stored_map=stored_map, **spec), backend())
+    assert ended.cells.reused > 0
+    assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
+    assert not any(member.solution.reused for member in ranking_of(database, ended).front())
+
+
+def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:
+    smooth = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 12)]
+    spec: dict[str, Any] = {
+        "objectives": SPLIT,
+        "optimizer": NSGA2 | {"population": 200, "iterations": 4},
+        "parameters": smooth,
+        "reduction": {"mode": "predicted", "limit": 0.2, "tolerance": 1, "confirm": 500},
+    }
+
+    def easy(scenario: str, cell: Cell) -> CellResult:
+        value = (
+            7 * cell.parameters["P1" if scenario == "S1" else "P2"] * (1 - cell.parameters["P2" if scenario == "S1" else "P1"])
+        )
+        return CellResult(cell.id, value, round(value), {"rating": value}, None, 400.0)
+
+    ended = run(database, submit(database, **spec), ComputedBackend(answer=easy))
+    assert ended.cells.predicted > 0
+    front = ranking_of(database, ended).front()
+    assert front
+    assert not any(member.solution.reused for member in front)
+
+
+def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
+    robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
+    spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}
+    ended = run(database, submit(database, **spec), backend())
+    front = {member.solution.parameter_set for member in ranking_of(database, ended).front()}
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, sorted(front))
+        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
+    assert study is not None
+    examined = [item["parameters"] for item in study["items"]]
+    assert len(examined) == len(front) > 1
+    assert all(each.floats in examined for each in sets.values())
+    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)), None).rows
+    assert [row.degree for row in rows].count(None) == 0
+
+
+def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Database) -> None:
+    ended = run(database, submit(database, objectives=[{"score": "comfort", "aggregate": "min"}], reduction={"mode": "exact"}))
+    assert ended.spec["optimizer"]["kind"] == SMALL["optimizer"]["kind"]
+    assert ended.best is not None
+    assert ended.best.objective == min(ended.best.scores.values())
+
+
+def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
+    def driven(scenario: str, cell: Cell) -> CellResult:
+        result = runner(scenario).run(list(cell.parameters.values()))
+        rating, failure = result.rating, None if result.failure is None else result.failure.value
+        return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
+
+    spec: dict[str, Any] = {
+        "objectives": TWO,
+        "parameters": "highway",
+        "catalogue": ["S1", "S3"],
+        "optimizer": NSGA2 | {"population": 10, "iterations": 3},
+        "reduction": {"mode": "exact"},
+    }
+    ended = run(database, submit(database, **spec), ComputedBackend(answer=driven))
+    front = ranking_of(database, ended).front()
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front])
+    assert front
+    for member in front:
+        cells = Cell(0, sets[member.solution.parameter_set].floats)
+        answers = [driven(name, cells) for name in ("S1", "S3")]
+        comfort = sum(answer.score or 0 for answer in answers) / 2
+        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in answers)
+        assert member.solution.judgement is not None
+        assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
+
+
+def test_a_default_given_in_words_changes_nothing(database: Database) -> None:
+    plain = run(database, submit(database, reduction={"mode": "off"}))
+    worded = run(database, submit(database, objectives=[{"score": "comfort"}], reduction={"mode": "off"}))
+    assert everything(database, plain) == everything(database, worded)

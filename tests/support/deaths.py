@@ -1,0 +1,105 @@
+"""Dispatchers that die at a moment of their choice, and what their campaigns find in spite of it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.runs import get, run
+
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+Found = TypeVar("Found")
+
+
+class Killed(BaseException):
+    """The dispatcher's process is gone."""
+
+
+class DyingDatabase:
+    """Dies before a transaction begins, before it is committed, or right after."""
+
+    def __init__(self, database: Database, dies: Callable[[], bool]) -> None:
+        self._database, self._dies = database, dies
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        self._moment()
+        with self._database.transaction() as connection:
+            yield connection
+            self._moment()
+        self._moment()
+
+    def _moment(self) -> None:
+        if self._dies():
+            raise Killed
+
+
+def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBackend) -> Dispatcher:
+    """A newly elected dispatcher that is killed when `dies` says so."""
+    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), dies)
+    ticks = iter(range(10**9))
+    return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
+
+
+def at(moment: int) -> Callable[[], bool]:
+    """Says so at one moment, counted from 1."""
+    moments = count(1)
+    return lambda: next(moments) == moment
+
+
+def live(database: Database, campaign: StoredCampaign, working: Dispatcher) -> bool:
+    """Works until the campaign has ended, or the dispatcher; whether it was killed."""
+    try:
+        while not get(database, campaign).state.ended:
+            working.step()
+    except Killed:
+        return True
+    return False
+
+
+def ends_in_spite_of_deaths(
+    folder: Path,
+    begin: Callable[[Database], StoredCampaign],
+    backend: Callable[[int], ComputedBackend],
+    find: Callable[[Database, StoredCampaign], Found],
+    stride: int,
+) -> list[Found]:
+    """Returns what a campaign finds that is taken up where `begin` leaves it: first by a dispatcher that lives, then by dispatchers of
+    which each dies `stride` moments later than the one before it and has a successor, until one ends its work before it dies.
+
+    `backend` gets the number of the moment, by which its answers may come in another order.
+    """
+    used, kept = folder / "used.db", folder / "kept.db"
+    database = migrated(f"sqlite:///{used}")
+    campaign = begin(database)
+    database.dispose()
+    shutil.copy(used, kept)
+    ends: list[Found] = []
+    killed = True
+    while killed:
+        shutil.copy(kept, used)
+        database = migrated(f"sqlite:///{used}")
+        moment = stride * len(ends)  # at 0 it lives
+        killed = live(database, campaign, mortal(database, at(moment), backend(moment)))
+        if killed:
+            run(database, campaign, backend(0))
+        ends.append(find(database, campaign))
+        killed = killed or len(ends) == 1
+        database.dispose()
+    return ends

@@ -1,0 +1,146 @@
+"""Objectives and constraints of a set, and the front of a ranking."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED, Confirmation, front_verdict
+from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
+from drivecal.analysis.solutions import Ranking
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import COMFORT, Direction, Scale
+
+EVEN = {"S1": 0.5, "S2": 0.5}
+MEAN = Aggregate()
+COMFORTABLE = Objective("comfort", CellValue(COMFORT), EVEN, MEAN, 1, reference=0.0)
+GAP = Objective("gap", CellValue(measure="gap_m", failed=0.0), EVEN, Aggregate("min"), 1)
+COST = CellValue(Scale("cost", Direction.MINIMISE, 0, 100, 0, 100), formula="10*energy")
+ENOUGH = Bound("gap", GAP.value, EVEN, Aggregate("min"), 1, 5.0, 5.0)
+
+
+def cell(number: int, scenario: str, score: float | None, gap: float | None = None, *, own: bool = True) -> CellScore:
+    values = {} if gap is None else {GAP.value.key: gap}
+    return CellScore(number, scenario, score, score, own, iteration=number, individual=0, values=values)
+
+
+def ranked(goals: Goals, *sets: tuple[float, float], own: bool = True) -> Ranking:
+    """A ranking of sets with a score and a gap, the same in both scenarios."""
+    ranking = Ranking(EVEN, goals=goals)
+    ranking.add(cell(number, name, score, gap, own=own) for number, (score, gap) in enumerate(sets, 1) for name in EVEN)
+    return ranking
+
+
+def numbers(ranking: Ranking) -> list[tuple[int, int]]:
+    return [(member.solution.parameter_set, member.alternatives) for member in ranking.front()]
+
+
+@pytest.mark.parametrize(
+    ("aggregate", "expected"),
+    [
+        (Aggregate(), 2.25),
+        (Aggregate("min"), 1.0),
+        (Aggregate("max"), 5.0),
+        (Aggregate("quantile", 0.0), 1.0),
+        (Aggregate("quantile", 0.5), 1.0),
+        (Aggregate("quantile", 0.51), 2.0),
+        (Aggregate("quantile", 1.0), 5.0),
+    ],
+)
+def test_values_of_scenarios_are_aggregated_with_their_weights(aggregate: Aggregate, expected: float) -> None:
+    assert aggregate([5.0, 1.0, 2.0], [0.25, 0.5, 0.25]) == expected
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=9), st.floats(0, 1))
+def test_a_quantile_is_one_of_the_values_and_grows_with_its_level(values: list[float], level: float) -> None:
+    shares = [1 / len(values)] * len(values)
+    quantile = Aggregate("quantile", level)(values, shares)
+    assert min(values) <= quantile <= Aggregate("quantile", 1.0)(values, shares) == max(values)
+    assert quantile in values
+
+
+def test_values_of_runs_are_scores_measures_and_the_worth_of_failed_runs() -> None:
+    assert COST.of({"energy": 3.0}, None) == 30.0
+    assert COST.of({"energy": 3.0}, "collision") == 100.0
+    assert COST.of({}, None) is None
+    assert GAP.value.of({"gap_m": 3.0}, None) == 3.0
+    assert GAP.value.of({"gap_m": None}, None) is None
+    assert GAP.value.of({"gap_m": 3.0}, "collision") == 0.0
+    assert CellValue(measure="gap_m").of({"gap_m": 3.0}, "collision") is None
+
+
+def test_goals_are_the_same_after_they_were_stored() -> None:
+    goals = Goals((COMFORTABLE, GAP, Objective("cost", COST, EVEN, Aggregate("quantile", 0.1), -1, 0.5, 100.0)), (ENOUGH,))
+    assert Goals.from_json(json.loads(json.dumps(goals.to_json()))) == goals
+    assert sorted(goals.computed) == sorted([GAP.value.key, COST.key])
+
+
+def test_the_front_lists_each_vector_once_best_first_objective_first() -> None:
+    ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (6.0, 2.0), (3.0, 9.0), (5.0, 1.0), (5.0, 5.0))
+    assert numbers(ranking) == [(2, 1), (5, 1), (1, 2)]
+    best = ranking.best()
+    assert best is not None
+    assert (best[0].parameter_set, best[0].objective) == (2, 6.0)
+
+
+def test_differences_up_to_the_tolerance_do_not_count() -> None:
+    coarse = Objective("gap", GAP.value, EVEN, Aggregate("min"), 1, tolerance=2.0)
+    ranking = ranked(Goals((COMFORTABLE, coarse)), (3.0, 9.0), (6.0, 8.2))
+    assert numbers(ranking) == [(2, 1)]
+
+
+def test_a_set_that_keeps_the_constraints_is_better_than_every_set_that_does_not() -> None:
+    goals = Goals((COMFORTABLE,), (ENOUGH,))
+    ranking = ranked(goals, (7.0, 2.0), (6.0, 4.0))
+    assert numbers(ranking) == [(2, 1)], "less is missing"
+    ranking.add(cell(3, name, 1.0, 5.0) for name in EVEN)
+    best = ranking.best()
+    assert best is not None
+    assert (best[0].parameter_set, best[1]) == (3, 1)
+    assert [solution.parameter_set for solution in ranking.ranking()] == [3, 2, 1]
+
+
+def test_a_set_that_lacks_a_value_has_no_place() -> None:
+    ranking = Ranking(EVEN, goals=Goals((COMFORTABLE, GAP)))
+    ranking.add([cell(1, "S1", 5.0, 2.0), cell(1, "S2", 5.0), cell(2, "S1", 5.0, 2.0), cell(2, "S2", None, 2.0)])
+    assert not ranking.front()
+    assert not ranking.ranking()
+
+
+def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left() -> None:
+    ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (5.0, 5.0))
+    ranking.add(cell(number, name, 6.0, gap, own=False) for number, gap in ((7, 7.0), (8, 1.0)) for name in EVEN)
+    confirmation = Confirmation(5, 6.0)
+    chosen = confirmation.choose(ranking)
+    assert chosen is not None
+    assert (chosen.parameter_set, chosen.reused) == (7, ("S1", "S2"))
+    assert front_verdict(ranking.front(), [7]).startswith(NOT_CONFIRMED)
+    ranking.add(cell(7, name, 4.0, 4.0) for name in EVEN)
+    confirmation.tried.append(7)
+    second = confirmation.choose(ranking)
+    assert second is not None
+    assert second.parameter_set == 8
+    ranking.add(cell(8, name, 6.0, 0.5) for name in EVEN)
+    confirmation.tried.append(8)
+    assert confirmation.choose(ranking) is None
+    assert front_verdict(ranking.front(), confirmation.tried).startswith(CONFIRMED)
+    assert numbers(ranking) == [(8, 1), (2, 1), (1, 1)]
+
+
+def test_a_set_reaches_the_front_unless_a_sure_set_is_as_good_in_everything() -> None:
+    ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (6.0, 2.0))
+    ranking.add(cell(9, name, 7.0, 10.0, own=False) for name in EVEN)
+    reaches = [
+        ranking.reaches_front({name: cell(4, name, *values) for name in EVEN})
+        for values in ((3.0, 9.0), (5.0, 2.0), (5.0, 3.0))
+    ]
+    assert reaches == [False, False, True]
+
+
+def test_one_objective_over_the_worst_scenario_ranks() -> None:
+    ranking = Ranking(EVEN, goals=Goals((Objective("comfort", CellValue(COMFORT), EVEN, Aggregate("min"), 1),)))
+    ranking.add([cell(1, "S1", 7.0), cell(1, "S2", 1.0), cell(2, "S1", 3.0), cell(2, "S2", 2.0)])
+    assert [(solution.parameter_set, solution.objective) for solution in ranking.ranking()] == [(2, 2.0), (1, 1.0)]

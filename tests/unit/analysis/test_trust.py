@@ -1,0 +1,151 @@
+"""The light of a campaign's result, and the reasons for it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+from tests.support.scales import COST
+
+from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
+from drivecal.analysis.trust import Driven, Validated, trust
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Released
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
+
+BEST = Best(objective=6.0, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=1)
+NEAR = Released(limit=0.05, lots=4, rejected=1, inspected=400, predicted=300, sampled=40, different=3)
+
+
+def campaign(mode: str = "both", *, cells: dict[str, int] | None = None, **given: Any) -> Campaign:
+    known: dict[str, Any] = {"id": "c", "name": "a campaign", "state": "succeeded", "best": BEST}
+    reduction = {"mode": mode, **given.pop("reduction", {})}
+    spec = {"optimizer": {"kind": "genetic"}, "reduction": reduction}
+    counts = CellCounts(**{"proposed": 100, "requested": 100, "reused": 20, "simulated": 80, **(cells or {})})
+    return Campaign(**{**known, "spec": spec, "stages": {"calibration": counts}, **given})
+
+
+def validation(error_rate: float, lower: float, scenario: str = "S1", **given: Any) -> ValidationRow:
+    counts = dict.fromkeys(("reducible", "effects", "covered", "drawn", "references"), 1)
+    known: dict[str, Any] = {"bases": 100, "compared": 100, "wrong": 0, "different": 0, "upper_95": 1.0, "histogram": {}}
+    return ValidationRow(**{"scenario": scenario, "error_rate": error_rate, "lower_95": lower, **counts, **known, **given})
+
+
+def robust(degree: int) -> RobustnessRow:
+    return RobustnessRow(
+        rank=1, objective=6.0, rating=6.0, degree=degree, at_least=False, radius=0.01 * degree, recommended=True, reason="the best",
+        region=0, to_worse=None, scores={}, parameters={}, trials=[],
+    )  # fmt: skip
+
+
+def lights(subject: Campaign, *rows: ValidationRow, driven: Sequence[RobustnessRow] = ()) -> dict[tuple[str, str | None], str]:
+    """The lights of all reasons, by what they are about."""
+    judged = trust(subject, [Validated("v" * 32, rows)], [Driven("d", driven)])
+    return {(reason.about, reason.scenario): reason.light for reason in judged.reasons}
+
+
+def test_a_confirmed_best_set_and_inspected_lots_are_green() -> None:
+    judged = trust(campaign(notes=[f"{CONFIRMED}: 1 set tried"], released={"S1": NEAR}))
+    assert judged.light == "green"
+    assert [reason.about for reason in judged.reasons] == ["confirmation", "predictions"]
+    assert "1 failed" in judged.reasons[1].text
+
+
+def test_a_best_set_without_confirmation_is_red() -> None:
+    judged = trust(campaign(notes=[f"{NOT_CONFIRMED}: the score in S4 is a reference's"]))
+    assert (judged.light, judged.reasons[0].about) == ("red", "confirmation")
+    assert "S4" in judged.reasons[0].text
+
+
+def test_a_best_set_that_nobody_asked_to_confirm_is_amber_if_cells_were_reused() -> None:
+    assert lights(campaign(reduction={"confirm": 0})) == {("confirmation", None): "amber"}
+    assert lights(campaign(reduction={"confirm": 0}, cells={"reused": 0})) == {("confirmation", None): "green"}
+
+
+@pytest.mark.parametrize(
+    ("max_error", "rate", "lower", "light"),
+    [(0.02, 0.211, 0.15, "amber"), (1.0, 0.211, 0.15, "red"), (1.0, 0.03, 0.01, "amber"), (0.02, 0.01, 0.0, "green")],
+)
+def test_a_wrong_map_is_amber_behind_lots_and_red_without_them(max_error: float, rate: float, lower: float, light: str) -> None:
+    subject = campaign(reduction={"max_error": max_error}, notes=[f"{CONFIRMED}: 1 set tried"])
+    judged = trust(subject, [Validated("v" * 32, [validation(rate, lower)])])
+    assert judged.light == light
+    (about_the_map,) = (reason for reason in judged.reasons if reason.about == "map")
+    assert about_the_map.light == light
+    assert f"{rate:.1%}" in about_the_map.text
+
+
+def test_the_newest_validation_of_a_scenario_counts() -> None:
+    subject = campaign(notes=[f"{CONFIRMED}: 1 set tried"])
+    newest = Validated("n", [validation(0.0, 0.0, "S1")])
+    older = Validated("o", [validation(0.5, 0.4, "S1"), validation(0.3, 0.2, "S2")])
+    (wrong,) = (reason for reason in trust(subject, [newest, older]).reasons if reason.about == "map")
+    assert (wrong.scenario, wrong.light) == ("S2", "amber")
+
+
+def test_a_wrong_map_does_not_matter_to_a_campaign_that_uses_none() -> None:
+    assert ("map", "S1") not in lights(campaign("exact"), validation(0.5, 0.4))
+    assert ("map", None) not in lights(campaign("predicted"), validation(0.0, 0.0))
+
+
+def test_reuse_without_lots_and_without_a_validation_is_amber() -> None:
+    subject = campaign(reduction={"max_error": 1}, notes=[f"{CONFIRMED}: 1 set tried"])
+    assert lights(subject)["map", None] == "amber"
+
+
+def test_audits_stops_and_contradictions_name_their_scenario() -> None:
+    rates = {
+        "S1": ErrorRate(audited=20, wrong=5, stopped=True),
+        "S2": ErrorRate(audited=100, wrong=1),
+        "S3": ErrorRate(audited=100, wrong=10),
+        "S4": ErrorRate(contradictions=3),
+    }
+    judged = lights(campaign(reduction={"max_error": 1}, error_rate=rates))
+    expected = {"S1": "amber", "S2": "amber", "S3": "red", "S4": "amber"}
+    assert {scenario: light for (about, scenario), light in judged.items() if about == "references"} == expected
+    assert ("references", "S2") not in lights(campaign(error_rate={"S2": rates["S2"]})), "lots inspect these"
+
+
+@pytest.mark.parametrize(("beyond", "lower", "light"), [(2, 0.0, "green"), (12, 0.04, "amber"), (30, 0.2, "red")])
+def test_validated_predictions_are_held_against_their_limit(beyond: int, lower: float, light: str) -> None:
+    row = validation(beyond / 100, lower, released=300, inspected=400, beyond=beyond, limit=0.05)
+    assert lights(campaign("predicted"), row)["predictions", "S1"] == light
+
+
+def test_noise_and_failures_are_told() -> None:
+    judged = lights(campaign(cells={"failed": 5, "unscored": 1, "unrepeatable": 2}))
+    assert judged["noise", None] == "amber"
+    assert lights(campaign(cells={"failed": 5}))["failures", None] == "amber"
+    assert lights(campaign(cells={"failed": 1}))["failures", None] == "green"
+
+
+@pytest.mark.parametrize(("objective", "light"), [(4.0, "green"), (6.0, "amber"), (7.0, "amber")])
+def test_the_best_set_is_held_against_the_baseline(objective: float, light: str) -> None:
+    before = Baseline(objective=objective, parameters={}, scores={})
+    assert lights(campaign(baseline=before))["baseline", None] == light
+    opposite = {4.0: "amber", 6.0: "amber", 7.0: "green"}
+    assert lights(campaign(baseline=before, scale=COST))["baseline", None] == opposite[objective]
+
+
+def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:
+    assert lights(campaign(), driven=[robust(0)])["robustness", None] == "amber"
+    assert lights(campaign(), driven=[robust(3)])["robustness", None] == "green"
+
+
+@pytest.mark.parametrize(
+    ("state", "best", "light"),
+    [
+        ("failed", BEST, "red"),
+        ("succeeded", None, "red"),
+        ("cancelled", BEST, "amber"),
+        ("running", BEST, None),
+        ("queued", None, None),
+    ],
+)
+def test_the_end_of_a_campaign_decides_first(state: str, best: Best | None, light: str | None) -> None:
+    assert trust(campaign("exact", cells={"reused": 0}, state=state, best=best, error="out of memory")).light == light
+
+
+def test_what_searches_nothing_has_no_light() -> None:
+    assert trust(campaign().model_copy(update={"spec": {"optimizer": None}})).light is None
+    assert trust(campaign().model_copy(update={"kind": "comparison"})).reasons == []

@@ -1,0 +1,74 @@
+"""Stored kernels follow edits of the modules whose kernels they call."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+from tests.support.tree import PROJECT, modules, shown
+
+from drivecal.highway import geometry
+from drivecal.highway.compilation import digest_of
+
+CALLED = "from numba import njit\n@njit(cache=True)\ndef number():\n    return {}\n"
+CALLER = """
+import called
+from called import number
+from drivecal.highway.compilation import compiled_with
+
+@compiled_with(called)
+def twice():
+    return 2 * number()
+
+print(twice(), sum(twice.stats.cache_hits.values()))
+"""
+
+
+def test_an_edit_of_a_called_module_compiles_its_callers_anew(tmp_path: Path) -> None:
+    (tmp_path / "caller.py").write_text(CALLER)
+
+    def answer(number: int) -> str:
+        (tmp_path / "called.py").write_text(CALLED.format(number))
+        environment = os.environ | {"PYTHONPATH": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment.pop("NUMBA_CACHE_DIR", None)
+        command = [sys.executable, "-c", "import caller"]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert [answer(3), answer(3), answer(4)] == ["6 0", "6 1", "8 0"]
+
+
+def kernels(module: ModuleType) -> list[Any]:
+    """The kernels that a module defines."""
+    return [value for value in vars(module).values() if isinstance(value, Dispatcher) and value.__module__ == module.__name__]
+
+
+def called(module: ModuleType) -> set[ModuleType]:
+    """The other modules whose kernels a module's kernels call, directly or through others."""
+    names = {name for kernel in kernels(module) for name in kernel.py_func.__code__.co_names}
+    others = {value.__module__ for name in names if isinstance(value := vars(module).get(name), Dispatcher)}
+    direct = {import_module(name) for name in others - {module.__name__}}
+    return direct.union(*(called(other) for other in direct))
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in modules() if "njit" in path.read_text() or "compiled_with(" in path.read_text()], ids=shown
+)
+def test_kernels_name_all_modules_whose_kernels_they_call(path: Path) -> None:
+    module = import_module(".".join(path.relative_to(PROJECT / "workers").with_suffix("").parts))
+    others = called(module)
+    for kernel in kernels(module):
+        index = getattr(kernel._cache, "_cache_file", None)
+        if index is not None:
+            _, _, *digests = index._source_stamp
+            assert digests == ([digest_of(others)] if others else [])
+
+
+def test_modules_that_call_others_are_found() -> None:
+    assert called(import_module("drivecal.highway.traffic.geometry")) == {geometry}

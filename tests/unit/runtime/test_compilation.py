@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from drivecal.runtime import compilation
+
+
+def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writable: set[Path] = {Path(compilation.__file__).parent}
+    monkeypatch.setattr(os, "access", lambda path, _: Path(path) in writable)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    compilation.prepare_cache()
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    writable = {tmp_path / ".cache" / "numba"}
+    compilation.prepare_cache()
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    writable = set()
+    compilation.prepare_cache()
+    folder = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert folder.is_dir()
+    folder.rmdir()
+
+
+def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped, folder = tmp_path / "shipped", tmp_path / "mine" / "numba"
+    (shipped / "planner").mkdir(parents=True)
+    (shipped / "planner" / "kernel.nbi").write_text("compiled")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    monkeypatch.setenv(compilation.SHIPPED, str(tmp_path / "nowhere"))
+    compilation.prepare_cache()
+    assert not folder.exists()
+    monkeypatch.setenv(compilation.SHIPPED, str(shipped))
+    compilation.prepare_cache()
+    (folder / "planner" / "kernel.nbi").write_text("recompiled")
+    compilation.prepare_cache()
+    assert (folder / "planner" / "kernel.nbi").read_text() == "recompiled"
+    assert [path.name for path in folder.parent.iterdir()] == ["numba"]

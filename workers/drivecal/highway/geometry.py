@@ -1,0 +1,98 @@
+"""Compiled geometry that all loops share: points of a reference line, foot points on it, and rectangles that overlap.
+
+`line`, shape (n, 7): a reference line (s, x, y, heading, curvature) with cosine and sine of the heading, as from `with_directions`.
+`drivecal.domain.roads` has the same without a compiler. The planner has a `point_of` of its own, whose order of operations differs: its
+bits are those of all stored results.
+"""
+
+from math import cos, sin
+
+import numpy as np
+from numba import njit
+
+from drivecal.domain.roads import Floats
+
+TOLERANCE = 1e-9
+"""Step (m) at which Newton's iteration ends."""
+
+
+@njit(cache=True)
+def with_directions(line: Floats) -> Floats:
+    """Extends a reference line, shape (n, 5), by cosine and sine of the heading, shape (n, 7).
+
+    Compiled, so that both equal the values computed by the functions here to the bit.
+    """
+    table = np.empty((len(line), 7))
+    table[:, :5] = line
+    for row in range(len(line)):
+        table[row, 5], table[row, 6] = cos(line[row, 3]), sin(line[row, 3])
+    return table
+
+
+@njit(cache=True)
+def point(line: Floats, s: float) -> tuple[float, float, float, float, float]:
+    """Returns x, y, heading, curvature and change of curvature (1/m²) of the line at s; straight beyond its ends."""
+    spacing = line[1, 0]
+    last = len(line) - 1
+    if s < 0.0 or s > last * spacing:
+        row = 0 if s < 0.0 else last
+        ahead = s - row * spacing
+        return line[row, 1] + ahead * line[row, 5], line[row, 2] + ahead * line[row, 6], line[row, 3], 0.0, 0.0
+    row = min(int(s / spacing), last - 1)
+    u = s - line[row, 0]
+    bend = (line[row + 1, 4] - line[row, 4]) / spacing
+    w = u / spacing
+    from_start, from_end = w * (1.0 - w) * (1.0 - w) * spacing, w * w * (w - 1.0) * spacing
+    blend = w * w * (3.0 - 2.0 * w)
+    x = line[row, 1] + blend * (line[row + 1, 1] - line[row, 1])
+    x += from_start * line[row, 5] + from_end * line[row + 1, 5]
+    y = line[row, 2] + blend * (line[row + 1, 2] - line[row, 2])
+    y += from_start * line[row, 6] + from_end * line[row + 1, 6]
+    return x, y, line[row, 3] + u * (line[row, 4] + 0.5 * bend * u), line[row, 4] + bend * u, bend
+
+
+@njit(cache=True)
+def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
+    """Returns s, d, and the line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
+
+    Newton's iteration from s = `near`, as `drivecal.domain.roads.project`.
+    """
+    s = near
+    d = heading = curvature = bend = across = 0.0
+    along = 1.0
+    for _ in range(30):
+        foot_x, foot_y, heading, curvature, bend = point(line, s)
+        along, across = cos(heading), sin(heading)
+        dx, dy = x - foot_x, y - foot_y
+        d = dy * along - dx * across
+        step = (dx * along + dy * across) / max(1.0 - curvature * d, 0.1)
+        if abs(step) < TOLERANCE:
+            break
+        s += step
+    return s, d, heading, along, across, curvature, bend
+
+
+@njit(cache=True)
+def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
+    """Returns the first of `outlines` that overlaps the ego vehicle's rectangle, -1 if there is none; separating axis theorem.
+
+    `outlines`, shape (k, 5 or more): x, y, heading, half length, half width. `pose` begins with x, y, heading, `size` with half length and
+    half width.
+    """
+    c, s = cos(pose[2]), sin(pose[2])
+    for i in range(len(outlines)):
+        dx, dy = outlines[i, 0] - pose[0], outlines[i, 1] - pose[1]
+        reach = size[0] + size[1] + outlines[i, 3] + outlines[i, 4]
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        other_c, other_s = cos(outlines[i, 2]), sin(outlines[i, 2])
+        along, across = abs(c * other_c + s * other_s), abs(c * other_s - s * other_c)
+        length, width = outlines[i, 3], outlines[i, 4]
+        if (
+            abs(dx * c + dy * s) <= size[0] + length * along + width * across
+            and abs(dy * c - dx * s) <= size[1] + length * across + width * along
+            and abs(dx * other_c + dy * other_s) <= length + size[0] * along + size[1] * across
+            and abs(dy * other_c - dx * other_s) <= width + size[0] * across + size[1] * along
+        ):
+            return i
+    return -1
