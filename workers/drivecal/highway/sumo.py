@@ -37,13 +37,15 @@ COLUMNS = 4
 
 
 class Start(NamedTuple):
-    """A vehicle at its start: id, also of its type; route; lane; position of the front along it (m); speed (m/s)."""
+    """A vehicle at its start: id, also of its type; route; lane; position of the front along it (m); speed (m/s); offset from the lane's
+    centre (m, left positive)."""
 
     name: str
     route: str
     lane: str
     position: float
     speed: float
+    offset: float = 0.0
 
 
 def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
@@ -84,10 +86,12 @@ def clear() -> None:
 
 def place(starts: Sequence[Start]) -> list[str]:
     """Adds vehicles, the ego vehicle's speed and lane free of SUMO's models. Returns those that SUMO left out, which it does not report."""
-    for name, route, lane_id, position, speed in starts:
+    for name, route, lane_id, position, speed, offset in starts:
         vehicle.add(name, route, typeID=name)
         vehicle.moveTo(name, lane_id, position)
         vehicle.setPreviousSpeed(name, speed)
+        if offset:
+            vehicle.setLateralLanePosition(name, offset)
     vehicle.setLaneChangeMode(EGO, NO_LANE_CHANGES)
     vehicle.setSpeedMode(EGO, FREE)
     return sorted({start.name for start in starts} - set(vehicle.getIDList()))

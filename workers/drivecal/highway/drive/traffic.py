@@ -62,7 +62,8 @@ class Traffic:
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
         field = f"scenarios.{name}"
         ego = scenario.ego
-        self.start_s, self.start_d = _centre(road, ego, f"{field}.ego")
+        self.start_s, start_d = _centre(road, ego, f"{field}.ego")
+        self.start_d = start_d + ego.offset
         route_file = folder / "traffic.rou.xml"
         try:
             route_file.write_bytes(routes_file(scenario))
@@ -73,20 +74,20 @@ class Traffic:
         try:
             sumo.load(self._options)
             self._loaded = True
-            placed: list[tuple[str, str, Placed, float, float]] = [
-                (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed)
+            placed: list[tuple[str, str, Placed, float, float, float]] = [
+                (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed, vehicle.offset)
                 for index, (key, vehicle) in enumerate(vehicles.items())
             ]
-            placed.append(("ego", EGO, ego, ego.length, ego.speed))
+            placed.append(("ego", EGO, ego, ego.length, ego.speed, 0.0))
             self._starts = [
-                sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), speed)
-                for part, key, entry, length, speed in placed
+                sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), speed, offset)
+                for part, key, entry, length, speed, offset in placed
             ]
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
-        self._actions = Actions(vehicles)
+        self._actions = Actions(vehicles, road.lateral)
         curvature = point(road.line, self.start_s)[3]
-        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d)
+        self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
         """Place of the ego vehicle when `others` were read."""
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
@@ -130,7 +131,7 @@ class Traffic:
         try:
             if self._actions.pending:
                 self._actions.act(time, self._step, self.names, self.others, self._ego, self._scenario.ego.length)
-            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH))
+            self._ego = EgoPlace(motion.item(geometry.S), motion.item(geometry.STRETCH), speed, motion.item(geometry.D))
             self._guide(index, motion, front, speed)
             STEP()
             if DEPARTED() or ARRIVED():
