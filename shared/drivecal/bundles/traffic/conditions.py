@@ -6,6 +6,8 @@ from typing import Any
 from drivecal.bundles.traffic.elements import Element, Notes
 
 LARGEST = 1e6
+MOST_CONDITIONS = 20
+"""Conditions of a trigger."""
 ABOVE = ("greaterThan", "greaterOrEqual")
 BELOW = ("lessThan", "lessOrEqual")
 ENDED = ("completeState", "endTransition")
@@ -29,14 +31,25 @@ class Triggers:
         groups = trigger.every("ConditionGroup") if trigger is not None else []
         if len(groups) > 1:
             raise groups[1].fault("alternatives (several groups) are not supported", "give one group of conditions")
-        return [entry for group in groups for condition in group.every("Condition") for entry in self._condition(condition)]
+        conditions = [condition for group in groups for condition in group.every("Condition")]
+        if len(conditions) > MOST_CONDITIONS:
+            raise conditions[MOST_CONDITIONS].fault(f"the trigger has more than {MOST_CONDITIONS} conditions", "leave some out")
+        return [entry for condition in conditions for entry in self._condition(condition)]
 
     def _condition(self, condition: Element) -> Conditions:
         edge = condition.word("conditionEdge", ("none", "rising"), "none")
         delay = condition.number("delay", 0.0, 3600.0, 0.0)
         kind = condition.only("ByValueCondition", "ByEntityCondition")
         entries = self._of_value(kind) if kind.element == "ByValueCondition" else self._of_entity(kind)
-        common = {"rising": edge == "rising", "delay": delay}
+        if len(entries) > MOST_CONDITIONS:
+            raise condition.fault(f"the condition is on more than {MOST_CONDITIONS} actions or entities", "leave some out")
+        is_rising = edge == "rising"
+        if is_rising and len(entries) > 1:
+            # They rise together when the last of them does, which no condition of one of them says.
+            if kind.element == "ByEntityCondition":
+                raise condition.fault("the rising edge of a condition on several entities is not supported", 'give "none"')
+            is_rising = False  # what has begun or is done stays so
+        common = {"rising": is_rising, "delay": delay}
         return [entry | common for entry in entries if not _is_start(entry, delay)]
 
     def _of_value(self, kind: Element) -> Conditions:
@@ -58,7 +71,7 @@ class Triggers:
     def _of_entity(self, kind: Element) -> Conditions:
         triggering = kind.only("TriggeringEntities")
         rule = triggering.word("triggeringEntitiesRule", ("any", "all"))
-        entities = [self._vehicle(entity) for entity in triggering.every("EntityRef")]
+        entities = [self._vehicle(entity) for entity in triggering.every("EntityRef")[: MOST_CONDITIONS + 1]]
         if not entities or (rule == "any" and len(entities) > 1):
             raise triggering.fault("any of several entities is not supported", "give one entity")
         condition = kind.only("EntityCondition").only(

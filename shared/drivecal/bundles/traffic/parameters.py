@@ -80,7 +80,7 @@ def _computed(element: Element, expression: str) -> str:
 
     text = _NAME.sub(named, expression)
     try:
-        return repr(Formula(text, values, "expression")(values))
+        return _text(Formula(text, values, "expression")(values))
     except InvalidInputError as error:
         problem = error.problems[0]
         raise element.fault(f"{shown('${' + expression + '}')}: {problem.message}", problem.remedy) from error

@@ -162,9 +162,9 @@ class Map:
         return replace(there, road=road.id, lane=lane, s=s, t=t)
 
     def _beside(self, there: FilePlace, lanes: int, ds: float, offset: float, element: Element) -> FilePlace:
-        """Returns the place `ds` metres ahead of another and some lanes to its left."""
+        """Returns the place `ds` metres ahead of another, on the lane whose number is larger by `lanes`."""
         road = None if there.road is None or self.file is None else self.file.roads[there.road]
-        ahead = 1.0 if there.lane <= 0 else -1.0
+        ahead = -1.0 if (there.lane or self._road_lane(there)) > 0 else 1.0
         if road is not None and 0.0 <= there.s + ahead * ds <= road.length:
             lane = there.lane + lanes
             if lanes and (lane == 0 or (lane > 0) != (there.lane > 0)):
@@ -172,10 +172,15 @@ class Map:
             if lane in road.sections[road.section_at(there.s + ahead * ds)].lanes:
                 return self._on_lane(road, lane, there.s + ahead * ds, offset, element)
         reached = self.moved(there, ds, element)
-        index = reached.index + lanes
+        index = reached.index + (lanes if ahead > 0.0 else -lanes)
         if not 0 <= index < len(self.network.edges[reached.edge].lanes):
             raise element.fault(f"there is no lane {lanes:+d} beside that of the other vehicle", "give another dLane")
         return replace(reached, index=index, offset=round(offset, DECIMALS))
+
+    def _road_lane(self, place: FilePlace) -> int:
+        """Returns the number of the lane of the file on which a place is, 0 if the network was not made of one."""
+        origins = (self.network.edges[place.edge].lanes[place.index].origin or "").split() if self._source is not None else []
+        return int(origins[0].rpartition("_")[2]) if origins else 0
 
     def _nearest(self, lanes: tuple[Lane, ...], x: float, y: float, heading: float | None, element: Element) -> FilePlace:
         """Returns the place on one of these lanes that is closest to coordinates. Raises InvalidInputError if it lies on none of them."""

@@ -97,8 +97,7 @@ class RouteFile:
         """Adds the entry of a vehicle, trip or flow."""
         is_flow = element.element == "flow"
         _check_attributes(element, FLOW if is_flow else VEHICLE)
-        for stop in element.every("stop"):
-            raise stop.fault("stops are not supported", "leave the stop out")
+        _check_stops(element)
         driver = self._driver(element)
         edges = self._edges(element)
         begin = _seconds(element, "begin", 0.0) if is_flow else _seconds(element, "depart", None)
@@ -168,6 +167,7 @@ class RouteFile:
             if route is None:
                 raise element.fault(f"there is no route {shown(name)} before it", nearest(name, list(self._routes)))
             _check_attributes(route, {"edges"})
+            _check_stops(route)
             edges = route.text("edges").split()
             if not edges:
                 raise route.fault("the route has no edges", "give it edges")
@@ -246,6 +246,11 @@ def _check_attributes(element: Element, known: "frozenset[str] | set[str]") -> N
     for key in element.values:
         if key not in known and key not in WITHOUT_EFFECT:
             raise element.fault(f"the attribute {shown(key)} is not supported", f"leave it out; {nearest(key, sorted(known))}")
+
+
+def _check_stops(element: Element) -> None:
+    for stop in element.every("stop"):
+        raise stop.fault("stops are not supported", "leave the stop out")
 
 
 def _seconds(element: Element, key: str, default: float | None) -> float:

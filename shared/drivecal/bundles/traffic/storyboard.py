@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
-from drivecal.bundles.traffic.conditions import LARGEST, Reached, Triggers
+from drivecal.bundles.traffic.conditions import LARGEST, MOST_CONDITIONS, Conditions, Reached, Triggers
 from drivecal.bundles.traffic.elements import Element, Notes
 from drivecal.bundles.traffic.parameters import declare
 from drivecal.bundles.traffic.places import Map
@@ -42,13 +42,18 @@ class Storyboard:
         planned = list(self._planned(root))
         triggers = Triggers(ids, self._names, reached, notes)
         self.actions: dict[str, list[dict[str, Any]]] = {}
+        idle: dict[str, list[dict[str, Any]]] = {}
         for entry in planned:
             after = triggers.conditions(entry.act.optional("StartTrigger"))
             when = triggers.conditions(entry.event.optional("StartTrigger"))
-            for content in self._content(entry):
+            contents = list(self._content(entry))
+            if not contents:
+                idle[entry.id] = after + when
+            for content in contents:
                 document = {"id": entry.id, "after": after, "when": when} | content
                 self.actions.setdefault(entry.vehicle, []).append(document)
-        self._check_references()
+        for action in (action for actions in self.actions.values() for action in actions):
+            action |= {section: _followed(action[section], idle) for section in ("after", "when")}
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
         """Yields the actions of the traffic's vehicles; notes those of the ego vehicle."""
@@ -60,10 +65,12 @@ class Storyboard:
                     actors = group.only("Actors")
                     if actors.decides("selectTriggeringEntities", "false"):
                         raise actors.fault("triggering entities as actors are not supported", "name the actors")
+                    self._note_order(group)
                     names = [self._actor(actor) for actor in actors.every("EntityRef")]
                     for maneuver in group.every("Maneuver"):
                         declare(maneuver, {})
                         for event in maneuver.every("Event"):
+                            self._note_order(event)
                             for action in event.every("Action"):
                                 for vehicle in names:
                                     count += 1
@@ -74,6 +81,13 @@ class Storyboard:
                                         continue
                                     owners = (event, maneuver, group, act, story)
                                     yield self._named(vehicle, action, owners, f"action{count}")
+
+    def _note_order(self, element: Element) -> None:
+        """Notes what an element says about the order of events that is driven otherwise."""
+        if element.text("maximumExecutionCount", "1").strip() != "1":
+            self._notes.add(element, "driven once")
+        if element.text("priority", "parallel") == "skip":
+            self._notes.add(element, "driven also while other events run")
 
     def _named(self, vehicle: str, action: Element, owners: tuple[Element, ...], name: str) -> _Planned:
         keys = [("action", action.text("name", ""))]
@@ -167,17 +181,18 @@ class Storyboard:
             "lateral_acceleration": dynamics.number("maxLateralAcc", 1e-3, 20.0),
         }
 
-    def _check_references(self) -> None:
-        """Leaves out conditions on actions that have no effect: a change at a rate of 0 is done as soon as it begins."""
-        ids = {action["id"] for actions in self.actions.values() for action in actions}
-        for actions in self.actions.values():
-            for action in actions:
-                for section in ("after", "when"):
-                    action[section] = [entry for entry in action[section] if _known(entry, ids)]
 
-
-def _known(entry: Mapping[str, Any], ids: set[str]) -> bool:
-    return all(key not in entry or entry[key] in ids for key in ("done", "begun"))
+def _followed(conditions: Conditions, idle: Mapping[str, Conditions], depth: int = 0) -> Conditions:
+    """Returns conditions with those of actions without effect in the place of these actions: they are done as soon as they begin."""
+    followed: Conditions = []
+    for entry in conditions:
+        name = str(entry.get("done", entry.get("begun")))
+        if name not in idle:
+            followed.append(entry)
+        elif depth < MOST_CONDITIONS:
+            for other in _followed(idle[name], idle, depth + 1):
+                followed.append(other | {"delay": other["delay"] + entry["delay"]})
+    return followed
 
 
 def speed_action(action: Element, ids: Mapping[str, str], notes: Notes) -> Iterator[dict[str, Any]]:

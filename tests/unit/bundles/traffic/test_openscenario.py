@@ -43,6 +43,8 @@ EGO = start("Ego", lane(-3, 150), absolute(30))
 OTHER = start("Other", lane(-2, 200), absolute(25))
 WORLD = '<Position><WorldPosition x="{}" y="{}" h="0.2"/></Position>'
 CARS = {"Ego": vehicle(), "Other": vehicle()}
+IN = change_of_lane(BESIDE)
+ACTION = f'<Action name="also"><PrivateAction>{IN}</PrivateAction></Action>'
 
 
 def with_events(*events: str, other: str = OTHER, stop: str = trigger(when_time(10), tag="StopTrigger")) -> bytes:
@@ -98,6 +100,22 @@ def test_places_by_other_means_are_the_same(position: str, same: str) -> None:
     assert (one.s, one.offset) == pytest.approx((other.s, other.offset), abs=2e-3)
 
 
+def test_lanes_beside_a_vehicle_of_the_other_direction_are_counted_as_in_the_file() -> None:
+    """Also if it is placed by coordinates: lane 3 lies outside of lane 2."""
+    road = maps()["maps/motorway.xodr"].file
+    assert road is not None
+    (point,) = road.roads["7"].centre(0, 2, np.array([500.0]))[0]
+    world = f'<Position><WorldPosition x="{point[0]}" y="{point[1]}"/></Position>'
+    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30"/></Position>'
+    cars = CARS | {"Third": vehicle()}
+    found = []
+    for position in (world, lane(2, 500)):
+        content = scenario(cars, EGO + start("Other", position, absolute(20)) + start("Third", beside, absolute(20)))
+        found.append([(entry.lane, entry.s) for entry in of_file(content).scenario.traffic])
+    assert [[index for index, _ in places] for places in found] == [[1, 0], [1, 0]]
+    assert [s for _, s in found[0]] == pytest.approx([s for _, s in found[1]], abs=1.0)
+
+
 def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
     found = of_file(cut_in()).scenario
     assert (found.network, found.route, found.duration) == ("maps/motorway.xodr", ["-7"], 15.0)
@@ -150,6 +168,61 @@ def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
     last = found[-1]
     assert isinstance(last, Brake)
     assert (last.like, last.factor, last.speed, last.continuous) == ("ego", 1.2, 0.0, True)
+
+
+def when_all(edge: str) -> str:
+    """A condition that all vehicles fulfil."""
+    speed = '<SpeedCondition value="3" rule="greaterThan"/>'
+    several = when("Ego", speed, edge).replace('Rule="any">', 'Rule="all"><EntityRef entityRef="Other"/>')
+    assert several.count("<EntityRef") == 2
+    return several
+
+
+def when_done(kind: str, name: str, edge: str = "rising", delay: object = 0) -> str:
+    """A condition on the end of an element of the storyboard."""
+    return (
+        f'<Condition name="d" delay="{delay}" conditionEdge="{edge}"><ByValueCondition><StoryboardElementStateCondition '
+        f'storyboardElementType="{kind}" storyboardElementRef="{name}" state="completeState"/></ByValueCondition></Condition>'
+    )
+
+
+def speed(name: str, value: float, *conditions: str, rate: float = 2) -> str:
+    """An event that changes the speed."""
+    content = f"<LongitudinalAction>{change_of_speed(absolute(value), 'linear', 'rate', rate)}</LongitudinalAction>"
+    return event(name, content, *conditions)
+
+
+def test_conditions_on_several_vehicles_hold_at_once() -> None:
+    (change,) = actions(with_events(event("in", IN, when_all("none"))))
+    assert change.when is not None
+    assert [(entry.vehicle, entry.rising) for entry in change.when] == [("Other", False), ("ego", False)]
+
+
+def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
+    """Edges of each alone would have to rise in the same step."""
+    both = speed("slow", 20, when_time(1)).replace("</Event>", "").replace("</Action>", "</Action>" + ACTION)
+    found = actions(with_events(both + "</Event>", speed("then", 30, when_done("event", "slow"))))
+    assert found[-1].when is not None
+    assert [(entry.done, entry.rising) for entry in found[-1].when] == [(found[0].id, False), (found[1].id, False)]
+
+
+def test_what_waits_for_an_action_without_effect_waits_until_it_would_begin() -> None:
+    idle = speed("idle", 10, when_time(4, delay=1), rate=0)
+    (brake,) = actions(with_events(idle, speed("then", 20, when_done("action", "idleAction", delay=2))))
+    assert brake.when is not None
+    assert [(entry.quantity, entry.above, entry.delay) for entry in brake.when] == [("time", 4.0, 3.0)]
+
+
+def test_expressions_give_whole_numbers() -> None:
+    (change,) = actions(with_events(event("in", change_of_lane('<AbsoluteTargetLane value="${-2 + 1}"/>', 2), when_time(3))))
+    assert isinstance(change, CutIn)
+    assert change.lane == 2
+
+
+def test_repeated_and_skipped_events_are_noted() -> None:
+    content = with_events(speed("slow", 20, when_time(1)))
+    notes = of_file(content.replace(b'priority="overwrite"', b'priority="skip" maximumExecutionCount="3"')).notes
+    assert sum("<Event>" in note for note in notes) == sum("<Event>" in note for note in of_file(content).notes) + 2
 
 
 def test_offsets_are_drifts() -> None:
@@ -241,7 +314,6 @@ ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudina
 ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
 GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
 LATERAL = NEAR.replace("$gap", "3").replace("longitudinal", "lateral")
-IN = change_of_lane(BESIDE)
 CASES = {
     "version": (cut_in().replace(b'revMajor="1"', b'revMajor="2"'), "line 3, <FileHeader>"),
     "no road": (cut_in().replace(b'"../maps/motorway.xodr"', b'"../../motorway.xodr"'), "leaves the folder"),
@@ -258,6 +330,8 @@ CASES = {
     "falling": (with_events(event("in", IN, when_time(1, edge="falling"))), "falling"),
     "lateral": (with_events(event("in", IN, when("Ego", LATERAL))), "lateral"),
     "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
+    "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),
+    "many conditions": (with_events(event("in", IN, *[when_time(1)] * 21)), "more than 20"),
     "synchronised": (with_events(event("in", "<SynchronizeAction/>")), "SynchronizeAction"),
     "controller": (with_events(event("in", ACTIVE)), "controller"),
     "no such entity": (

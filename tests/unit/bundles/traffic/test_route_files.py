@@ -105,6 +105,7 @@ def test_flows_have_the_file_s_amount(amount: str, per_hour: float, number: int 
         (VEHICLE.format("").replace('route="r"', 'route="q"'), "no route q"),
         (VEHICLE.format("").replace('depart="0"', 'depart="triggered"'), "depart"),
         (VEHICLE.format("").replace("/>", '><stop lane="before_0" duration="3"/></vehicle>'), "stops"),
+        ('<vehicle id="a" depart="0"><route edges="before"><stop lane="before_0" duration="3"/></route></vehicle>', "stops"),
         (VEHICLE.format("") * 2, "same name"),
         ('<vehicle id="a" depart="0"><route edges="before nowhere"/></vehicle>', "no edge nowhere"),
         ('<vehicle id="a" depart="0"><route edges="ramp after"/></vehicle>', "route[1]"),

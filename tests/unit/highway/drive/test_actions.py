@@ -126,6 +126,13 @@ def test_a_speed_is_reached_in_a_time_or_a_distance_or_as_another_s(
     assert sumo.speeds == pytest.approx(speeds)
 
 
+def test_a_speed_that_is_already_another_s_is_kept_to_it(sumo: Sumo) -> None:
+    these = of({"do": "brake", "time": 0, "like": "ego", "continuous": True, "seconds": 2.0}, model="constant")
+    for step in range(3):
+        act(these, step, EgoPlace(0.0, 1.0, 30.0 - 2.0 * step))
+    assert sumo.speeds == pytest.approx([30, 28, 26])
+
+
 @pytest.mark.parametrize(
     ("target", "d", "way"),
     [({"by": 1}, 0.0, 3.5), ({"by": 0, "beside": "ego"}, 3.4, 3.5), ({"by": -1, "beside": "ego"}, 3.4, 0.0)],

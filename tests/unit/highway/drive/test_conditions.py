@@ -73,10 +73,15 @@ def test_simple_triggers_are_conditions() -> None:
     assert fired(action(gap=12), PASSING) == [1, 2, 3]
 
 
-def test_the_way_since_the_start_counts() -> None:
-    events = Events()
-    events.starts["other"] = 80.0
-    assert fired(action(when=[{"quantity": "travelled", "above": 60}]), PASSING, events) == [3, 4, 5]
+def test_the_way_since_the_start_counts_in_both_directions() -> None:
+    ways: dict[str, list[bool]] = {}
+    for name, passing in (("along", PASSING), ("against", PASSING[::-1])):
+        happened, watch = Events(), Watch("other", action(when=[{"quantity": "travelled", "above": 60}]), STEP)
+        ways[name] = []
+        for moment in passing:
+            happened.follow(moment.vehicles)
+            ways[name].append(watch.is_due(moment, happened))
+    assert ways == {"along": [False, False, False, True, True, True], "against": [False, False, False, True, True, True]}
 
 
 def test_an_action_waits_for_others_to_begin_or_to_be_done() -> None:

@@ -77,3 +77,12 @@ def test_a_trajectory_beyond_the_end_of_the_route_goes_straight_on() -> None:
     length = road().length
     rows = trajectory_of(road(), 0, checked_points([[0, length - 10, 0], [1, length + 20, 0]], 0.2, 0.0))
     assert np.allclose(rows[:, 5], 30, atol=0.05)
+
+
+@pytest.mark.parametrize(("last", "needed"), [(0.01, 0.01), (0.12, 0.12), (30.0, 25.0)])
+def test_a_trajectory_covers_what_is_needed_and_goes_straight_on_in_its_last_row(last: float, needed: float) -> None:
+    points = checked_points([[0, 100, 0], [last, 100 + 10 * last, 0]], needed, 0.0)
+    rows = trajectory_of(road(), 0, points, needed)
+    assert len(rows) >= 2
+    assert rows[-1, 0] >= needed - 1e-9
+    assert np.allclose(rows[:, 5], 10)

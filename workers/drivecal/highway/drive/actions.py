@@ -101,8 +101,7 @@ class Actions:
             name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
         }
         moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch)
-        for name, vehicle in moment.vehicles.items():
-            self._events.starts.setdefault(name, vehicle.s)
+        self._events.follow(moment.vehicles)
         waiting: list[tuple[str, Action, Watch | None]] = []
         due: list[tuple[str, Action]] = [*self._late]
         for name, action, known in self._waiting:
@@ -130,7 +129,9 @@ class Actions:
                 self._events.done.add(self._speeding[name].brake.id or "")
             speed = vehicle.getSpeed(name)
             target = _target(action, moment, speed)
-            self._speeding[name] = _Speeding(action, speed, target, _rate(action, speed, target))
+            rate = _rate(action, speed, target)
+            # A speed that is already that of the other vehicle says no rate at which to keep to it.
+            self._speeding[name] = _Speeding(action, speed, target, DEFAULT_RATE if action.continuous and rate == 0.0 else rate)
             vehicle.setSpeedMode(name, FREE if self._vehicles[name].model == "constant" else FREE_BUT_SAFE)
             return
         if name in self._shifts:

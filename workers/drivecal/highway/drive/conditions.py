@@ -1,6 +1,7 @@
 """Conditions on which the actions of the traffic's vehicles begin, evaluated once per step of the traffic."""
 
 from collections.abc import Mapping
+from math import isnan
 from typing import NamedTuple
 
 from drivecal.bundles.highway_actions import EGO, Condition, Trigger
@@ -28,12 +29,20 @@ class Moment(NamedTuple):
 
 
 class Events:
-    """What has happened in a run: actions that have begun or are done, and where each vehicle was seen first."""
+    """What has happened in a run: actions that have begun or are done, and how far each vehicle has travelled (m)."""
 
     def __init__(self) -> None:
         self.begun: set[str] = set()
         self.done: set[str] = set()
-        self.starts: dict[str, float] = {}
+        self.travelled: dict[str, float] = {}
+        self._places: dict[str, float] = {}
+
+    def follow(self, vehicles: Mapping[str, Moving]) -> None:
+        """Adds the way of the last step, also of vehicles that drive against the route."""
+        for name, vehicle in vehicles.items():
+            if not isnan(vehicle.s):
+                way = abs(vehicle.s - self._places.get(name, vehicle.s))
+                self.travelled[name], self._places[name] = self.travelled.get(name, 0.0) + way, vehicle.s
 
 
 class Watch:
@@ -107,7 +116,7 @@ class _Watched:
         if quantity == "s":
             return vehicle.s
         if quantity == "travelled":
-            return vehicle.s - events.starts.get(self._vehicle, vehicle.s)
+            return events.travelled.get(self._vehicle, 0.0)
         other = moment.vehicles.get(self._to)
         return None if other is None else self._between(vehicle, other, moment.stretch)
 

@@ -149,8 +149,9 @@ class UserVehicleModel(SingleTrackModel):
         if not all(map(math.isfinite, given.values())):
             raise PlantError(f"the vehicle gave {given!r:.200}; its state must be finite")
         state, (x, y, turned) = self._state, self._origin
-        heading, speed = turned + given["heading"], given["speed"]
-        yaw_rate = given.get("yaw_rate", (heading - state.item(2)) / STEP)
+        speed = given["speed"]
+        change = math.remainder(turned + given["heading"] - state.item(2), math.tau)  # headings may jump by whole turns
+        heading, yaw_rate = state.item(2) + change, given.get("yaw_rate", change / STEP)
         forward = given.get("longitudinal_acceleration", (speed - state.item(3)) / STEP)
         cosine, sine = math.cos(turned), math.sin(turned)
         state[:9] = (

@@ -1,6 +1,7 @@
 """Trajectories for the vehicle's tracker: from points of a user's controller, and from the built-in planner."""
 
 from collections.abc import Mapping, Sequence
+from math import ceil
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,7 +20,7 @@ from drivecal.plugins.ports import Observation
 STEP = 0.05
 """Seconds between rows of a trajectory."""
 LONGEST = 10.0
-"""Seconds of a trajectory that are looked at."""
+"""Seconds of a trajectory that are looked at, unless more are needed."""
 MOST_POINTS = 10_000
 PLANNER_STEP = 0.1
 """Seconds between rows of the planner's trajectories."""
@@ -60,7 +61,7 @@ class ControllerTrajectories(TrajectorySource):
     def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
         del pose, position, traffic
         points = checked_points(self._controller.step(signals)[0], self._needed, signals[0])
-        return trajectory_of(self._road, int(signals[TRACK]), points)
+        return trajectory_of(self._road, int(signals[TRACK]), points, self._needed)
 
 
 def checked_points(answer: Any, needed: float, time: float) -> Floats:
@@ -83,9 +84,12 @@ def checked_points(answer: Any, needed: float, time: float) -> Floats:
     return points
 
 
-def trajectory_of(road: HighwayRoad, track: int, points: Floats) -> Floats:
-    """Returns the trajectory through points (n, 3) of time, position and offset from a track's centre, joined by cubic curves."""
-    times = np.arange(0.0, min(points[-1, 0], LONGEST) + 1e-9, STEP)
+def trajectory_of(road: HighwayRoad, track: int, points: Floats, needed: float = 0.0) -> Floats:
+    """Returns the trajectory through points (n, 3) of time, position and offset from a track's centre, joined by cubic curves.
+
+    It covers `needed` seconds at least. A last row beyond the last point goes straight on.
+    """
+    times = np.arange(max(ceil(min(points[-1, 0], max(needed, LONGEST)) / STEP - 1e-9), 1) + 1) * STEP
     s, offset = _joined(points[:, 0], points[:, 1:], times).T
     line = road.line
     centres, slopes = road.lanes[:, max(track, 0), 0], road.lanes[:, max(track, 0), 3]
@@ -119,8 +123,10 @@ def _joined(times: Floats, values: Floats, at: Floats) -> Floats:
     u = (at - times[row])[:, None] / length
     first, last = values[row], values[row + 1]
     start, end = slopes[row] * length, slopes[row + 1] * length
+    beyond = np.maximum(u - 1.0, 0.0)
+    u = u - beyond
     blend = u * u * (3.0 - 2.0 * u)
-    return np.asarray(first + blend * (last - first) + u * (1.0 - u) * ((1.0 - u) * start - u * end))
+    return np.asarray(first + blend * (last - first) + u * (1.0 - u) * ((1.0 - u) * start - u * end) + beyond * end)
 
 
 class PlannerTrajectories(TrajectorySource):
