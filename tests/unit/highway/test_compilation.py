@@ -15,7 +15,7 @@ from numba.core.dispatcher import Dispatcher
 from tests.support.tree import PROJECT, modules, shown
 
 from drivecal.highway import geometry
-from drivecal.highway.compilation import digest_of
+from drivecal.highway.compilation import CacheFile, digest_of
 
 CALLED = "from numba import njit\n@njit(cache=True)\ndef number():\n    return {}\n"
 CALLER = """
@@ -42,6 +42,26 @@ def test_an_edit_of_a_called_module_compiles_its_callers_anew(tmp_path: Path) ->
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
     assert [answer(3), answer(3), answer(4)] == ["6 0", "6 1", "8 0"]
+
+
+def test_a_process_that_starts_while_another_stores_a_function_loads_no_other_one(tmp_path: Path) -> None:
+    """Neither that of an earlier source nor that of another signature, which has the same number in numba's own files."""
+
+    class Interrupted(CacheFile):
+        """Lets another process act before its function is written."""
+
+        def _save_data(self, name: str, data: Any) -> None:
+            if data == "new":
+                seen.append(CacheFile(str(tmp_path), "kernel", ("new",)).load("float"))
+                CacheFile(str(tmp_path), "kernel", ("new",)).save("int", "of int")
+            super()._save_data(name, data)
+
+    seen: list[object] = []
+    CacheFile(str(tmp_path), "kernel", ("old",)).save("float", "old")
+    Interrupted(str(tmp_path), "kernel", ("new",)).save("float", "new")
+    assert seen == [None]
+    stored = CacheFile(str(tmp_path), "kernel", ("new",))
+    assert [stored.load(key) for key in ("float", "int")] == ["new", "of int"]
 
 
 def kernels(module: ModuleType) -> list[Any]:

@@ -1,7 +1,8 @@
-"""Compilation of kernels that call kernels of other modules.
+"""Compilation of kernels. All are stored, and compiled anew when their own file or one whose kernels they call has changed.
 
-numba stores compiled functions, and takes them for current as long as their own file does not change; a kernel that it called from another
-module may have changed long since. Plain `njit(cache=True)` is right for kernels that call no other module's.
+numba itself takes a stored function for current as long as its own file does not change; a kernel that it called from another module may
+have changed long since. And it writes the index of stored functions before the function, to a file that an earlier source may have left:
+a process that starts in between loads the earlier one.
 """
 
 from collections.abc import Callable, Iterable
@@ -11,6 +12,21 @@ from types import ModuleType
 from typing import Any
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
+
+
+class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no types
+    """The stored functions of a kernel, one file for each source and signature, which is written before the index names it."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Stores a function under a key: its signature and the processor."""
+        digest = sha256(repr((self._source_stamp, key)).encode()).hexdigest()[:16]
+        name = self._data_name(digest)
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
+
+    def _data_name(self, number: str) -> str:
+        return f"{self._index_name.removesuffix('.nbi')}.{number}.nbc"
 
 
 def digest_of(modules: Iterable[ModuleType]) -> str:
@@ -24,12 +40,13 @@ def compiled_with(*modules: ModuleType, **options: Any) -> Callable[[Callable[..
 
     `modules`: all modules whose kernels are called, directly or through others.
     """
-    digest = digest_of(modules)
+    digests = (digest_of(modules),) if modules else ()
 
     def decorate(function: Callable[..., Any]) -> Any:
         kernel = njit(cache=True, **options)(function)
-        index = vars(kernel._cache._cache_file)  # noqa: SLF001  # numba offers nothing public; a test edits a called module
-        index["_source_stamp"] = (*index["_source_stamp"], digest)
+        cache = kernel._cache  # noqa: SLF001  # numba offers nothing public; a test edits a called module
+        base, stamp = cache._impl.filename_base, cache._cache_file._source_stamp  # noqa: SLF001  # as above
+        cache._cache_file = CacheFile(cache.cache_path, base, (*stamp, *digests))  # noqa: SLF001  # as above
         return kernel
 
     return decorate

@@ -8,15 +8,15 @@ bits are those of all stored results.
 from math import cos, sin
 
 import numpy as np
-from numba import njit
 
 from drivecal.domain.roads import Floats
+from drivecal.highway.compilation import compiled_with
 
 TOLERANCE = 1e-9
 """Step (m) at which Newton's iteration ends."""
 
 
-@njit(cache=True)
+@compiled_with()
 def with_directions(line: Floats) -> Floats:
     """Extends a reference line, shape (n, 5), by cosine and sine of the heading, shape (n, 7).
 
@@ -29,7 +29,7 @@ def with_directions(line: Floats) -> Floats:
     return table
 
 
-@njit(cache=True)
+@compiled_with()
 def point(line: Floats, s: float) -> tuple[float, float, float, float, float]:
     """Returns x, y, heading, curvature and change of curvature (1/m²) of the line at s; straight beyond its ends."""
     spacing = line[1, 0]
@@ -51,7 +51,7 @@ def point(line: Floats, s: float) -> tuple[float, float, float, float, float]:
     return x, y, line[row, 3] + u * (line[row, 4] + 0.5 * bend * u), line[row, 4] + bend * u, bend
 
 
-@njit(cache=True)
+@compiled_with()
 def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
     """Returns s, d, and the line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
 
@@ -72,7 +72,7 @@ def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, f
     return s, d, heading, along, across, curvature, bend
 
 
-@njit(cache=True)
+@compiled_with()
 def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
     """Returns the first of `outlines` that overlaps the ego vehicle's rectangle, -1 if there is none; separating axis theorem.
 

@@ -3,9 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-compiled = njit(cache=True, error_model="numpy")
+from drivecal.highway.compilation import compiled_with
+
+compiled = compiled_with(error_model="numpy")
 
 NONE = -1
 BESIDE = 65535

@@ -2,8 +2,8 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from drivecal.highway.compilation import compiled_with
 from drivecal.plugins.ports import Floats
 
 LENGTH = 160
@@ -18,7 +18,7 @@ RESOLUTION, LARGEST = 256, 2047
 """Steps per unit and largest value, 8 units. Convolutions over all channels stay below 2^18, exact in 32 bits."""
 
 
-@njit(cache=True)
+@compiled_with()
 def _sample(signal: Floats, position: float) -> float:
     """Interpolates linearly between samples; clips `position` to the signal."""
     last = signal.shape[0] - 1
@@ -27,7 +27,7 @@ def _sample(signal: Floats, position: float) -> float:
     return signal[row] + (position - row) * (signal[row + 1] - signal[row])
 
 
-@njit(cache=True)
+@compiled_with()
 def _fill(dynamics: Floats, offset: Floats, units: Floats, out: npt.NDArray[np.int32]) -> None:
     n, length = dynamics.shape[0], out.shape[1]
     averages, slopes = n - WINDOW + 1, n - WINDOW
@@ -55,7 +55,7 @@ def _fill(dynamics: Floats, offset: Floats, units: Floats, out: npt.NDArray[np.i
         out[5, t] = _whole(_sample(offset, share * (offset.shape[0] - 1)) / units[5])
 
 
-@njit(cache=True)
+@compiled_with()
 def _whole(value: float) -> int:
     return int(min(max(np.floor(value * RESOLUTION + 0.5), -LARGEST), LARGEST))
 

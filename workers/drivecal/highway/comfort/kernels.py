@@ -3,12 +3,12 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from drivecal.highway.compilation import compiled_with
 from drivecal.plugins.ports import Floats
 
 
-@njit(cache=True)
+@compiled_with()
 def peaks(signal: Floats, window: int, rate: float) -> tuple[float, float]:
     """Returns the largest absolute moving average of `signal`, and of its derivative, over `window` samples at `rate` Hz.
 
@@ -32,7 +32,7 @@ def peaks(signal: Floats, window: int, rate: float) -> tuple[float, float]:
     return largest / window, steepest * rate / max(reach, 1)
 
 
-@njit(cache=True)
+@compiled_with()
 def root_mean_square(signal: Floats) -> float:
     """Returns sqrt(<signal^2>), summed in the same order on every machine, which a BLAS does not guarantee."""
     total = 0.0
@@ -41,7 +41,7 @@ def root_mean_square(signal: Floats) -> float:
     return math.sqrt(total / signal.shape[0])
 
 
-@njit(cache=True)
+@compiled_with()
 def weighted_root_mean_square(first: Floats, second: Floats, sections: Floats) -> tuple[float, float]:
     """Returns the r.m.s. of two signals of equal length, filtered by second-order `sections`, shape (n, 6), a0 = 1, from rest.
 
@@ -65,7 +65,7 @@ def weighted_root_mean_square(first: Floats, second: Floats, sections: Floats) -
     return math.sqrt(first_total / first.shape[0]), math.sqrt(second_total / first.shape[0])
 
 
-@njit(cache=True)
+@compiled_with()
 def reversals(angle: Floats, gap: float) -> int:
     """Counts how often `angle` turns back by at least `gap` after moving by at least `gap` (zigzag count with hysteresis)."""
     count = 0
@@ -85,7 +85,7 @@ def reversals(angle: Floats, gap: float) -> int:
     return count
 
 
-@njit(cache=True)
+@compiled_with()
 def overshoot(offset: Floats, noticeable: float, centred: float, settled: int) -> float:
     """Returns the largest overshoot (m) beyond the centre after an excursion.
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from math import floor
 
 import numpy as np
-from numba import njit
 
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.scenarios import Manoeuvre
@@ -12,10 +11,11 @@ from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.channels import MIRROR, channels_of
 from drivecal.highway.comfort.regression_arrays import Regression
 from drivecal.highway.comfort.scale import BEST
+from drivecal.highway.compilation import compiled_with
 from drivecal.plugins.ports import Floats, Series
 
 
-@njit(cache=True)
+@compiled_with()
 def _weighted(features: Floats, weights: Floats, intercept: float) -> float:
     """Sums in the same order on every machine."""
     total = 0.0

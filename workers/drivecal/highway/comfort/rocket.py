@@ -9,8 +9,8 @@ from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from drivecal.highway.compilation import compiled_with
 from drivecal.plugins.ports import Floats
 
 Integers = npt.NDArray[np.int32]
@@ -20,7 +20,7 @@ KERNELS: Integers = np.array(list(combinations(range(TAPS), 3)), dtype=np.int32)
 """Positions of the three weights of 2 among the nine, shape (84, 3)."""
 
 
-@njit(cache=True)
+@compiled_with()
 def _convolve(
     padded: Integers, sums: Integers, channels: Integers, taps: Integers, dilation: int, margin: int, out: Integers
 ) -> None:
@@ -39,7 +39,7 @@ def _convolve(
             out[t] += 3 * (row[first + t] + row[second + t] + row[third + t]) - total[t]
 
 
-@njit(cache=True)
+@compiled_with()
 def transform(
     series: Integers,
     kernels: Integers,
@@ -85,7 +85,7 @@ def transform(
     return features
 
 
-@njit(cache=True)
+@compiled_with()
 def convolution_of(series: Integers, taps: Integers, dilation: int, channels: Integers) -> Integers:
     """Returns one convolution of `series`, shape (n,), from which biases are drawn."""
     count, n = series.shape

@@ -10,9 +10,10 @@ lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitu
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-compiled = njit(cache=True, error_model="numpy")
+from drivecal.highway.compilation import compiled_with
+
+compiled = compiled_with(error_model="numpy")
 
 INFEASIBLE = 32768
 """Same value as in `drivecal.highway.certification.nodes`."""

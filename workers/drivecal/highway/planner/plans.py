@@ -17,9 +17,9 @@ lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitu
 from math import atan2, cos, hypot, sin
 from typing import Any
 
-from numba import njit
+from drivecal.highway.compilation import compiled_with
 
-compiled = njit(cache=True, error_model="numpy")
+compiled = compiled_with(error_model="numpy")
 """Python's error model checks every division for zero, and a loop that may raise is not vectorised."""
 
 POINTS = 30

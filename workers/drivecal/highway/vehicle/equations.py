@@ -11,8 +11,8 @@ counts the steps that began outside the training range of the residual.
 import math
 
 import numpy as np
-from numba import njit
 
+from drivecal.highway.compilation import compiled_with
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 from drivecal.plugins.ports import Floats
 
@@ -71,7 +71,7 @@ def pack_plant(parameters: SingleTrackParameters) -> Floats:
     )
 
 
-@njit(cache=True)
+@compiled_with()
 def _within(value: float, lowest: float, highest: float) -> float:
     """Clips `value` to the limits; NaN stays NaN, so that a faulty trajectory is detected."""
     if value > highest:
@@ -81,7 +81,7 @@ def _within(value: float, lowest: float, highest: float) -> float:
     return value
 
 
-@njit(cache=True)
+@compiled_with()
 def plain_slip_and_yaw(v: float, beta: float, yaw_rate: float, delta: float, plant: Floats) -> tuple[float, float]:
     """Returns the derivatives of side-slip angle and yaw rate of the linear dynamic model (Rajamani, Section 2.3).
 
@@ -91,7 +91,7 @@ def plain_slip_and_yaw(v: float, beta: float, yaw_rate: float, delta: float, pla
     return beta_rate, plant[3] * beta - plant[4] * yaw_rate / v + plant[5] * delta
 
 
-@njit(cache=True)
+@compiled_with()
 def _within_range(lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats) -> float:
     """Returns the weight of the residual: 1 inside its training range, 0 beyond `FADE` of the range outside."""
     largest = max(abs(speed) / plant[LIMITS + 4], abs(pull) / plant[LIMITS + 5])
@@ -100,7 +100,7 @@ def _within_range(lateral: tuple[float, float, float, float], speed: float, pull
     return min(1.0, max(0.0, (1.0 + FADE - largest) / FADE))
 
 
-@njit(cache=True)
+@compiled_with()
 def residual_inputs(
     v: float, yaw_rate: float, beta_rate: float, yaw_acceleration: float, delta_rate: float, acceleration: float, plant: Floats
 ) -> tuple[tuple[float, float, float, float], float, float]:
@@ -116,7 +116,7 @@ def residual_inputs(
     return (lateral, yaw, v * yaw_rate / GRAVITY - lateral, steering), speed, acceleration / GRAVITY
 
 
-@njit(cache=True)
+@compiled_with()
 def residual_outputs(
     lateral: tuple[float, float, float, float], speed: float, pull: float, plant: Floats
 ) -> tuple[float, float]:
@@ -140,7 +140,7 @@ def residual_outputs(
     return share * _within(first, -plant[BOUNDS], plant[BOUNDS]), share * _within(second, -plant[BOUNDS + 1], plant[BOUNDS + 1])
 
 
-@njit(cache=True)
+@compiled_with()
 def residual_accelerations(state: Floats, delta_rate: float, acceleration: float, plant: Floats) -> tuple[float, float, bool]:
     """Returns the residual's lateral (m/s^2) and yaw acceleration (rad/s^2), 0 without residual, and whether it is within its range."""
     v, yaw_rate = state[3], state[5]
@@ -153,7 +153,7 @@ def residual_accelerations(state: Floats, delta_rate: float, acceleration: float
     return GRAVITY * more_lateral, more_yaw / plant[YAW_SCALE], within
 
 
-@njit(cache=True)
+@compiled_with()
 def _slip_and_yaw(
     v: float, beta: float, yaw_rate: float, delta: float, delta_rate: float, acceleration: float, plant: Floats,
     more_lateral: float, more_yaw: float,
@@ -176,7 +176,7 @@ def _slip_and_yaw(
     return beta_rate, share * yaw_dynamic + (1.0 - share) * yaw_kinematic
 
 
-@njit(cache=True)
+@compiled_with()
 def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats, step: float) -> bool:
     """Overwrites `state` by one classical Runge-Kutta step (order 4) of `step` seconds at constant steering rate and acceleration.
 
@@ -216,7 +216,7 @@ def advance(state: Floats, delta_rate: float, acceleration: float, plant: Floats
     return within
 
 
-@njit(cache=True)
+@compiled_with()
 def move(state: Floats, before: Floats, steering: float, acceleration: float, plant: Floats) -> bool:
     """Moves the plant by `STEP` towards a steering angle (rad) and an acceleration (m/s^2), through its actuators.
 
