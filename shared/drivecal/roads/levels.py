@@ -1,7 +1,7 @@
 """Roads above and below a route: edges that cross its lanes without a junction.
 
 Networks hold no reliable heights. Roads of one level meet at junctions, so an edge that enters the area of the route's lanes far from
-the junctions of the route, measured along the roads, is on another level.
+the junctions of the route, measured along the roads, is on another level. The other direction of a road of the route is not.
 """
 
 from collections.abc import Collection, Mapping
@@ -32,9 +32,12 @@ def other_levels(network: Network, corridor: Corridor) -> dict[str, tuple[float,
     outgoing, incoming = _links(network)
     behind, before = _distances(network, route, outgoing), _distances(network, route, incoming)
     junctions = {network.edges[edge].begin for edge in behind} | {network.edges[edge].end for edge in before}
+    opposite = {(network.edges[edge].end, network.edges[edge].begin) for edge in route}
     stretches = {}
     for name, positions in crossing.items():
         edge = network.edges[name]
+        if (edge.begin, edge.end) in opposite:
+            continue
         length = max(lane.length for lane in edge.lanes)
         first = max(0.0, NEAR - behind.get(name, NEAR))
         last = length - max(0.0, NEAR - before.get(name, NEAR))

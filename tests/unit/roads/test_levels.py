@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tests.support.networks import REAL, bridges, entrance, real_corridor, real_network
+from tests.support.networks import REAL, bridges, built, edge, entrance, node, real_corridor, real_network
 
 from drivecal.roads.corridor import corridor
 from drivecal.roads.levels import NEAR, other_levels
@@ -36,10 +36,16 @@ def test_ramps_and_roads_beside_a_route_are_on_its_level() -> None:
     assert other_levels(network, corridor(network, ("before", "beside", "after"), "road.net.xml")) == {}
 
 
+def test_the_other_direction_of_a_narrow_road_is_on_its_level() -> None:
+    nodes, there = [node("a", 0, 0), node("b", 1000, 0)], edge("there", "a", "b", 1, width="2.4")
+    network = read_network(built(nodes, [there, edge("back", "b", "a", 1, width="2.4")], []), "road.net.xml")
+    assert other_levels(network, corridor(network, ("there",), "road.net.xml")) == {}
+
+
 @pytest.mark.parametrize("name", REAL)
 def test_levels_of_real_networks_are_edges_beside_the_route(name: str) -> None:
     network, route = real_network(REAL[name][0]), real_corridor(name)
     levels = other_levels(network, route)
     assert not levels.keys() & {edge for edge, _ in route.places}
-    for edge, (begin, end) in levels.items():
-        assert begin < end < max(lane.length for lane in network.edges[edge].lanes) + 10
+    for name, (begin, end) in levels.items():
+        assert begin < end < max(lane.length for lane in network.edges[name].lanes) + 10
