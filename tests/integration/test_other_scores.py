@@ -147,3 +147,17 @@ def test_a_reference_answers_no_other_score(database: Database, tmp_path: Path) 
         by_gain = items(asked, f"{path}/solutions", limit=100, score="gain")
         assert 0 < len(by_gain) < len(items(asked, f"{path}/solutions", limit=100))
         assert all(row["objective"] == pytest.approx(row["parameters"]["z"]) and not row["reused"] for row in by_gain)
+
+
+def test_the_front_of_everything_keeps_the_constraints_of_the_problem(asked: Asked, database: Database) -> None:
+    """Earlier pushes of the problem allowed more sets in the same setups."""
+    store(database, MANIFEST | {"constraints": ["x <= 0.5"]})
+    few = {"evaluator": "gain", "optimizer": {"kind": "random", "population": 5, "iterations": 1, "seed": 2}}
+    accepted = asked.http.post("/api/v1/campaigns", json=SPEC | few).raise_for_status().json()
+    with database.read() as connection:
+        queued = campaigns.get(connection, accepted["id"])
+    run(database, queued, ComputedBackend(answer=simulated))
+    path = f"/api/v1/campaigns/{accepted['id']}/front"
+    evaluated = asked.http.get(f"{path}/summary", params={"everything": "true"}).raise_for_status().json()["evaluated"]
+    assert evaluated > asked.http.get(f"{path}/summary").raise_for_status().json()["evaluated"]
+    assert [row["parameters"]["x"] <= 0.5 for row in items(asked, path, everything="true")] == [True]
