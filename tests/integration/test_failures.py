@@ -7,15 +7,11 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.problems import store
+from tests.support.problems import carry_out, store, submit_checked
 
-from drivecal.api import submission
-from drivecal.api.dependencies import Limits
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
@@ -30,7 +26,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
 
-LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
     "problem": "mine",
     "parameters": {"x": {"lower": 0, "upper": 1}},
@@ -74,7 +69,7 @@ def _pushed(database: Database) -> None:
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:
-    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
+    return submit_checked(database, SPEC | changes)
 
 
 @dataclass
@@ -107,14 +102,7 @@ def dispatcher(database: Database, simulated: Simulated, backend: ComputedBacken
 def run(
     database: Database, campaign: StoredCampaign, simulated: Simulated, backend: ComputedBackend | None = None
 ) -> StoredCampaign:
-    running = dispatcher(database, simulated, backend)
-    for _ in range(5_000):
-        running.step()
-        with database.read() as connection:
-            now = campaigns.get(connection, campaign.id)
-        if now.state.ended:
-            return now
-    raise AssertionError("the campaign did not end")
+    return carry_out(database, campaign, dispatcher(database, simulated, backend))
 
 
 def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:

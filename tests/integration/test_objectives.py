@@ -6,17 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.benchmarks._objective import runner
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import SMALL, dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
+from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import front_of
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.storage import results
+from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets
 
 JERK = "peak_lateral_jerk_mps3"
 NSGA2 = {"kind": "nsga2", "population": 24, "iterations": 8, "seed": 3}
@@ -135,11 +139,54 @@ def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_
     assert not any(member.solution.reused for member in front)
 
 
+def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database) -> None:
+    robust = {"delta": 0.05, "steps": 2, "samples": 3, "solutions": 1000}
+    spec: dict[str, Any] = {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}, "robustness": robust}
+    ended = run(database, submit(database, **spec), backend())
+    front = {member.solution.parameter_set for member in ranking_of(database, ended).front()}
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, sorted(front))
+        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
+    assert study is not None
+    examined = [item["parameters"] for item in study["items"]]
+    assert len(examined) == len(front) > 1
+    assert all(each.floats in examined for each in sets.values())
+    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)), None).rows
+    assert [row.degree for row in rows].count(None) == 0
+
+
 def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Database) -> None:
     ended = run(database, submit(database, objectives=[{"score": "comfort", "aggregate": "min"}], reduction={"mode": "exact"}))
     assert ended.spec["optimizer"]["kind"] == SMALL["optimizer"]["kind"]
     assert ended.best is not None
     assert ended.best.objective == min(ended.best.scores.values())
+
+
+def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
+    def driven(scenario: str, cell: Cell) -> CellResult:
+        result = runner(scenario).run(list(cell.parameters.values()))
+        rating, failure = result.rating, None if result.failure is None else result.failure.value
+        return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
+
+    spec: dict[str, Any] = {
+        "objectives": TWO,
+        "parameters": "highway",
+        "catalogue": ["S1", "S3"],
+        "optimizer": NSGA2 | {"population": 10, "iterations": 3},
+        "reduction": {"mode": "exact"},
+    }
+    ended = run(database, submit(database, **spec), ComputedBackend(answer=driven))
+    front = ranking_of(database, ended).front()
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front])
+    assert front
+    for member in front:
+        cells = Cell(0, sets[member.solution.parameter_set].floats)
+        answers = [driven(name, cells) for name in ("S1", "S3")]
+        comfort = sum(answer.score or 0 for answer in answers) / 2
+        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in answers)
+        assert member.solution.judgement is not None
+        assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
 
 
 def test_a_default_given_in_words_changes_nothing(database: Database) -> None:

@@ -6,15 +6,13 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import FakeBackend
-from tests.support.problems import store
+from tests.support.problems import LIMITS, begin, carry_out, store, submit_checked
 
 from drivecal.api import submission
 from drivecal.api.comparison_submission import submit as submit_comparison
-from drivecal.api.dependencies import Limits
 from drivecal.campaigns.cells.tracing import request_trace
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.contracts.specification import EvaluationSpecification, RerunSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.campaigns import CampaignState
@@ -24,7 +22,6 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
-LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {
     "problem": "mine",
     "parameters": {"value": {"lower": 0, "upper": 100}},
@@ -55,7 +52,7 @@ def _pushed(database: Database) -> None:
 
 
 def submit(database: Database, **changes: Any) -> StoredCampaign:
-    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(SPEC | changes), None)
+    return submit_checked(database, SPEC | changes)
 
 
 def dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
@@ -64,14 +61,7 @@ def dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
 
 
 def ended(database: Database, campaign: StoredCampaign, backend: FakeBackend | None = None) -> StoredCampaign:
-    running = dispatcher(database, backend or FakeBackend())
-    for _ in range(5_000):
-        running.step()
-        with database.read() as connection:
-            now = campaigns.get(connection, campaign.id)
-        if now.state.ended:
-            return now
-    raise AssertionError("the campaign did not end")
+    return carry_out(database, campaign, dispatcher(database, backend or FakeBackend()))
 
 
 def on(version: str) -> FakeBackend:
@@ -90,12 +80,7 @@ def test_results_of_other_tools_never_answer(database: Database) -> None:
 
 def test_a_campaign_keeps_its_answer_over_restarts(database: Database) -> None:
     campaign = submit(database)
-    running = dispatcher(database, on("1.0"))
-    for _ in range(2_000):
-        running.step()
-        with database.read() as connection:
-            if campaigns.get(connection, campaign.id).cells.simulated:
-                break
+    begin(database, campaign, dispatcher(database, on("1.0")))
     restarted = ended(database, campaign, FakeBackend(tools={1: "2.0", 2: "1.0"}))
     assert (restarted.state, restarted.cells.simulated) == (CampaignState.SUCCEEDED, CELLS)
     with database.read() as connection:
@@ -104,12 +89,7 @@ def test_a_campaign_keeps_its_answer_over_restarts(database: Database) -> None:
 
 def test_a_campaign_whose_tools_are_gone_ends_with_both_answers(database: Database) -> None:
     campaign = submit(database)
-    running = dispatcher(database, on("1.0"))
-    for _ in range(2_000):
-        running.step()
-        with database.read() as connection:
-            if campaigns.get(connection, campaign.id).cells.simulated:
-                break
+    begin(database, campaign, dispatcher(database, on("1.0")))
     failed = ended(database, campaign, on("2.0"))
     assert failed.state is CampaignState.FAILED
     assert "1.0" in (failed.error or "")
@@ -173,13 +153,7 @@ def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) 
 
 def test_a_campaign_of_an_earlier_release_does_not_mix_answers(database: Database) -> None:
     campaign = submit(database)
-    running = dispatcher(database, on("1.0"))
-    for _ in range(2_000):
-        running.step()
-        with database.read() as connection:
-            begun = campaigns.get(connection, campaign.id)
-        if begun.cells.simulated:
-            break
+    begun = begin(database, campaign, dispatcher(database, on("1.0")))
     with database.transaction() as connection:  # which ran no probe
         without = {name: part for name, part in (begun.resolution or {}).items() if name != "tools"}
         campaigns.set_resolution(connection, campaign.sequence, without)

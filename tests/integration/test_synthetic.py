@@ -43,7 +43,7 @@ MANIFEST: dict[str, Any] = {
 ANALYSIS = {"intervals": 4, "samples": 12, "threshold": "auto"}
 FAILS_FROM = 75.0
 """Speed above which the city fails."""
-OPTIMIZERS = ["genetic", "swarm", "random", "cma_es", "optuna"]
+OPTIMIZERS = ["genetic", "swarm", "random", "cma_es", "optuna", "nsga2", "nsga3"]
 
 
 def energy(scenario: str, values: dict[str, Any]) -> float:

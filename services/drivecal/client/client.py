@@ -20,7 +20,7 @@ from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, Transport, named, path_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, FrontSummary, StudyPage, TradeOff
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -29,6 +29,7 @@ from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, S
 from drivecal.contracts.problems import ProblemAnswer, ProblemPage
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
+    FrontRow,
     InfluenceRow,
     OptimumRow,
     RobustnessRow,
@@ -181,12 +182,17 @@ class Client(Transport):
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
     def solutions(
-        self, identifier: str, weights: Mapping[str, float] | str | None = None, limit: int | None = None
+        self,
+        identifier: str,
+        weights: Mapping[str, float] | str | None = None,
+        limit: int | None = None,
+        score: str | None = None,
     ) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`."""
-        if isinstance(weights, Mapping):
-            weights = ",".join(f"{scenario}={weight:.12g}" for scenario, weight in weights.items())
-        return self._get(SolutionPage, "campaigns", identifier, "solutions", weights=weights, limit=limit)
+        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its score
+        or another of its problem."""
+        return self._get(
+            SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
+        )
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
         """Returns every requested cell of a campaign. `where`: conditions as in the REST API, e.g. `where=["scenario=S1", "P1>=0.5"]`."""
@@ -229,6 +235,30 @@ class Client(Transport):
         """Returns the sets that share a campaign's best objective, with their regions."""
         return self._rows_of(identifier, "optima", OptimumRow)
 
+    def front(
+        self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
+    ) -> list[FrontRow]:
+        """Returns the sets of a campaign's front, best first under `weights` of the objectives if they are given; with `everything` of all
+        that is stored in its setups and space."""
+        return self._rows_of(identifier, "front", FrontRow, weights=_weights_text(weights), everything=everything or None)
+
+    def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
+        """Returns the objectives, knee, extremes and hypervolumes of a front."""
+        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", everything=everything or None)
+
+    def trade_off(
+        self,
+        identifier: str,
+        first: int,
+        second: int,
+        weights: Mapping[str, float] | str | None = None,
+        *,
+        everything: bool = False,
+    ) -> TradeOff:
+        """Returns the differences of two sets of a front, by their ranks under the same `weights`."""
+        query = {"first": first, "second": second, "weights": _weights_text(weights), "everything": everything or None}
+        return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
+
     def setup(self, identifier: str) -> CampaignSetup:
         """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(CampaignSetup, "campaigns", identifier, "setup")
@@ -265,9 +295,9 @@ class Client(Transport):
         """Returns the effects over all pairs."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
-    def _rows_of(self, identifier: str, table: TableName, model: type[Answer]) -> list[Answer]:
+    def _rows_of(self, identifier: str, table: TableName, model: type[Answer], **query: Any) -> list[Answer]:
         try:
-            return [model.model_validate(row) for row in self.rows(identifier, table)]
+            return [model.model_validate(row) for row in self.rows(identifier, table, **query)]
         except ValidationError as error:
             raise self._strange() from error
 
@@ -341,3 +371,9 @@ class Client(Transport):
     def workers(self) -> WorkerPage:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
+
+
+def _weights_text(weights: Mapping[str, float] | str | None) -> str | None:
+    if isinstance(weights, Mapping):
+        return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
+    return weights

@@ -95,6 +95,11 @@ def parameter_column(name: str) -> str:
     return f"parameter_{name}" if name in EvaluationRow.model_fields else name
 
 
+def measure_column(name: str) -> str:
+    """Returns the column of a measure, distinct from all other columns of evaluations: parameters may have the same name."""
+    return f"measure_{name}"
+
+
 def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str | None:
     marks = [mark for mark in metadata if isinstance(mark, Spread | FileForm) or mark == JSON_ONLY]
     return marks[0] if marks else _JOINED if annotation == list[str] else None
@@ -116,7 +121,7 @@ def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
     return counts
 
 
-CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "influence", "robustness", "validation"]
+CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "front", "influence", "robustness", "validation"]
 ComparisonTable = Literal["comparison", "comparison-groups", "comparison-pairs", "comparison-effects"]
 TableName = Literal[CampaignTable, ComparisonTable]
 
@@ -213,6 +218,35 @@ class OptimumRow(Solution):
 
     region: int
     to_worse: float | None
+
+
+class FrontRow(Answer):
+    """A set that no other evaluated set dominates; `rank` counts from 1, best first objective first, or largest `weighted` first.
+
+    `alternatives`: sets with the same objectives, this one included. `knee`: it gives the most for what it costs; `best_in`: the objectives
+    in which no set is better. `wins`: its share of all weightings of the objectives, scaled to the front, and `weights` the corners of that
+    region; null for more than three objectives. `violation`: of the constraints, in shares; above 0 only if no set keeps them all.
+    `degree`: that of the robustness stage if it examined the set.
+    """
+
+    rank: int
+    objectives: Annotated[dict[str, float], Spread("objective_")]
+    weighted: float | None = None
+    """The weighted sum of the scaled objectives, 0 to 1, if weights were given."""
+    violation: float
+    knee: bool
+    best_in: list[str]
+    wins: float | None
+    weights: Annotated[list[list[float]] | None, JSON_ONLY]
+    alternatives: int
+    degree: int | None
+    scores: Annotated[dict[str, Score], Spread("score_")]
+    reused: list[str]
+    """Scenarios whose score is that of a reference: this very set was not simulated there."""
+    parameters: Annotated[dict[str, float | str], Spread()]
+    iteration: int | None
+    """Null for a set that only other campaigns evaluated."""
+    individual: int | None
 
 
 class InfluenceRow(Answer):

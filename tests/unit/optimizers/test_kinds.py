@@ -16,6 +16,7 @@ from drivecal.optimizers import abilities
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.nsga import NSGA2, NSGA3
 from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
 
@@ -27,8 +28,11 @@ START = np.array([[2 * 10**15, 123_456_789, 1, 3, 17], [1_999_999_999_999_999, 0
 CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
     *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM, CMA_ES)),
     *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2")),
+    *((plugin, {}) for plugin in (NSGA2, NSGA3)),
 ]
-every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "nsga2"])
+every = pytest.mark.parametrize(
+    ("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "optuna nsga2", "nsga2", "nsga3"]
+)
 
 
 def closeness(population: Indices) -> Floats:

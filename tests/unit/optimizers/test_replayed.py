@@ -14,7 +14,7 @@ from tests.support.effort import tries
 
 from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers import cma_es, optuna_samplers
+from drivecal.optimizers import cma_es, nsga, optuna_samplers
 from drivecal.optimizers.built_in import RANDOM
 from drivecal.optimizers.replayed import Replayed
 from drivecal.plugins import registry
@@ -25,8 +25,10 @@ CMA_ES, OPTUNA = cma_es.CMA_ES, optuna_samplers.OPTUNA
 CASES: list[tuple[OptimizerPlugin, dict[str, Any]]] = [
     (CMA_ES, {}),
     *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2", "random")),
+    (nsga.NSGA2, {}),
+    (nsga.NSGA3, {}),
 ]
-every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["cma_es", "tpe", "nsga2", "random"])
+every = pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["cma_es", "tpe", "optuna nsga2", "random", "nsga2", "nsga3"])
 
 
 def bowl(population: Indices) -> tuple[Floats, Floats]:
@@ -190,7 +192,11 @@ def test_they_beat_random_search(plugin: OptimizerPlugin, chosen: dict[str, Any]
 
 @pytest.mark.parametrize(
     ("name", "package", "module"),
-    [("cma_es", "cma", "drivecal.optimizers.cma_es"), ("optuna", "optuna", "drivecal.optimizers.optuna_samplers")],
+    [
+        ("cma_es", "cma", "drivecal.optimizers.cma_es"),
+        ("optuna", "optuna", "drivecal.optimizers.optuna_samplers"),
+        ("nsga2", "pymoo", "drivecal.optimizers.nsga"),
+    ],
 )
 def test_one_whose_library_is_missing_says_which_extra_brings_it(
     name: str, package: str, module: str, monkeypatch: pytest.MonkeyPatch

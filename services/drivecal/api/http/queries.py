@@ -63,8 +63,35 @@ class TableOf(PageOf, FormOf):
 
 
 class SolutionsOf(TableOf):
-    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1."""
+    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem."""
 
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+    score: Annotated[str, StringConstraints(max_length=300)] | None = None
+
+
+class EvaluationsOf(TableOf):
+    """A page of evaluations; with `measures`, behind all other columns those of the run that answered each."""
+
+    measures: bool = False
+
+
+class SummaryOf(Parameters):
+    """A front: of the campaign's own search, or with `everything` of all that is stored in its setups and space."""
+
+    everything: bool = False
+
+
+class FrontOf(TableOf, SummaryOf):
+    """A page of a front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
+
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+
+
+class TradeOffOf(SummaryOf):
+    """Two ranks of a front."""
+
+    first: Annotated[int, Field(ge=1)]
+    second: Annotated[int, Field(ge=1)]
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
 
 
@@ -80,7 +107,11 @@ CampaignsQuery = Annotated[CampaignsOf, Query()]
 ProblemsQuery = Annotated[ProblemsOf, Query()]
 FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
+EvaluationsQuery = Annotated[EvaluationsOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
+SummaryQuery = Annotated[SummaryOf, Query()]
+FrontQuery = Annotated[FrontOf, Query()]
+TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 
 

@@ -1,20 +1,24 @@
 """Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
-from collections.abc import Iterable
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import SolutionsQuery, TableQuery
+from drivecal.api.http.queries import EvaluationsQuery, SolutionsQuery, TableQuery
 from drivecal.api.responses import calibration, evaluation_row, refuse_comparison
 from drivecal.api.tables import influence
 from drivecal.api.tables.files import Row
 from drivecal.api.tables.paging import Columns, Pages, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
+from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.tables import (
     Column,
@@ -27,13 +31,14 @@ from drivecal.contracts.tables import (
     Solution,
     ValidationRow,
     columns_of,
+    measure_column,
 )
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import influence_maps
+from drivecal.storage.references import influence_maps, runs
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
@@ -52,25 +57,46 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
 
 @router.get("/evaluations", responses=page_or_file(EvaluationRow))
-def list_evaluations(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """Requested cells, ordered by stage, iteration, individual and scenario."""
+def list_evaluations(
+    campaign_id: str, query: EvaluationsQuery, database: DatabaseDependency, accept: Accept = "*/*"
+) -> Response:
+    """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also those of the runs that answered them."""
     campaign = _campaign(database, campaign_id)
+    measures = _measures(database, campaign) if query.measures else ()
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [evaluation_row(evaluation) for evaluation in page], following
+            ids = [evaluation.run_id for evaluation in page if evaluation.run_id is not None]
+            stored = runs.metrics(connection, ids) if measures else {}
+        rows = (evaluation_row(evaluation) | _measured(measures, stored.get(evaluation.run_id or 0)) for evaluation in page)
+        return list(rows), following
 
-    return table_answer(f"evaluations-{campaign.id}", query, accept, lambda: _evaluation_columns(database, campaign), pages)
+    def columns() -> list[Column]:
+        return _evaluation_columns(database, campaign) + [Column(measure_column(name), "number") for name in measures]
+
+    return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
+
+
+def _measures(database: Database, campaign: StoredCampaign) -> Sequence[str]:
+    """Returns the names of the measures of a campaign's problem."""
+    if campaign.kind == "evaluation":
+        return ()
+    return tuple(find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.measures)
+
+
+def _measured(measures: Sequence[str], stored: Mapping[str, float | None] | None) -> dict[str, Any]:
+    """Returns the columns of measures of a row; they are empty for a cell without a run."""
+    return {measure_column(name): None if stored is None else stored.get(name) for name in measures}
 
 
 @router.get("/solutions", responses=page_or_file(Solution))
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The evaluated parameter sets, best first, under the campaign's weights or others. Nothing is simulated for it."""
+    """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    ranked = ranking(database, campaign, begun_with, query.weights)
-    columns = _columns(Solution, ranked.scenarios, begun_with)
+    ranked = ranking(database, campaign, begun_with, query.weights, query.score)
+    columns = _columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale))
     return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
 
 
@@ -127,11 +153,11 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": _kinds(begun_with.space)}
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": kinds_of(begun_with.space)}
     return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 
-def _kinds(space: ParameterSpace) -> dict[str, Kind]:
+def kinds_of(space: ParameterSpace) -> dict[str, Kind]:
     """Returns the types of the parameters' columns."""
     return {parameter.name: "text" if parameter.choices else "number" for parameter in space.parameters}
 
@@ -152,7 +178,7 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
     with database.read() as connection:
         rows, _ = results.page(connection, campaign.sequence, limit=1)
     begun_with = resolved_spec(campaign)
-    kinds = _kinds(begun_with.space)
+    kinds = kinds_of(begun_with.space)
     if rows:
         values = rows[0].parameters.floats
         kinds = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}

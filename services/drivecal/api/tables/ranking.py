@@ -1,15 +1,24 @@
 """Ranking of the evaluated sets of a campaign."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from sqlalchemy import Connection
+
+from drivecal.analysis.goals import SCORE, CellValue
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
+from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.contracts.assignments import assignments
+from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import Scale, plain
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -25,15 +34,16 @@ class CampaignRanking:
     database: Database
     ranked: Sequence[Ranked]
     scenarios: Sequence[str]
+    scale: Scale
 
     def __len__(self) -> int:
         return len(self.ranked)
 
     def solutions(self, start: int, stop: int) -> list[Solution]:
         """Returns the solutions of ranks `start` + 1 to `stop`."""
-        shown = self.ranked[start:stop]
+        listed = self.ranked[start:stop]
         with self.database.read() as connection:
-            sets = parameter_sets.load(connection, [solution.parameter_set for solution in shown])
+            sets = parameter_sets.load(connection, [solution.parameter_set for solution in listed])
         return [
             Solution(
                 rank=rank,
@@ -45,21 +55,51 @@ class CampaignRanking:
                 iteration=solution.iteration,
                 individual=solution.individual,
             )
-            for rank, solution in enumerate(shown, start + 1)
+            for rank, solution in enumerate(listed, start + 1)
         ]
 
 
-def ranking(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None) -> CampaignRanking:
-    """Returns the ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`).
+def ranking(
+    database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
+) -> CampaignRanking:
+    """Returns the ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`), and its score or another of its problem.
 
-    A copied score gives way to a later simulation of the very cell. Raises InvalidInputError for unusable weights.
+    A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of the runs that answered.
+    Raises InvalidInputError for unusable weights and unknown scores.
     """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
-    standing = Ranking(used, resolved.scale.sign)
+    other = None if score is None else _other_score(database, campaign, score)
+    scale = resolved.scale if other is None or other.scale is None else other.scale
+    standing = Ranking(used, scale.sign)
     with database.read() as connection:
-        answers = results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator)
-        standing.add(answers)
-    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0])
+        if other is None:
+            corrected_by = resolved.evaluator
+            standing.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=corrected_by))
+        else:
+            standing.add(_rated(connection, campaign, other))
+    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)
+
+
+def _other_score(database: Database, campaign: StoredCampaign, name: str) -> CellValue | None:
+    """Returns another score of a campaign's problem, None for its own. Raises InvalidInputError if there is none of this name."""
+    known = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.scores
+    if name not in known:
+        message = f"the campaign's problem has no score {shown(name)}"
+        remedy = f"one of {', '.join(known)}; drivecal rerun --evaluator rates stored runs by another evaluator"
+        raise InvalidInputError(Problem("score", message, remedy))
+    return None if known[name].key == SCORE else known[name]
+
+
+def _rated(connection: Connection, campaign: StoredCampaign, value: CellValue) -> Iterator[CellScore]:
+    """Yields the answered cells with another score, without one if no run answered them or it lacks a measure."""
+
+    def rate(measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
+        score = value.of(measures, failure)
+        return {} if score is None else {value.key: score}
+
+    for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, valued=rate):
+        score = cell.values.get(value.key)
+        yield replace(cell, score=None if score is None else plain(score), rating=score)
 
 
 def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:

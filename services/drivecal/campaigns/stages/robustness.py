@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
-from drivecal.analysis.solutions import EQUAL, Ranking
+from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -94,15 +94,14 @@ class RobustnessStage(StudyStage):
         self._study: RobustnessStudy | None = None
 
     def _choose(self) -> list[Examined]:
-        """The named sets, then the best sets of the calibration, one of each region first."""
-        standing, of = Ranking(self._problem.weights, self._sign), self._wanted.of
+        """The named sets, then the best sets of the calibration, or its front, one of each region first."""
+        goals, of = self._problem.goals, self._wanted.of
+        standing = Ranking(self._problem.weights, self._sign, goals)
+        valued = goals.values if goals is not None and goals.computed else None
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION))
-            ranking = standing.ranking()
-            least = self._sign * ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-            enough = sum(1 for solution in ranking if self._sign * solution.objective >= least)
-            best, worse = ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
+            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION, valued=valued))
+            best, worse = self._on_front(standing) if goals is not None and goals.is_vector else self._within(standing)
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
@@ -115,6 +114,22 @@ class RobustnessStage(StudyStage):
             Examined(listed[position], known[position].region, known[position].to_worse)
             for position in (*range(len(named)), *chosen)
         ]
+
+    def _within(self, standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+        """The sets that count as the best, and others."""
+        ranking = standing.ranking()
+        sign = ranking[0].sign if ranking else 1
+        least = sign * ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
+        enough = sum(1 for solution in ranking if sign * solution.objective >= least)
+        return ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
+
+    @staticmethod
+    def _on_front(standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+        """The sets of the front, and others."""
+        front = [member.solution for member in standing.front()]
+        members = {solution.parameter_set for solution in front}
+        others = [solution for solution in standing.ranking() if solution.parameter_set not in members]
+        return front[:MOST_BEST], others[:MOST_WORSE]
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:

@@ -14,7 +14,8 @@ from drivecal.calibration_data.chosen import characteristics_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
-from drivecal.cli.views.output import print_json, print_solutions
+from drivecal.cli.views.front import print_front, print_trade_off
+from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
@@ -22,6 +23,9 @@ from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
+ScoreOption = Annotated[
+    str | None, typer.Option(help="Rank by another score of the problem instead, from stored measures; simulates nothing.")
+]
 
 
 @app.command()
@@ -31,6 +35,7 @@ def solutions(
         str | None,
         typer.Option(metavar="S1=2,S2=1", help="Rank by these weights instead; simulates nothing. Not named means weight 1."),
     ] = None,
+    score: ScoreOption = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, best first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -40,12 +45,52 @@ def solutions(
         assignments(weights.split(","), "--weights")
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        page = client.solutions(campaign_id, weights, limit)
+        page = client.solutions(campaign_id, weights, limit, score)
         spec = client.campaign(campaign_id).spec
     if as_json:
         print_json(page)
     else:
         print_solutions(page.items, spec)
+
+
+@app.command()
+def front(
+    identifier: CampaignArgument,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="comfort=2,gap=1", help="Best first under these weights of the objectives; not named means weight 1."
+        ),
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--everything", help="Of all stored sets of the same setups and space, by whatever campaign.")
+    ] = False,
+    between: Annotated[
+        str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
+    ] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the sets of a campaign that no other set beats in every objective."""
+    ranks = None if between is None else _ranks(between)
+    with connect(url) as client:
+        campaign_id = client.full_id(identifier)
+        if ranks is not None:
+            print_answer(client.trade_off(campaign_id, *ranks, weights, everything=everything), as_json, print_trade_off)
+            return
+        rows = client.front(campaign_id, weights, everything=everything)
+        summary = client.front_summary(campaign_id, everything=everything)
+    if as_json:
+        print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
+    else:
+        print_front(rows, summary)
+
+
+def _ranks(text: str) -> tuple[int, int]:
+    parts = text.split(",")
+    if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
+        raise typer.BadParameter("give two ranks, e.g. --between 1,5")
+    return int(parts[0]), int(parts[1])
 
 
 @app.command()
@@ -66,16 +111,28 @@ def export(
         ),
     ] = None,
     weights: Annotated[
-        str | None, typer.Option(metavar="S1=2,S2=1", help="Of the table solutions: ranked under these weights.")
+        str | None,
+        typer.Option(
+            metavar="S1=2,S2=1", help="Of the tables solutions (scenarios) and front (objectives): ranked by these weights."
+        ),
     ] = None,
+    score: ScoreOption = None,
+    measures: Annotated[
+        bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")
+    ] = False,
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row)."""
     form = "json" if as_json else form
-    if weights is not None and table != "solutions":
-        raise typer.BadParameter("--weights needs --table solutions")
-    query = {name: value for name, value in (("where", where), ("weights", weights)) if value}
+    if weights is not None and table not in {"solutions", "front"}:
+        raise typer.BadParameter("--weights needs --table solutions or front")
+    if score is not None and table != "solutions":
+        raise typer.BadParameter("--score needs --table solutions")
+    if measures and table != "evaluations":
+        raise typer.BadParameter("--measures needs --table evaluations")
+    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
+    query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
         if form in {"dcm", "cdfx"} or row is not None or names is not None:
@@ -109,7 +166,12 @@ def _calibration_file(
     setup = client.setup(identifier)
     labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
     chosen = next(
-        (item for item in client.solutions(identifier, query.get("weights"), limit=row).items if item.rank == row), None
+        (
+            item
+            for item in client.solutions(identifier, query.get("weights"), row, query.get("score")).items
+            if item.rank == row
+        ),
+        None,
     )
     if chosen is None:
         raise InvalidInputError(

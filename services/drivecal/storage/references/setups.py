@@ -38,12 +38,12 @@ def ensure(connection: Connection, given: Sequence[Setup]) -> list[int]:
         {"fingerprint": fingerprint, "scenario": setup.scenario, "document": setup.document}
         for fingerprint, setup in sorted(documents.items())
     ]
-    ids = _ids(connection, list(documents))
-    missing = [row for row in rows if row["fingerprint"] not in ids]
+    known = ids(connection, list(documents))
+    missing = [row for row in rows if row["fingerprint"] not in known]
     if missing:
         connection.execute(insert(connection, setups).on_conflict_do_nothing(index_elements=["fingerprint"]), missing)
-        ids = _ids(connection, list(documents))
-    return [ids[setup.fingerprint] for setup in given]
+        known = ids(connection, list(documents))
+    return [known[setup.fingerprint] for setup in given]
 
 
 def counts(connection: Connection) -> list[SetupCount]:
@@ -68,6 +68,7 @@ def documents(connection: Connection, fingerprints: Sequence[str]) -> dict[str, 
     return dict(rows_among(connection, query, setups.c.fingerprint, fingerprints))
 
 
-def _ids(connection: Connection, fingerprints: Sequence[str]) -> dict[str, int]:
+def ids(connection: Connection, fingerprints: Sequence[str]) -> dict[str, int]:
+    """Returns the ids of stored setups, by fingerprint."""
     query = select(setups.c.fingerprint, setups.c.id)
     return dict(rows_among(connection, query, setups.c.fingerprint, fingerprints))

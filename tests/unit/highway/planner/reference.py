@@ -16,11 +16,11 @@ from numpy.polynomial import Polynomial
 
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.planner import candidates, cost, kernel
+from drivecal.highway.planner import candidates, cost, plans, terms
 from drivecal.highway.planner.planner import CURB
 from drivecal.plugins.ports import Observation
 
-TIMES = [(k + 0.5) * kernel.INTERVAL for k in range(kernel.POINTS)]
+TIMES = [(k + 0.5) * plans.INTERVAL for k in range(plans.POINTS)]
 DIFFERENCE = 1e-4
 
 
@@ -73,7 +73,7 @@ class ReferencePlanner:
         self.start = self.where_to_start(observation)
         self.fit(observation)
         self.raw = np.array([self.candidate(i, j, observation) for j in range(len(self.along)) for i in range(len(self.aside))])
-        self.features = np.floor(self.raw * kernel.FEATURE_GRID + 0.5) / kernel.FEATURE_GRID
+        self.features = np.floor(self.raw * terms.FEATURE_GRID + 0.5) / terms.FEATURE_GRID
         self.costs = [sum(w * c for w, c in zip(self.weights, row, strict=True)) for row in self.features]
         order = sorted(range(len(self.costs)), key=lambda index: (self.costs[index], index))
         feasible = (index for index in order if self.is_feasible(index % len(self.aside), index // len(self.aside)))
@@ -92,7 +92,7 @@ class ReferencePlanner:
         elapsed = observation.time - since
         planned = [along(elapsed, order) for order in range(3)] + [aside(elapsed, order) for order in range(3)]
         deviations = [abs(measured[index] - planned[index]) for index in (0, 1, 3, 4)]
-        if any(deviation > allowed for deviation, allowed in zip(deviations, kernel.LARGEST_DEVIATIONS, strict=True)):
+        if any(deviation > allowed for deviation, allowed in zip(deviations, plans.LARGEST_DEVIATIONS, strict=True)):
             return measured
         self.rest_aside, self.rest_ahead = aside.horizon - elapsed, along.horizon - elapsed
         return planned
@@ -103,8 +103,8 @@ class ReferencePlanner:
         wanted, other = lanes if observation.time < task.lane_change_after else lanes[::-1]
         self.target = wanted * road.lane_width
         ends = list(candidates.lateral_ends(road.lane_width, wanted, other).T)
-        self.goes_on_aside = self.before is not None and bool(self.rest_aside >= kernel.SHORTEST_REST)
-        self.goes_on_ahead = self.before is not None and bool(self.rest_ahead >= kernel.SHORTEST_REST)
+        self.goes_on_aside = self.before is not None and bool(self.rest_aside >= plans.SHORTEST_REST)
+        self.goes_on_ahead = self.before is not None and bool(self.rest_ahead >= plans.SHORTEST_REST)
         if self.before is not None and self.goes_on_aside:
             ends[-1] = np.array([self.before[2](1e9), self.rest_aside])
         self.aside = [curve(self.start[3:], [(0, end), (1, 0.0), (2, 0.0)], horizon) for end, horizon in ends]
@@ -143,14 +143,14 @@ class ReferencePlanner:
             sums[2] += (d2 + s1**2 * self.curvature_at(s)) ** 2
             offset = min(abs(d - lane * lane_width) for lane in range(self.scenario.road.lanes))
             sums[3] += offset**2 / (1 + offset**2)
-            sums[4] += (d1 / max(s1, kernel.SLOWEST)) ** 2
+            sums[4] += (d1 / max(s1, terms.SLOWEST)) ** 2
             if self.before is not None:
                 change = d - self.planned[k]
-                sums[5] += change**2 / (1 + (change / kernel.LARGEST_CHANGE) ** 2)
-            away = (abs(d - self.target) - kernel.ARRIVED) / (kernel.NOT_ARRIVED - kernel.ARRIVED)
+                sums[5] += change**2 / (1 + (change / terms.LARGEST_CHANGE) ** 2)
+            away = (abs(d - self.target) - terms.ARRIVED) / (terms.NOT_ARRIVED - terms.ARRIVED)
             sums[6] += min(max(away, 0.0), 1.0)
             space = lane_width / 2 - offset - width / 2
-            sums[9] += (max(kernel.BOUNDARY_SPACE - space, 0.0) / kernel.BOUNDARY_SPACE) ** 2
+            sums[9] += (max(terms.BOUNDARY_SPACE - space, 0.0) / terms.BOUNDARY_SPACE) ** 2
             error += (s1 - min(self.limit, self.desired_at(s))) ** 2
             acceleration += s2**2
         collision = 0.0
@@ -159,7 +159,7 @@ class ReferencePlanner:
         end_offset = abs(aside[-1][0] - self.target)
         changes_ahead = cost.CHANGE_AHEAD if self.goes_on_ahead and j != len(self.along) - 1 else 0.0
         changes_aside = cost.CHANGE_ASIDE if self.goes_on_aside and i != len(self.aside) - 1 else 0.0
-        n = kernel.POINTS
+        n = plans.POINTS
         features = [0.0] * 12
         features[0] = (
             self.rounded((cost.SPEED_ERROR * error + cost.ACCELERATION * acceleration) / n + changes_ahead)
@@ -167,7 +167,7 @@ class ReferencePlanner:
             + self.rounded(cost.COLLISION * collision / n)
         )
         for index, term in enumerate(cost.TERMS, start=1):
-            share = {6: kernel.INTERVAL, 8: 1.0, 11: 1.0}.get(index, 1 / n)
+            share = {6: plans.INTERVAL, 8: 1.0, 11: 1.0}.get(index, 1 / n)
             features[index] = sums[index] * share / term.typical
         jerks = [sum(point[3] ** 2 for point in plan) / n / cost.TERMS[0].typical for plan in (aside, along)]
         features[1] = self.rounded(jerks[0]) + self.rounded(jerks[1])
@@ -175,7 +175,7 @@ class ReferencePlanner:
 
     @staticmethod
     def rounded(value: float) -> float:
-        return float(np.floor(value * kernel.FEATURE_GRID + 0.5) / kernel.FEATURE_GRID)
+        return float(np.floor(value * terms.FEATURE_GRID + 0.5) / terms.FEATURE_GRID)
 
     def neighbour(
         self, neighbour: Floats, aside: list[tuple[float, ...]], along: list[tuple[float, ...]], sums: list[float]
@@ -187,22 +187,22 @@ class ReferencePlanner:
             return 0.0
         touched = 0.0
         for t, (d, d1, _, _), (s, s1, _, _) in zip(TIMES, aside, along, strict=True):
-            fading = exp(-t / kernel.DRIFT_TIME)
-            other_d = other_d0 + other_d1 * kernel.DRIFT_TIME * (1 - fading)
+            fading = exp(-t / terms.DRIFT_TIME)
+            other_d = other_d0 + other_d1 * terms.DRIFT_TIME * (1 - fading)
             other_s = other_s0 + other_s1 * t
             gap = max(abs(other_s - s) - (ego.length + length) / 2, 0.0)
             beside = max(abs(other_d - d) - (ego.width + width) / 2, 0.0)
-            clear = max(kernel.CLEAR_TIME * s1, kernel.SHORTEST_CLEARANCE)
-            sums[7] += max(1 - (gap / clear) ** 2 - (beside / kernel.CLEAR_SIDE) ** 2, 0.0)
+            clear = max(terms.CLEAR_TIME * s1, terms.SHORTEST_CLEARANCE)
+            sums[7] += max(1 - (gap / clear) ** 2 - (beside / terms.CLEAR_SIDE) ** 2, 0.0)
             if gap == 0 and abs(other_d - d) < (ego.width + width) / 2:
                 touched += 1
             sign = 1.0 if other_d > d else -1.0
-            lateral_rate = max(sign * (d1 - other_d1 * fading), 0.0) / max(beside, kernel.SMALLEST_SIDE_GAP)
-            alongside = max(1 - gap / (kernel.ALONGSIDE_TIME * max(s1, kernel.SLOWEST)), 0.0)
+            lateral_rate = max(sign * (d1 - other_d1 * fading), 0.0) / max(beside, terms.SMALLEST_SIDE_GAP)
+            alongside = max(1 - gap / (terms.ALONGSIDE_TIME * max(s1, terms.SLOWEST)), 0.0)
             sums[10] += alongside * lateral_rate**2
             is_ahead = other_s > s
-            rate = max(s1 - other_s1 if is_ahead else other_s1 - s1, 0.0) / max(gap, kernel.SMALLEST_GAP)
-            urgency = min(rate**2, kernel.LARGEST_URGENCY) * max(1 - beside / kernel.IN_PATH_FADE, 0.0)
+            rate = max(s1 - other_s1 if is_ahead else other_s1 - s1, 0.0) / max(gap, terms.SMALLEST_GAP)
+            urgency = min(rate**2, terms.LARGEST_URGENCY) * max(1 - beside / terms.IN_PATH_FADE, 0.0)
             if is_ahead:
                 sums[8] = max(sums[8], urgency)
             elif abs(other_d0 - self.target) < road.lane_width / 2:
@@ -216,11 +216,11 @@ class ReferencePlanner:
         for t in TIMES:
             d = self.aside[i](t)
             _, _, _, path_curvature, speed, acceleration = self.motion(i, j, t)
-            if not right <= d <= left or self.along[j](t, 1) < 0 or abs(path_curvature) > kernel.LARGEST_CURVATURE:
+            if not right <= d <= left or self.along[j](t, 1) < 0 or abs(path_curvature) > plans.LARGEST_CURVATURE:
                 return False
-            if abs(path_curvature) * speed**2 > kernel.LARGEST_SIDE_ACCELERATION:
+            if abs(path_curvature) * speed**2 > plans.LARGEST_SIDE_ACCELERATION:
                 return False
-            if not -kernel.LARGEST_BRAKING <= acceleration <= kernel.LARGEST_THRUST:
+            if not -plans.LARGEST_BRAKING <= acceleration <= plans.LARGEST_THRUST:
                 return False
         return True
 

@@ -32,9 +32,10 @@ from drivecal.highway.planner import kernel
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.spaces import HIGHWAY
+from drivecal.highway.planner.terms import FEATURE_GRID
 from drivecal.plugins.ports import Observation
 
-GRID = 1 / kernel.FEATURE_GRID
+GRID = 1 / FEATURE_GRID
 
 
 def assert_same(planner: FrenetPlanner, reference: ReferencePlanner, observation: Observation) -> None:
@@ -42,7 +43,7 @@ def assert_same(planner: FrenetPlanner, reference: ReferencePlanner, observation
     expected = reference.plan(observation)
     features = planner.features()
     # Rounding to the grid turns a difference of 1e-12 into a whole grid step where a raw feature lies between two.
-    between = np.abs((reference.raw * kernel.FEATURE_GRID) % 1.0 - 0.5) < 1e-6 * (1 + reference.raw)
+    between = np.abs((reference.raw * FEATURE_GRID) % 1.0 - 0.5) < 1e-6 * (1 + reference.raw)
     np.testing.assert_allclose(features[~between], reference.features[~between], rtol=1e-9, atol=1e-12)
     assert np.abs(features - reference.features).max() <= GRID + 1e-9 * features.max()
     costs = costs_of(planner)

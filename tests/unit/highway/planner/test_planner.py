@@ -17,8 +17,8 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import Floats, reference_line, to_frenet
 from drivecal.domain.scenarios import Scenario, SpeedKnot, Task
 from drivecal.highway.planner.cost import weights
-from drivecal.highway.planner.kernel import LARGEST_THRUST
 from drivecal.highway.planner.planner import PERIOD, FrenetPlanner
+from drivecal.highway.planner.plans import LARGEST_THRUST
 from drivecal.plugins.ports import Observation
 
 NOTHING = [-15.0] + 10 * [0.0]

@@ -10,7 +10,7 @@ from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.certification.kernels import NONE, contenders
 from drivecal.highway.certification.nodes import Nodes
-from drivecal.highway.planner import deciding, kernel
+from drivecal.highway.planner import deciding, kernel, plans, terms
 from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.highway.planner.cost import scales, weights
 from drivecal.highway.planner.spaces import HIGHWAY
@@ -32,22 +32,22 @@ LEADERS = 48
 MARGIN = 1e-6
 """Margin of cost comparisons: a thousand times the rounding errors."""
 
-_COMBINED = {kernel.LATERAL_ACCELERATION: 2, kernel.HEADING: 4, kernel.CLEARANCE: 7, kernel.LEADER: 8, kernel.CLOSING: 10}
-_COMBINED |= {kernel.FOLLOWER: 11, kernel.COLLISION: 0}
-_LATERAL = {kernel.LATERAL_BASE: 0, kernel.LATERAL_JERK: 1, kernel.CENTRE: 3, kernel.CONSISTENCY: 5}
-_LATERAL |= {kernel.ARRIVAL: 6, kernel.BOUNDARY: 9}
-_LONGITUDINAL = {kernel.LONGITUDINAL_BASE: 0, kernel.LONGITUDINAL_JERK: 1}
+_COMBINED = {terms.LATERAL_ACCELERATION: 2, terms.HEADING: 4, terms.CLEARANCE: 7, terms.LEADER: 8, terms.CLOSING: 10}
+_COMBINED |= {terms.FOLLOWER: 11, terms.COLLISION: 0}
+_LATERAL = {terms.LATERAL_BASE: 0, terms.LATERAL_JERK: 1, terms.CENTRE: 3, terms.CONSISTENCY: 5}
+_LATERAL |= {terms.ARRIVAL: 6, terms.BOUNDARY: 9}
+_LONGITUDINAL = {terms.LONGITUDINAL_BASE: 0, terms.LONGITUDINAL_JERK: 1}
 
 
 class FrenetPlanner:
     """Chooses the candidate of lowest cost every 0.2 s (Werling et al. 2010).
 
-    A plan starts on the previous plan while the vehicle follows it closely (`kernel.LARGEST_DEVIATIONS`), which gives a smooth path; else
+    A plan starts on the previous plan while the vehicle follows it closely (`plans.LARGEST_DEVIATIONS`), which gives a smooth path; else
     it starts at the vehicle. The features of the last plan stay readable: J = features @ weights.
     """
 
     period = PERIOD
-    grid = 1.0 / kernel.FEATURE_GRID
+    grid = 1.0 / terms.FEATURE_GRID
     n_values = len(deciding.TERM)
 
     def __init__(self, scenario: Scenario) -> None:
@@ -60,10 +60,10 @@ class FrenetPlanner:
                 )
             )
         road, task, ego = scenario.road, scenario.task, scenario.ego
-        line = reference_line(road, kernel.SPACING)
+        line = reference_line(road, plans.SPACING)
         s, heading, curvature = line[:, 0], line[:, 3], line[:, 4]
         speeds = desired_speeds(task, s)
-        changes = [np.diff(column, append=column[-1]) / kernel.SPACING for column in (curvature, speeds)]
+        changes = [np.diff(column, append=column[-1]) / plans.SPACING for column in (curvature, speeds)]
         self._road = np.ascontiguousarray(np.column_stack([line, speeds, np.cos(heading), np.sin(heading), *changes]))
         space = 0.5 * ego.width + CURB
         self._scenes, self._lateral_ends = [], []

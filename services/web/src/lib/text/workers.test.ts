@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { nodesOf } from "./workers";
+import { nodesOf, storedRuns } from "./workers";
 
 test("workers are listed by node, with the speed of all of them", () => {
   const workers = [
@@ -8,4 +8,12 @@ test("workers are listed by node, with the speed of all of them", () => {
     { id: "w1", node: null, cells_per_second: 3 },
   ];
   expect(nodesOf(workers).map(({ name, workers: own, speed }) => [name, own.map((worker) => worker.id), speed])).toEqual([["b", ["w2", "w10"], 2], ["this machine", ["w1"], 3]]);
+});
+
+test("setups that differ in the vehicle's parameters alone share a row of stored runs", () => {
+  const setup = (scenario: string, runs: number) => ({ scenario, simulator: "libsumo", driving_function: "frenet", vehicle: "hybrid", runs });
+  expect(storedRuns([setup("S1", 1), setup("S2", 9), setup("S1", 4)])).toEqual([
+    { scenario: "S2", simulator: "libsumo", drivenBy: "frenet, hybrid", setups: 1, runs: 9 },
+    { scenario: "S1", simulator: "libsumo", drivenBy: "frenet, hybrid", setups: 2, runs: 5 },
+  ]);
 });

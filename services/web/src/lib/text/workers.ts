@@ -1,6 +1,6 @@
 /** Workers by the machine that they run on. */
 
-import type { WorkerAnswer } from "../server/types";
+import type { ReferenceAnswer, WorkerAnswer } from "../server/types";
 
 type Known = Pick<WorkerAnswer, "id" | "node" | "cells_per_second">;
 
@@ -18,4 +18,25 @@ export function nodesOf<T extends Known>(workers: readonly T[]): Node<T>[] {
     const own = workers.filter((worker) => (worker.node ?? "this machine") === name).sort((a, b) => a.id.localeCompare(b.id, "en", { numeric: true }));
     return { name, workers: own, speed: own.reduce((sum, worker) => sum + (worker.cells_per_second ?? 0), 0) };
   });
+}
+
+export interface StoredRuns {
+  scenario: string;
+  simulator: string;
+  drivenBy: string;
+  /** Vehicles of robustness studies are setups of their own. */
+  setups: number;
+  runs: number;
+}
+
+/** Stored runs by scenario, simulator and what drives, the most first. */
+export function storedRuns(references: readonly Pick<ReferenceAnswer, "scenario" | "simulator" | "driving_function" | "vehicle" | "runs">[]): StoredRuns[] {
+  const known = new Map<string, StoredRuns>();
+  for (const { scenario, simulator, driving_function: driver, vehicle, runs } of references) {
+    const drivenBy = [driver, vehicle].filter(Boolean).join(", ");
+    const key = JSON.stringify([scenario, simulator, drivenBy]);
+    const row = known.get(key) ?? { scenario, simulator: simulator ?? "", drivenBy, setups: 0, runs: 0 };
+    known.set(key, { ...row, setups: row.setups + 1, runs: row.runs + runs });
+  }
+  return [...known.values()].sort((a, b) => b.runs - a.runs);
 }

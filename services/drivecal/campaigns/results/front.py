@@ -1,0 +1,150 @@
+"""The front of a campaign: its non-dominated sets by stored rows, what sets it apart, and how two of its sets differ."""
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+from operator import attrgetter
+
+import numpy as np
+from sqlalchemy import Connection
+
+from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
+from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
+from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import InvalidInputError
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.plugins.ports import Floats
+from drivecal.storage import results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import parameter_sets, runs, setups
+
+EARLIER = -1
+"""Iteration of sets that other campaigns simulated."""
+
+
+@dataclass(frozen=True)
+class CampaignFront:
+    """All sets with every objective, best first, and the members of the front in their order."""
+
+    goals: Goals
+    ranked: Sequence[EvaluatedSet]
+    members: Sequence[FrontMember]
+
+    @cached_property
+    def points(self) -> Floats:
+        """What dominance compares, shape (n, m); higher is better."""
+        return self._compared([member.solution for member in self.members])
+
+    @cached_property
+    def is_feasible(self) -> bool:
+        """Whether the sets of the front keep all constraints."""
+        return bool(self.members) and self.members[0].solution.violation == 0
+
+    @cached_property
+    def knee(self) -> int | None:
+        """Position of the knee."""
+        return knee(self.points) if self.is_feasible else None
+
+    @cached_property
+    def extremes(self) -> list[int]:
+        """Position of the best set of each objective; empty without a front."""
+        return extremes(self.points) if self.members else []
+
+    @cached_property
+    def winning(self) -> list[WinningWeights] | None:
+        """Where each set wins; None if that is not computed."""
+        return winning_weights(self.points) if self.members else []
+
+    @cached_property
+    def reference(self) -> tuple[float, ...]:
+        """The point from which hypervolumes are measured: given, else the worst value of all sets."""
+        judged = [each.judgement.amounts for each in self.ranked if each.judgement is not None]
+        return tuple(
+            goal.reference
+            if goal.reference is not None
+            else goal.sign * min((goal.sign * amounts[column] for amounts in judged), default=0.0)
+            for column, goal in enumerate(self.goals.objectives)
+        )
+
+    def hypervolumes(self) -> list[tuple[int, float | None, int]]:
+        """The hypervolume and the size of the front after each iteration, by the sets that were first seen up to it."""
+        worst = np.array([goal.sign * amount for goal, amount in zip(self.goals.objectives, self.reference, strict=True)])
+        front, grown = np.empty((0, len(self.goals.objectives))), []
+        feasible = sorted((each for each in self.ranked if each.violation == 0), key=attrgetter("iteration"))
+        for iteration, found in groupby(feasible, attrgetter("iteration")):
+            points = np.concatenate([front, self._compared(list(found))])
+            front = np.unique(points[non_dominated(points)], axis=0)
+            grown.append((int(iteration), hypervolume(front, worst), len(front)))
+        return grown
+
+    def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:
+        """The same front, best first by the weighted sum of the objectives scaled to it, with the sums, shape (n,)."""
+        shares = np.array([weights[goal.name] for goal in self.goals.objectives])
+        worths = scaled(self.points) @ (shares / shares.sum()) if self.members else np.empty(0)
+        order = np.argsort(-worths, kind="stable")
+        return CampaignFront(self.goals, self.ranked, [self.members[place] for place in order]), worths[order]
+
+    def _compared(self, sets: Sequence[EvaluatedSet]) -> Floats:
+        vectors = [self.goals.compared(each.judgement) for each in sets if each.judgement is not None]
+        return np.array(vectors, dtype=np.float64).reshape(len(vectors), len(self.goals.objectives))
+
+
+def goals_of(resolved: ResolvedSpec) -> Goals:
+    """Returns the goals of a campaign; without given ones the weighted mean of its score (Eq. 6)."""
+    if resolved.goals is not None:
+        return resolved.goals
+    scale = resolved.scale
+    worst = scale.lower if scale.sign > 0 else scale.upper
+    return Goals((Objective(scale.name, CellValue(scale), resolved.weights, Aggregate(), scale.sign, 0.0, worst, scale.unit),))
+
+
+def front_of(
+    database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, *, everything: bool = False
+) -> CampaignFront:
+    """Returns the front of a campaign's search; with `everything` also of what any campaign simulated in its setups and space. A copied
+    score gives way to a later simulation of the very cell."""
+    goals = goals_of(resolved)
+    ranking = Ranking(resolved.weights, resolved.scale.sign, goals)
+    valued = goals.values if goals.computed else None
+    with database.read() as connection:
+        stored = results.answers(
+            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued
+        )
+        own = list(stored)
+        ranking.add(own)
+        if everything:
+            ranking.add(_of_others(connection, resolved, goals, {cell.parameter_set for cell in own}))
+    return CampaignFront(goals, ranking.ranking(), ranking.front())
+
+
+def _of_others(connection: Connection, resolved: ResolvedSpec, goals: Goals, known: Collection[int]) -> list[CellScore]:
+    """The stored runs of other sets that lie in the campaign's space and have a run in each of its setups."""
+    ids = setups.ids(connection, list(resolved.setups.values()))
+    cells = [
+        CellScore(
+            *(run.parameter_set, scenario, run.score, run.rating, True, EARLIER, 0),
+            values=goals.values(run.metrics, run.failure),
+        )
+        for scenario in resolved.weights
+        if resolved.setups[scenario] in ids
+        for run in runs.measured(connection, ids[resolved.setups[scenario]], resolved.evaluator)
+        if run.parameter_set not in known
+    ]
+    counts = Counter(cell.parameter_set for cell in cells)
+    sets = parameter_sets.load(connection, [number for number, count in counts.items() if count == len(resolved.weights)])
+    inside = {number for number, parameters in sets.items() if _holds(resolved.space, parameters)}
+    return [cell for cell in cells if cell.parameter_set in inside]
+
+
+def _holds(space: ParameterSpace, parameters: ParameterSet) -> bool:
+    try:
+        space.indices(parameters.values)
+    except InvalidInputError:
+        return False
+    return True

@@ -1,0 +1,227 @@
+"""Fronts against pymoo's own NSGA-II at equal requested cells: `python tests/benchmarks/run.py fronts [--seeds 10] [--highway] [...]`.
+
+ZDT1 and DTLZ2 on grids of 1,001 values, pymoo on continuous ones. With `--highway` also campaigns on the built-in problem, on a database
+of their own each: comfort on straight roads against comfort in curves with predictions and certificates, and comfort against the largest
+lateral jerk with certificates. Per seed: the hypervolume of all sets that were asked for, relative to pymoo's; on `highway` also the
+simulations up to pymoo's hypervolume, as a share of pymoo's. The interval is the t interval of the mean (95 %).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymoo.algorithms.moo import nsga2
+from pymoo.core.problem import Problem
+from pymoo.optimize import minimize
+from scipy import stats
+from tests.benchmarks._objective import SCENARIOS, runner, space
+from tests.benchmarks.efficiency import wait_for_workers
+
+from drivecal.analysis.front import hypervolume, non_dominated
+from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.optimizers.nsga import NSGA2
+from drivecal.plugins.ports import Floats
+
+HOME = Path(".drivecal/bench/fronts").absolute()
+TARGET = Path(".drivecal/bench/fronts.json")
+VALUES = 1001
+JERK, MOST_JERK = "peak_lateral_jerk_mps3", 20.0
+STRAIGHT, CURVED = SCENARIOS[:3], SCENARIOS[3:]
+MOST_SIMULATIONS = 0.6
+"""Largest share of pymoo's simulations for the same hypervolume with reuse."""
+FORMS: dict[str, dict[str, Any]] = {
+    "split": {
+        "objectives": [
+            {"score": "comfort", "name": name, "scenarios": list(of)} for name, of in (("first", STRAIGHT), ("second", CURVED))
+        ],
+        "reduction": {"mode": "predicted"},
+    },
+    "jerk": {
+        "objectives": [
+            {"score": "comfort"},
+            {"measure": JERK, "direction": "minimise", "aggregate": "max", "failed": MOST_JERK, "reference": MOST_JERK},
+        ],
+        "reduction": {"mode": "exact"},
+    },
+}
+REFERENCES = {"split": np.array([0.0, 0.0]), "jerk": np.array([0.0, -MOST_JERK])}
+"""Higher is better."""
+
+Costs = Callable[[Floats], Floats]
+"""Costs, shape (n, m), of shares of the ranges, shape (n, k)."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Hypervolumes by seed, ours and pymoo's; on the built-in problem also simulations up to pymoo's hypervolume and in all, as shares of
+    pymoo's; null where it was not reached."""
+
+    problem: str
+    seed: int
+    ours: float
+    theirs: float
+    until: float | None = None
+    simulated: float | None = None
+
+    @property
+    def relative(self) -> float:
+        """Our hypervolume as a share of pymoo's."""
+        return self.ours / self.theirs
+
+
+def zdt1(shares: Floats) -> Floats:
+    """Zitzler, Deb and Thiele 2000."""
+    slope = 1 + 9 * shares[:, 1:].mean(axis=1)
+    return np.column_stack([shares[:, 0], slope * (1 - np.sqrt(shares[:, 0] / slope))])
+
+
+def dtlz2(shares: Floats) -> Floats:
+    """Deb, Thiele, Laumanns and Zitzler 2002, three objectives."""
+    away = 1 + ((shares[:, 2:] - 0.5) ** 2).sum(axis=1)
+    first, second = (shares[:, :2] * np.pi / 2).T
+    columns = [np.cos(first) * np.cos(second), np.cos(first) * np.sin(second), np.sin(first)]
+    costs: Floats = away[:, np.newaxis] * np.column_stack(columns)
+    return costs
+
+
+def volume(gains: Floats, reference: Floats) -> float:
+    """The hypervolume of the non-dominated rows."""
+    return hypervolume(gains[non_dominated(gains)], reference) or 0.0
+
+
+def by_pymoo(costs: Costs, variables: int, population: int, iterations: int, seed: int) -> Floats:
+    """Everything that pymoo's NSGA-II asked for, as gains."""
+    asked: list[Floats] = []
+
+    class Evaluated(Problem):  # type: ignore[misc]  # pymoo ships no types
+        def __init__(self) -> None:
+            shape = costs(np.full((1, variables), 0.5)).shape[1]
+            super().__init__(n_var=variables, n_obj=shape, xl=np.zeros(variables), xu=np.ones(variables))
+
+        def _evaluate(self, x: Floats, out: dict[str, Any], *_: Any, **__: Any) -> None:
+            out["F"] = costs(x)
+            asked.append(-out["F"])
+
+    minimize(Evaluated(), nsga2.NSGA2(pop_size=population), ("n_gen", iterations), seed=seed)
+    return np.concatenate(asked)
+
+
+def by_drivecal(costs: Costs, variables: int, population: int, iterations: int, seed: int) -> Floats:
+    """Everything that our optimizer asked for, as gains."""
+    settings = NSGA2.settings.model_validate(
+        {"kind": "nsga2", "population": population, "iterations": iterations, "seed": seed}
+    )
+    optimizer = NSGA2.create(settings, np.full(variables, VALUES))
+    asked = []
+    for _ in range(iterations):
+        asked.append(-costs(optimizer.ask().population / (VALUES - 1)))
+        optimizer.tell(asked[-1], np.zeros(population))
+    return np.concatenate(asked)
+
+
+def simulate(scenario: str, sets: Sequence[Sequence[float]]) -> list[tuple[float, float]]:
+    """Score and jerk of sets, in a process of the pool."""
+    results = [runner(scenario).run(parameters) for parameters in sets]
+    return [(result.rating.score, MOST_JERK if result.failure else result.metrics[JERK]) for result in results]
+
+
+def driven(pool: ProcessPoolExecutor, form: str) -> Costs:
+    """The costs of the built-in problem, simulated."""
+    lower = np.array([float(parameter.lower) for parameter in space()])
+    upper = np.array([float(parameter.upper) for parameter in space()])
+
+    def costs(shares: Floats) -> Floats:
+        sets = (lower + shares * (upper - lower)).tolist()
+        futures = [pool.submit(simulate, scenario, sets) for scenario in SCENARIOS]
+        scores, jerks = np.array([future.result() for future in futures]).transpose(2, 0, 1)
+        if form == "jerk":
+            return np.column_stack([-scores.mean(axis=0), jerks.max(axis=0)])
+        return -np.column_stack([scores[: len(STRAIGHT)].mean(axis=0), scores[len(STRAIGHT) :].mean(axis=0)])
+
+    return costs
+
+
+def on_highway(form: str, population: int, iterations: int, seed: int, pool: ProcessPoolExecutor) -> Compared:
+    """A campaign, and pymoo on the same problem."""
+    gains = by_pymoo(driven(pool, form), len(space()), population, iterations, seed)
+    theirs, cells = volume(gains, REFERENCES[form]), population * iterations * len(SCENARIOS)
+    search = {"kind": "nsga2", "population": population, "iterations": iterations, "seed": seed}
+    with fresh_folder(HOME), coordinator(HOME) as client:
+        wait_for_workers(client)
+        campaign = client.wait(client.submit({"optimizer": search, **FORMS[form]}).id)
+        if campaign.state != "succeeded":
+            raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
+        growth = client.front_summary(campaign.id).growth
+        simulated = np.cumsum([row["simulated"] + row["failed"] for row in client.rows(campaign.id, "generations")])
+    reached = next((each.iteration for each in growth if (each.hypervolume or 0.0) >= theirs), None)
+    until = None if reached is None else float(simulated[min(reached, iterations - 1)]) / cells
+    share = (campaign.cells.simulated + campaign.cells.failed) / cells
+    return Compared(f"highway {form}", seed, growth[-1].hypervolume or 0.0, theirs, until, share)
+
+
+def interval(values: Sequence[float]) -> tuple[float, float]:
+    """The t interval of the mean."""
+    mean, error = float(np.mean(values)), float(stats.sem(values)) if len(values) > 1 else float("nan")
+    width = float(stats.t.ppf(0.975, len(values) - 1)) * error if error else 0.0
+    return mean - width, mean + width
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the table, writes the figures; 1 if a mean hypervolume is below pymoo's by more than its interval allows."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--population", type=int, default=60)
+    parser.add_argument("--iterations", type=int, default=60)
+    parser.add_argument("--highway", action="store_true", help="minutes per seed")
+    parser.add_argument("--highway-seeds", type=int, default=10)
+    parser.add_argument("--highway-population", type=int, default=100)
+    parser.add_argument("--highway-iterations", type=int, default=15)
+    options = parser.parse_args(arguments)
+    rows: list[Compared] = []
+    for name, costs, variables, reference in (
+        ("zdt1", zdt1, 10, np.array([-1.1, -1.1])),
+        ("dtlz2", dtlz2, 7, np.array([-1.1, -1.1, -1.1])),
+    ):
+        for seed in range(1, options.seeds + 1):
+            ours, theirs = (
+                volume(search(costs, variables, options.population, options.iterations, seed), reference)
+                for search in (by_drivecal, by_pymoo)
+            )
+            rows.append(Compared(name, seed, ours, theirs))
+    if options.highway:
+        with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            for form in FORMS:
+                for seed in range(1, options.highway_seeds + 1):
+                    size = options.highway_population, options.highway_iterations
+                    rows.append(on_highway(form, *size, seed, pool))
+    worse, figures = False, []
+    print("problem           hypervolume / pymoo's            simulated / pymoo's for its hypervolume (in all)")
+    for problem in dict.fromkeys(row.problem for row in rows):
+        own = [row for row in rows if row.problem == problem]
+        lower, upper = interval([row.relative for row in own])
+        worse |= upper < 1.0
+        line = f"{problem:16}  {np.mean([row.relative for row in own]):.4f} [{lower:.4f}, {upper:.4f}]"
+        until = [row.until for row in own if row.until is not None]
+        if own[0].simulated is not None:
+            worse |= bool(until) and float(np.mean(until)) > MOST_SIMULATIONS
+            reached = f"{np.mean(until):.3f} in {len(until)} of {len(own)}" if until else "not reached"
+            line += f"         {reached} ({np.mean([row.simulated or 0.0 for row in own]):.3f})"
+        print(line)
+        figures.append({"problem": problem, "interval": [lower, upper], "rows": [asdict(row) for row in own]})
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(vars(options) | {"problems": figures}, indent=1))
+    return int(worse)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""Fronts over HTTP, by the client and on the command line."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
+from tests.support.command import command
+from tests.support.runs import SMALL, run
+from tests.support.server import RunningApi, serving
+
+from drivecal.client import Client
+from drivecal.contracts.tables import FrontRow
+from drivecal.domain.errors import InvalidInputError
+from drivecal.storage import campaigns
+
+SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
+
+
+@dataclass(frozen=True)
+class Ended:
+    api: RunningApi
+    first: str
+    second: str
+    """Another seed on the same space."""
+    plain: str
+    """Without objectives."""
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
+        changes: list[dict[str, Any]] = [
+            {},
+            {"optimizer": NSGA2 | {"seed": 9}},
+            {"objectives": None, "optimizer": SMALL["optimizer"]},
+        ]
+        ids = []
+        for change in changes:
+            submitted = api.http.post("/api/v1/campaigns", json=SPEC | change)
+            assert submitted.status_code == 202, submitted.text
+            ids.append(submitted.json()["id"])
+            with api.database.read() as connection:
+                stored = campaigns.get(connection, ids[-1])
+            run(api.database, stored, backend())
+        yield Ended(api, *ids)
+
+
+def rows_of(ended: Ended, campaign: str, **query: Any) -> list[dict[str, Any]]:
+    answer = ended.api.http.get(f"/api/v1/campaigns/{campaign}/front", params=query)
+    assert answer.status_code == 200, answer.text
+    items: list[dict[str, Any]] = answer.json()["items"]
+    return items
+
+
+def test_rows_are_ranked_marked_and_win_everywhere_together(ended: Ended) -> None:
+    rows = rows_of(ended, ended.first)
+    assert [row["rank"] for row in rows] == list(range(1, len(rows) + 1))
+    assert rows[0]["best_in"] == ["comfort"]
+    assert rows[-1]["best_in"] == [JERK]
+    assert sum(row["wins"] for row in rows) == pytest.approx(1.0)
+    assert sum(row["knee"] for row in rows) <= 1
+    assert all(row["violation"] == 0 and row["iteration"] is not None for row in rows)
+
+
+def test_weights_order_the_front_and_agree_with_who_wins(ended: Ended) -> None:
+    by_rank = {json.dumps(row["parameters"]): row for row in rows_of(ended, ended.first)}
+    for weight in (0.0, 0.2, 0.5, 1.0):
+        rows = rows_of(ended, ended.first, weights=f"comfort={weight},{JERK}={1 - weight}")
+        assert [row["weighted"] for row in rows] == sorted((row["weighted"] for row in rows), reverse=True)
+        corners = [first for first, _ in by_rank[json.dumps(rows[0]["parameters"])]["weights"]]
+        assert min(corners) - 1e-9 <= weight <= max(corners) + 1e-9
+
+
+def test_the_summary_tells_the_whole(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        summary, rows = client.front_summary(ended.first), client.front(ended.first)
+    assert [(each.name, each.direction, each.aggregate) for each in summary.objectives] == [
+        ("comfort", "maximise", "mean"),
+        (JERK, "minimise", "max"),
+    ]
+    assert [each.reference for each in summary.objectives] == [0.0, 20.0]
+    assert (summary.size, summary.extremes) == (len(rows), {"comfort": 1, JERK: len(rows)})
+    assert summary.knee == next((row.rank for row in rows if row.knee), None)
+    volumes = [each.hypervolume or 0.0 for each in summary.growth]
+    assert volumes == sorted(volumes)
+    steps = sorted((row.objectives[JERK], row.objectives["comfort"]) for row in rows)
+    ends = [jerk for jerk, _ in steps[1:]] + [20.0]
+    area = sum((end - jerk) * comfort for (jerk, comfort), end in zip(steps, ends, strict=True))
+    assert summary.hypervolume == volumes[-1] == pytest.approx(area)
+
+
+def test_everything_stored_may_add_to_the_front(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        own, whole = client.front_summary(ended.first), client.front_summary(ended.first, everything=True)
+        rows = client.front(ended.first, everything=True)
+    assert whole.evaluated > own.evaluated
+    assert (whole.hypervolume or 0) >= (own.hypervolume or 0)
+    assert {row.iteration is None for row in rows} <= {True, False}
+    assert whole.growth[0].iteration == -1
+
+
+def test_a_campaign_without_objectives_has_a_front_of_its_best(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        (row,), best = client.front(ended.plain), client.campaign(ended.plain).best
+    assert best is not None
+    assert row.objectives["comfort"] == pytest.approx(best.objective)
+    assert row.alternatives == best.alternatives
+
+
+def test_a_trade_off_tells_what_the_second_set_gains_and_costs(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        rows = client.front(ended.first)
+        answer = client.trade_off(ended.first, 1, len(rows))
+        with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "second"):
+            client.trade_off(ended.first, 1, len(rows) + 1)
+    comfort, jerk = answer.objectives
+    assert (comfort.gain or 0) < 0 < (jerk.gain or 0)
+    assert {each.name for each in answer.parameters} == {
+        name for name, value in rows[0].parameters.items() if value != rows[-1].parameters[name]
+    }
+    assert 0 < answer.distance <= 1
+
+
+def test_files_hold_the_same_rows(ended: Ended) -> None:
+    exported = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front", params={"format": "csv"})
+    assert exported.status_code == 200
+    listed = list(csv.DictReader(io.StringIO(exported.text)))
+    with Client(ended.api.url) as client:
+        rows, frame = client.front(ended.first), client.frame(ended.first, "front").to_pandas()
+    assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
+    assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]
+    assert "weights" not in listed[0]
+    assert {name for name in FrontRow.model_fields if name not in {"objectives", "scores", "parameters", "weights"}} <= listed[
+        0
+    ].keys()
+
+
+@pytest.mark.parametrize("weights", ["comfort=-1", "gap=1", f"comfort=0,{JERK}=0", "comfort"])
+def test_unusable_weights_are_refused(ended: Ended, weights: str) -> None:
+    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front", params={"weights": weights})
+    assert answer.status_code == 422
+
+
+def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Path) -> None:
+    shown = command("front", ended.first, "--url", ended.api.url)
+    assert shown.exit_code == 0, shown.stderr
+    assert f"best {JERK}" in shown.stdout
+    answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
+    assert answer["summary"]["size"] == len(answer["items"])
+    between = command("front", ended.first, "--between", "1,2", "--url", ended.api.url, "--json")
+    assert json.loads(between.stdout)["second"] == 2
+    assert command("front", ended.first, "--between", "1", "--url", ended.api.url).exit_code == 2
+    target = tmp_path / "front.parquet"
+    written = command(
+        "export", ended.first, "--table", "front", "--format", "parquet", "-o", str(target), "--url", ended.api.url
+    )
+    assert written.exit_code == 0, written.stderr
+    assert target.stat().st_size > 0

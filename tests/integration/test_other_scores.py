@@ -1,0 +1,121 @@
+"""Results of a user's problem under another of its scores, and its measures as columns: from what is stored, without a simulation."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+from fastapi.testclient import TestClient
+from tests.support.computed import ComputedBackend
+from tests.support.problems import store
+from tests.support.runs import run
+
+from drivecal.api.app import create_app
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import campaigns
+from drivecal.storage.engine.database import Database
+
+MANIFEST: dict[str, Any] = {
+    "problem": "mine",
+    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.01}},
+    "simulator": {"kind": "process", "command": ["mysim"], "deterministic": True},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"score": "1", "y": "1"},
+    "scores": {
+        "cost": {"formula": "abs(y - 2)", "direction": "minimise", "range": [0, 10], "failed": 10},
+        "gain": {"formula": "10*y - score", "direction": "maximise", "range": [0, 100]},
+    },
+}
+SPEC: dict[str, Any] = {
+    "problem": "mine",
+    "sensitivity": None,
+    "optimizer": {"kind": "random", "population": 40, "iterations": 1, "seed": 1},
+    "reduction": {"mode": "exact"},
+}
+
+
+def simulated(scenario: str, cell: Cell) -> CellResult:
+    x = float(cell.parameters["x"])
+    if x > 0.8:
+        return CellResult(cell.id, None, None, {"score": 0.0}, "collision", 7.0)
+    return CellResult(cell.id, None, None, {"score": x, "y": 4 * x + (scenario == "city")}, None, 7.0)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A campaign by its own score, and one that searched the same sets by the other."""
+
+    http: TestClient
+    first: str
+    other: str
+
+
+@pytest.fixture
+def asked(database: Database, tmp_path: Path) -> Iterator[Asked]:
+    store(database, MANIFEST)
+    app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
+    with TestClient(app, base_url="http://127.0.0.1") as http:
+        ids = []
+        for changes in ({}, {"evaluator": "gain"}):
+            accepted = http.post("/api/v1/campaigns", json=SPEC | changes).raise_for_status().json()
+            with database.read() as connection:
+                queued = campaigns.get(connection, accepted["id"])
+            run(database, queued, ComputedBackend(answer=simulated))
+            ids.append(f"/api/v1/campaigns/{accepted['id']}")
+        yield Asked(http, *ids)
+
+
+def items(asked: Asked, path: str, **query: Any) -> list[dict[str, Any]]:
+    answered: list[dict[str, Any]] = asked.http.get(path, params=query).raise_for_status().json()["items"]
+    return answered
+
+
+@pytest.mark.parametrize("weights", [{}, {"weights": "city=3"}])
+def test_the_ranking_under_another_score_is_that_of_a_campaign_with_it(asked: Asked, weights: dict[str, str]) -> None:
+    cost = items(asked, f"{asked.first}/solutions", limit=100, **weights)
+    gain = items(asked, f"{asked.first}/solutions", limit=100, score="gain", **weights)
+    assert gain == items(asked, f"{asked.other}/solutions", limit=100, **weights)
+    assert cost == items(asked, f"{asked.other}/solutions", limit=100, score="cost", **weights)
+    assert cost == items(asked, f"{asked.first}/solutions", limit=100, score="cost", **weights)
+    assert [solution["parameters"] for solution in gain] != [solution["parameters"] for solution in cost]
+    assert gain[0]["objective"] == max(solution["objective"] for solution in gain)
+
+
+def test_files_have_the_other_score_too(asked: Asked) -> None:
+    answered = asked.http.get(f"{asked.first}/solutions", params={"score": "gain", "format": "parquet"}).raise_for_status()
+    table = pq.read_table(io.BytesIO(answered.content))
+    assert table["objective"].to_pylist() == [row["objective"] for row in items(asked, f"{asked.other}/solutions", limit=100)]
+
+
+def test_an_unknown_score_is_refused_with_those_that_exist(asked: Asked) -> None:
+    answered = asked.http.get(f"{asked.first}/solutions", params={"score": "gains"})
+    assert answered.status_code == 422
+    (error,) = answered.json()["errors"]
+    assert error["field"] == "score"
+    assert "cost, gain" in str(error)
+
+
+def test_measures_are_columns_of_evaluations_if_they_are_asked_for(asked: Asked) -> None:
+    plain, measured = (items(asked, f"{asked.first}/evaluations", limit=1000, **query) for query in ({}, {"measures": "true"}))
+    assert [{key: row[key] for key in plain[0]} for row in measured] == plain
+    assert list(measured[0])[-2:] == ["measure_score", "measure_y"]
+    for row in measured:
+        failed = row["failure"] == "collision"
+        assert row["measure_score"] == (0.0 if failed else row["x"])
+        assert row["measure_y"] == (None if failed else pytest.approx(4 * row["x"] + (row["scenario"] == "city")))
+    text = asked.http.get(f"{asked.first}/evaluations", params={"measures": "true", "format": "csv"}).raise_for_status().text
+    lines = list(csv.DictReader(io.StringIO(text)))
+    assert [line["measure_y"] for line in lines] == [
+        "" if row["measure_y"] is None else str(row["measure_y"]) for row in measured
+    ]
+    some = {"measures": "true", "where": "measure_y<=1", "limit": 1000}
+    assert {row["id"] for row in items(asked, f"{asked.first}/evaluations", **some)} == {
+        row["id"] for row in measured if row["measure_y"] is not None and row["measure_y"] <= 1
+    }
