@@ -1,7 +1,7 @@
 """What does a run of the simulator `highway` cost? `tests/benchmarks/run.py motorways [--runs 60]`.
 
 A run of 20 s with 3 and 10 other vehicles, against SUMO that steps the same scene with the ego vehicle as one of its own; and a step of
-each kind of controller, beside SUMO in the same process. Every case has a process of its own. Shown are least times.
+each kind of controller and of vehicle, beside SUMO in the same process. Every case has a process of its own. Shown are least times.
 Writes `.drivecal/bench/motorways.json`.
 """
 
@@ -19,6 +19,7 @@ from typing import Any
 from unittest import mock
 
 from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, compile_program, drive, motorway
+from tests.support.vehicles import VEHICLES, write_vehicles
 
 TARGET = Path(".drivecal/bench/motorways.json")
 MOST_MICROSECONDS = 50.0
@@ -38,7 +39,9 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "3 others, binary": ("process", drive(traffic(3))),
     "3 others, json": ("json", drive(traffic(3))),
     "3 others, fmu": ("fmu", drive(traffic(3))),
+    **{f"3 others, vehicle {kind}": ("python", drive(traffic(3))) for kind in VEHICLES},
 }
+"""Kind of the controller and scenario. The last ones have a vehicle of the user's."""
 
 
 def least(function: Callable[[], object], runs: int) -> float:
@@ -51,11 +54,15 @@ def least(function: Callable[[], object], runs: int) -> float:
     return 1000 * min(times)
 
 
-def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dict[str, float]:
-    """Milliseconds of a run, of bare stepping and of a reset; microseconds of a step of the controller."""
+def measured(
+    folder: Path, kind: str, data: Mapping[str, Any], runs: int, vehicle: Mapping[str, Any] | None
+) -> dict[str, float]:
+    """Milliseconds of a run, of bare stepping and of a reset; microseconds of a step of the controller, or of the user's vehicle."""
     import libsumo
 
     from drivecal.highway.drive import driver, loop
+    from drivecal.highway.drive.controllers import Checked
+    from drivecal.highway.drive.plants import UserVehicleModel
     from drivecal.highway.sumo import EGO
 
     made: list[loop.Loop] = []
@@ -68,7 +75,8 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
     scratch = tempfile.mkdtemp(dir=folder.parent)
     settings = {
         "folder": str(folder), "work": str(folder), "scratch": scratch, "scenario": "S", "data": dict(data), "kernels": None,
-        "simulator": {"kind": "highway", "controller": CONTROLLERS[kind]}, "measures": ["min_ttc_s"], "series": [],
+        "simulator": {"kind": "highway", "controller": CONTROLLERS[kind], "vehicle": vehicle or "single_track"},
+        "measures": ["min_ttc_s"], "series": [],
     }  # fmt: skip
     with mock.patch.object(loop, "Loop", Kept):
         evaluate = driver.prepare(settings)
@@ -82,9 +90,15 @@ def measured(folder: Path, kind: str, data: Mapping[str, Any], runs: int) -> dic
 
     request = {"id": 1, "parameters": PARAMETERS}
     run = least(lambda: evaluate(request), runs)
-    current._controller.begin(PARAMETERS)
+    control = current._controller
+    assert isinstance(control, Checked)
+    control.begin(PARAMETERS)
     signals = current._signals.tolist()
-    step = least(lambda: [current._controller.step(signals) for _ in range(200)], runs) / 200
+    step = least(lambda: [control.step(signals) for _ in range(200)], runs) / 200
+    if isinstance(current._vehicle, UserVehicleModel):
+        plant = current._vehicle.plant
+        plant.begin(PARAMETERS, 30.0)
+        step = least(lambda: [plant.step(0.0, 0.0) for _ in range(200)], runs) / 200
     return {"run": run, "bare": least(bare, runs), "reset": least(others.reset, runs), "step": 1000 * step}
 
 
@@ -96,13 +110,20 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.case is not None:
-        print(json.dumps(measured(options.folder, *CASES[options.case], options.runs)))
+        print(
+            json.dumps(
+                measured(
+                    options.folder, *CASES[options.case], options.runs, VEHICLES.get(options.case.partition(" vehicle ")[2])
+                )
+            )
+        )
         return 0
     figures: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = motorway(Path(name) / "bundle")
         compile_program(folder)
         compile_fmu(folder)
+        write_vehicles(folder)
         print(f"{'':24} {'run':>9} {'SUMO alone':>11} {'times':>6} {'reset':>9} {'controller':>12}")
         for case in CASES:
             command = [sys.executable, __file__, "--runs", str(options.runs), "--case", case, "--folder", str(folder)]
@@ -114,7 +135,7 @@ def main(arguments: Sequence[str]) -> int:
             )
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps(figures, indent=1))
-    worst = max(figures[f"3 others, {kind}"]["step"] for kind in ("binary", "json"))
+    worst = max(figures[f"3 others, {kind}"]["step"] for kind in ("binary", "json", "vehicle process"))
     print(f"a step of a program costs {worst:.1f} µs at most (wanted: {MOST_MICROSECONDS:g})")
     return int(worst > MOST_MICROSECONDS)
 

@@ -5,7 +5,7 @@ from importlib import import_module
 from io import BytesIO
 from typing import Any
 
-from drivecal.contracts.campaign import html_table
+from drivecal.contracts.campaign import MOST_ROWS, html_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,11 @@ class DownloadedTable:
     def _repr_html_(self) -> str | None:
         """Returns the first rows as a notebook shows them, None without pyarrow."""
         try:
-            return html_table(self.to_arrow().to_pylist())
+            table = self.to_arrow()
         except ImportError:
             return None
+        note = f"<p>{table.num_rows:,} rows, {table.num_columns} columns</p>"
+        return note + html_table(table.slice(0, MOST_ROWS).to_pylist())
 
     def to_polars(self) -> Any:
         """Returns a `polars.DataFrame`."""

@@ -8,8 +8,23 @@ from typing import Any
 
 from drivecal.bundles.archives import MANIFEST
 from drivecal.bundles.expressions import Constraint, Formula
-from drivecal.bundles.highway import FmuController, HighwaySimulator, ProcessController, PythonController
-from drivecal.bundles.highway_checks import measures_problems, networks, scenarios_problems, simulator_problems
+from drivecal.bundles.highway import (
+    FmuController,
+    FmuVehicle,
+    HighwaySimulator,
+    PlannerController,
+    ProcessController,
+    ProcessVehicle,
+    PythonController,
+    PythonVehicle,
+)
+from drivecal.bundles.highway_checks import (
+    files_named,
+    measures_problems,
+    planner_problems,
+    scenarios_problems,
+    simulator_problems,
+)
 from drivecal.bundles.manifest import (
     CommandSimulator,
     FmuSimulator,
@@ -33,6 +48,8 @@ SMALLEST_SPAN = 1e-3
 """Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
+WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController, PythonVehicle, FmuVehicle)
+"""Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _REDUCTION = re.compile(r"(?:last|min|max|mean|integral)\(\s*\S(?:.*\S)?\s*\)")
 _PLACEHOLDERS: Mapping[str, Any] = {
@@ -90,6 +107,7 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"simulator"}, _simulator(manifest.simulator, files)),
         ({"simulator", "measures"}, _fmu_measures(manifest)),
         ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
+        ({"simulator", "parameters"}, _planner(manifest)),
         ({"simulator", "measures", "series", "failures"}, _highway_answers(manifest)),
         ({"failures"}, _failures(manifest.failures)),
         ({"scores"}, _ranges(manifest.scores)),
@@ -254,8 +272,11 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
     if isinstance(simulator, HighwaySimulator):
         yield from simulator_problems(simulator)
         yield from _code("simulator.controller", simulator.controller, files)
+        yield from _code("simulator.vehicle", simulator.vehicle, files)
         if isinstance(simulator.controller, ProcessController):
             yield from _command("simulator.controller.command", simulator.controller.command, files)
+        if isinstance(simulator.vehicle, ProcessVehicle):
+            yield from _command("simulator.vehicle.command", simulator.vehicle.command, files)
     if isinstance(simulator, FmuSimulator):
         for name, reduction in simulator.measures.items():
             if not _REDUCTION.fullmatch(reduction):
@@ -272,22 +293,27 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
 
 def _code(field: str, section: Any, files: Executables | None) -> Iterator[Problem]:
     """Yields the faults of the Python file or FMU that a simulator or controller names."""
-    if not isinstance(section, PythonSimulator | FmuSimulator | PythonController | FmuController):
+    if not isinstance(section, WITH_FILES):
         return
     ending = ".py" if section.kind == "python" else ".fmu"
     yield from _file(f"{field}.file", section.file, files)
     if not section.file.endswith(ending):
         yield Problem(f"{field}.file", f"{shown(section.file)} is no {ending} file", f"give the path of a {ending} file")
-    if isinstance(section, PythonSimulator | PythonController) and section.wheels is not None:
+    if isinstance(section, PythonSimulator | PythonController | PythonVehicle) and section.wheels is not None:
         folder = section.wheels.removesuffix("/") + "/"
         named = None if files is None else {folder: False} if any(name.startswith(folder) for name in files) else {}
         yield from _file(f"{field}.wheels", folder, named)
 
 
+def _planner(manifest: Manifest) -> Iterator[Problem]:
+    if isinstance(manifest.simulator, HighwaySimulator) and isinstance(manifest.simulator.controller, PlannerController):
+        yield from planner_problems(manifest.simulator.controller, manifest.parameters)
+
+
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
         yield from scenarios_problems(manifest.simulator.step, manifest.scenarios)
-        for field, path in networks(manifest.scenarios):
+        for field, path in files_named(manifest.scenarios):
             yield from _file(field, path, files)
 
 

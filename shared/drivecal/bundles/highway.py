@@ -7,23 +7,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, StringConstraints, Tag
 
+from drivecal.bundles.highway_actions import Action, Lane, Position, Seconds, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
-from drivecal.contracts.specification import Identifier, Model
+from drivecal.contracts.specification import Choice, Identifier, Model, Number
 
-CommandName = Literal["acceleration", "curvature", "steering"]
+CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
 SignalName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\s\x00-\x1f\x7f]+$")]
 """Id of an edge of the network."""
 Route = Annotated[list[Edge], Field(min_length=1, max_length=10_000)]
-VehicleId = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$")]
-Lane = Annotated[int, Field(ge=0, le=30)]
-"""Index of a lane as in SUMO: 0 is the rightmost."""
-Position = Annotated[float, Field(ge=0, le=1e6)]
-Speed = Annotated[float, Field(ge=0, le=100)]
-Seconds = Annotated[float, Field(ge=0, le=100_000)]
+Duration = Annotated[float, Field(gt=0, le=3600)]
 Metres = Annotated[float, Field(gt=0, le=50)]
-Positive = Annotated[float, Field(gt=0, le=1e6)]
+ParameterName = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
@@ -46,13 +42,14 @@ class PythonController(ControllerEntry):
 class ProcessController(ControllerEntry):
     """A program that answers a frame of commands for each frame of `signals`, started once per worker and scenario.
 
-    `frames`: `json`, a JSON object per line, or `binary`, doubles in the machine's byte order.
+    `frames`: `json`, a JSON object per line, or `binary`, doubles in the machine's byte order, with `points` points of a trajectory.
     """
 
     kind: Literal["process"]
     command: Command
     signals: Annotated[list[SignalName], Field(min_length=1, max_length=100)] | None = None
     frames: Literal["json", "binary"] = "json"
+    points: Annotated[int, Field(ge=2, le=1000)] | None = None
 
 
 class FmuController(ControllerEntry):
@@ -63,13 +60,25 @@ class FmuController(ControllerEntry):
     signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=200)]
 
 
-AnyController = Annotated[PythonController | ProcessController | FmuController, Field(discriminator="kind")]
+class PlannerController(ControllerEntry):
+    """The planner of the built-in motorway, which wants the centre of `lane` (from the route's reference line, to the left) at the limit,
+    or at `speed` (m/s). Its parameters P1 to P11 are those of the problem, or among `values`.
+    """
+
+    kind: Literal["planner"]
+    output: Annotated[Outputs, Field(default_factory=lambda: ["trajectory"])]
+    period: Annotated[float, Field(gt=0, le=2)] = 0.2
+    lane: Annotated[int, Field(ge=0, le=10)] = 0
+    speed: Annotated[float, Field(gt=0, le=70)] | None = None
+    values: Annotated[dict[Identifier, Number], Field(default_factory=dict)]
 
 
-class VehicleEntry(Model):
-    """The controlled vehicle: the single-track model, with other values than those of Table 8."""
+AnyController = Annotated[PythonController | ProcessController | FmuController | PlannerController, Field(discriminator="kind")]
 
-    model: Literal["single_track"] = "single_track"
+
+class VehicleValues(Model):
+    """Values of the single-track model, by default those of Table 8."""
+
     mass: Annotated[float, Field(ge=300, le=60_000)] | None = None
     cornering_stiffness_front: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
     cornering_stiffness_rear: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
@@ -80,10 +89,64 @@ class VehicleEntry(Model):
     @property
     def changes(self) -> dict[str, float]:
         """Values that differ from the nominal ones."""
-        return self.model_dump(exclude={"model"}, exclude_none=True)
+        return self.model_dump(include=set(VehicleValues.model_fields), exclude_none=True)
+
+
+class VehicleEntry(VehicleValues):
+    """The controlled vehicle: the single-track model, with other values than those of Table 8."""
+
+    model: Literal["single_track"] = "single_track"
+
+
+StateName = Literal[
+    "x", "y", "heading", "speed", "side_slip", "yaw_rate", "longitudinal_acceleration", "lateral_acceleration", "steering_angle"
+]
+
+
+def _pose() -> list[StateName]:
+    return ["x", "y", "heading", "speed"]
+
+
+class UserVehicleEntry(VehicleValues):
+    """A vehicle of the user's, moved every 0.01 s by a steering angle and an acceleration. It starts at its own origin, along its x axis.
+
+    `state`: what a step gives, in this order. The values of the single-track model are those that lane keeper and tracker assume.
+    """
+
+    state: Annotated[list[StateName], Field(min_length=4, max_length=9, default_factory=_pose)]
+
+
+class PythonVehicle(UserVehicleEntry):
+    """A class, made of parameters, scenario and start speed for each run, with `step(steering, acceleration, dt)`."""
+
+    kind: Literal["python"]
+    file: File
+    function: Identifier = "Vehicle"
+    wheels: File | None = None
+
+
+class ProcessVehicle(UserVehicleEntry):
+    """A program that answers a frame of states for each frame of steering angle, acceleration and time step, as controllers do."""
+
+    kind: Literal["process"]
+    command: Command
+    frames: Literal["json", "binary"] = "json"
+
+
+class FmuVehicle(UserVehicleEntry):
+    """An FMI 2 or 3 co-simulation FMU. `signals`: its variable for steering, acceleration, each state, and the parameter `start_speed`."""
+
+    kind: Literal["fmu"]
+    file: File
+    signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=20)]
+
+
+UserVehicle = Annotated[PythonVehicle | ProcessVehicle | FmuVehicle, Field(discriminator="kind")]
 
 
 def _form(value: object) -> str:
+    if isinstance(value, UserVehicleEntry) or (isinstance(value, dict) and "kind" in value):
+        return "user"
     return "values" if isinstance(value, (dict, VehicleEntry)) else "name"
 
 
@@ -93,7 +156,10 @@ class HighwaySimulator(SimulatorEntry):
     kind: Literal["highway"]
     controller: AnyController
     vehicle: Annotated[
-        Annotated[Literal["single_track"], Tag("name")] | Annotated[VehicleEntry, Tag("values")], Discriminator(_form)
+        Annotated[Literal["single_track"], Tag("name")]
+        | Annotated[VehicleEntry, Tag("values")]
+        | Annotated[UserVehicle, Tag("user")],
+        Discriminator(_form),
     ] = "single_track"
     step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
 
@@ -102,12 +168,14 @@ class Placed(Model):
     """A vehicle's place and speed at its start.
 
     `s`: of its centre (m), along `edge`, or along the scenario's route if no edge is given. `lane`: as in SUMO, of the edge there.
+    `offset`: of its centre from that of the lane (m), positive to the left.
     """
 
     lane: Lane = 0
     s: Position
     speed: Speed
     edge: Edge | None = None
+    offset: Annotated[float, Field(ge=-5, le=5)] = 0.0
 
 
 class Ego(Placed):
@@ -121,7 +189,7 @@ class Driver(Model):
     """Driver of a vehicle or flow of the traffic; missing fields have SUMO's defaults, without randomness.
 
     `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
-    limit times `speed_factor`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
+    limit times `speed_factor`, at most `max_speed`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
     """
 
     model: Literal["IDM", "Krauss", "EIDM", "ACC", "CACC", "W99", "constant"] = "IDM"
@@ -131,6 +199,7 @@ class Driver(Model):
     width: Metres = 1.9
     route: Route | None = None
     desired_speed: Annotated[float, Field(gt=0, le=100)] | None = None
+    max_speed: Annotated[float, Field(gt=0, le=200)] | None = None
     speed_factor: Annotated[float, Field(gt=0, le=10)] = 1.0
     speed_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0
     time_headway: Annotated[float, Field(gt=0, le=60)] | None = None
@@ -143,44 +212,6 @@ class Driver(Model):
     ]
 
 
-class Trigger(Model):
-    """Begin of an action: at a `time` (s), or when the ego vehicle is within `gap` (m, between bumpers), or at `s` (m) of the
-    scenario's route.
-    """
-
-    time: Seconds | None = None
-    gap: Annotated[float, Field(ge=0, le=1000)] | None = None
-    s: Position | None = None
-
-
-class Brake(Trigger):
-    """The vehicle brakes, or accelerates, to `speed` at `rate` (m/s²), and holds it for `hold` seconds, by default to the end."""
-
-    do: Literal["brake"]
-    speed: Speed = 0.0
-    rate: Annotated[float, Field(gt=0, le=20)] = 4.0
-    hold: Seconds | None = None
-
-
-class CutIn(Trigger):
-    """The vehicle changes to `lane` of its edge in `seconds`, whatever the gap."""
-
-    do: Literal["cut_in"]
-    lane: Lane
-    seconds: Annotated[float, Field(gt=0, le=60)] = 3.0
-
-
-class Drift(Trigger):
-    """The vehicle drifts to `offset` (m, to the left of its lane's centre) in `seconds`."""
-
-    do: Literal["drift"]
-    offset: Annotated[float, Field(ge=-5, le=5)]
-    seconds: Annotated[float, Field(gt=0, le=600)] = 3.0
-
-
-Action = Annotated[Brake | CutIn | Drift, Field(discriminator="do")]
-
-
 class TrafficEntry(Placed, Driver):
     """A vehicle that exists from the start. `id`: by default `vehicle0` and so on."""
 
@@ -191,27 +222,54 @@ class TrafficEntry(Placed, Driver):
 class FlowEntry(Driver):
     """Vehicles that enter at the begin of `edge`, by default of the scenario's route: `per_hour`, evenly, from `begin` to `end` (s).
 
-    `random`: they come at random with this mean, as the seed decides.
+    `random`: they come at random with this mean, as the seed decides. `number`: how many enter at most. `s`: of their centres (m) along
+    `edge`. Words for `lane`, `s` and `speed` are SUMO's, which looks for a place that is free.
     """
 
     id: VehicleId | None = None
     edge: Edge | None = None
-    lane: Lane = 0
-    speed: Speed | None = None
+    lane: Lane | Literal["first", "best", "allowed", "free", "random"] = 0
+    s: Position | Literal["base", "last", "free", "random", "random_free"] = "base"
+    speed: Speed | Literal["max", "desired", "avg", "last", "speedLimit", "random"] | None = None
     per_hour: Annotated[float, Field(gt=0, le=10_000)]
+    number: Annotated[int, Field(ge=1, le=10_000)] | None = None
     begin: Seconds = 0.0
     end: Seconds | None = None
     random: bool = False
 
 
-class HighwayScenario(Model):
+class Surroundings(Model):
+    """What surrounds the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others."""
+
+    routes: File | None = None
+    traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]
+    flows: Annotated[list[FlowEntry], Field(max_length=500, default_factory=list)]
+    seed: Seed = 1
+    data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
+
+
+class HighwayScenario(Surroundings):
     """The data of a scenario. `network`: a SUMO network or OpenDRIVE file of the bundle; `route`: its edges, in the order of the drive."""
 
     network: File
     route: Route
-    duration: Annotated[float, Field(gt=0, le=3600)]
+    duration: Duration
     ego: Ego
-    traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]
-    flows: Annotated[list[FlowEntry], Field(max_length=100, default_factory=list)]
-    seed: Seed = 1
-    data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
+
+
+class OpenScenario(Surroundings):
+    """The data of a scenario that an OpenSCENARIO file describes.
+
+    `parameters`: values for its ParameterDeclarations; `ego`: the name of its entity that the controller drives. What the file says and
+    the others leave out: `network` (its LogicFile), `route` (along the road, from where the vehicles are) and `duration` (its StopTrigger).
+    """
+
+    openscenario: File
+    parameters: Annotated[dict[ParameterName, Number | bool | Choice], Field(default_factory=dict)]
+    ego: Annotated[str, StringConstraints(min_length=1, max_length=255)] = "Ego"
+    network: File | None = None
+    route: Route | None = None
+    duration: Duration | None = None
+
+
+Declared = HighwayScenario | OpenScenario

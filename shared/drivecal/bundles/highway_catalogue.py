@@ -25,9 +25,29 @@ COMMANDS: Mapping[str, Quantity] = MappingProxyType(
         "acceleration": Quantity("m/s²", "acceleration that drive and brakes shall reach, cut off at -9 and 4"),
         "curvature": Quantity("1/m", "curvature of the path, positive to the left; a yaw rate controller steers"),
         "steering": Quantity("rad", "angle of the front wheels, positive to the left, cut off at ±0.5"),
+        "trajectory": Quantity(
+            "s, m, m", "points: time from now, `position`, and offset to the left of the centre of the track of `lane`"
+        ),
     }
 )
-"""Outputs of a controller: acceleration, and curvature or steering."""
+"""What a controller may output: acceleration, and curvature or steering; or a trajectory alone."""
+VEHICLE_INPUTS = ("steering", "acceleration")
+VEHICLE_STATES: Mapping[str, Quantity] = MappingProxyType(
+    {
+        "x": Quantity("m", "place along the direction of the start, 0 at the start"),
+        "y": Quantity("m", "place to the left of it"),
+        "heading": Quantity("rad", "heading, 0 at the start, positive to the left"),
+        "speed": Quantity("m/s", "speed"),
+        "side_slip": Quantity("rad", "course over ground minus heading; else 0"),
+        "yaw_rate": Quantity("rad/s", "yaw rate; else the change of the heading"),
+        "longitudinal_acceleration": Quantity("m/s²", "longitudinal acceleration; else the change of the speed"),
+        "lateral_acceleration": Quantity("m/s²", "lateral acceleration; else speed times yaw rate"),
+        "steering_angle": Quantity("rad", "angle of the front wheels; else the commanded one"),
+    }
+)
+"""What a vehicle of the user's may give after a step, and what counts if it does not; the first four are needed."""
+PLANNER_PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
+"""Parameters of the built-in planner."""
 
 _OWN = {
     "time": Quantity("s", "time since the start of the run"),

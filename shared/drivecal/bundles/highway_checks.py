@@ -1,27 +1,47 @@
 """Checks of a manifest's simulator `highway` beyond single fields."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from drivecal.bundles.highway import (
     AnyController,
-    CutIn,
+    Declared,
     Driver,
     FmuController,
+    FmuVehicle,
     HighwayScenario,
     HighwaySimulator,
+    OpenScenario,
+    PlannerController,
     ProcessController,
-    Trigger,
+    UserVehicleEntry,
 )
-from drivecal.bundles.highway_catalogue import COMMANDS, FAILURES, MEASURES, SERIES, SIGNALS, TYPE_PARAMETERS, Quantity
+from drivecal.bundles.highway_action_checks import actions_problems
+from drivecal.bundles.highway_catalogue import (
+    COMMANDS,
+    FAILURES,
+    MEASURES,
+    PLANNER_PARAMETERS,
+    SERIES,
+    SIGNALS,
+    TYPE_PARAMETERS,
+    VEHICLE_INPUTS,
+    VEHICLE_STATES,
+    Quantity,
+)
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 TICK = 0.01
 """Step of the vehicle's dynamics (s), of which all other steps are multiples."""
-NETWORKS = (".net.xml", ".xodr")
+ENDINGS: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "network": ((".net.xml", ".xodr"), "neither a SUMO network nor an OpenDRIVE file"),
+    "routes": ((".rou.xml",), "no SUMO route file"),
+    "openscenario": ((".xosc",), "no OpenSCENARIO file"),
+}
+"""Endings of the files that scenarios name, and what others are not."""
 SPLITTING = ",$"
 """Characters of a path that SUMO takes for a list of files and for variables of the environment."""
 ABOVE_ZERO = frozenset({"accel", "decel", "emergencyDecel", "apparentDecel", "tau", "stepping"})
@@ -40,6 +60,8 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
         message = f"{period:g} s is neither a multiple nor a part of the simulator's step of {step:g} s"
         yield Problem("simulator.controller.period", message, f"give e.g. {step:g}")
     yield from _outputs(controller)
+    if isinstance(simulator.vehicle, UserVehicleEntry):
+        yield from _vehicle(simulator.vehicle)
     if isinstance(controller, FmuController):
         yield from _signal_table(controller)
     elif isinstance(controller, ProcessController):
@@ -51,6 +73,27 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
                 yield Problem(field, f"{name} appears twice", "give each signal once")
 
 
+def _vehicle(vehicle: UserVehicleEntry) -> Iterator[Problem]:
+    """Yields the faults of a vehicle of the user's."""
+    state: list[str] = list(vehicle.state)
+    for index, name in enumerate(state):
+        if name in state[:index]:
+            yield Problem(f"simulator.vehicle.state[{index}]", f"{name} is there twice", "give each state once")
+    for name in list(VEHICLE_STATES)[:4]:
+        if name not in state:
+            yield Problem("simulator.vehicle.state", f"{name} is missing", "give x, y, heading and speed at least")
+    if isinstance(vehicle, FmuVehicle):
+        needed = [*VEHICLE_INPUTS, *state]
+        for name in needed:
+            if name not in vehicle.signals:
+                remedy = f"add `{name}: VARIABLE`"
+                yield Problem("simulator.vehicle.signals", f"the FMU's variable for {name} is missing", remedy)
+        for name in vehicle.signals:
+            if name not in (*needed, "start_speed"):
+                remedy = nearest(name, [*needed, "start_speed"])
+                yield Problem(f"simulator.vehicle.signals.{shown(name)}", "there is no such signal of a vehicle", remedy)
+
+
 def _outputs(controller: AnyController) -> Iterator[Problem]:
     output = controller.output
     if len(set(output)) < len(output):
@@ -58,6 +101,17 @@ def _outputs(controller: AnyController) -> Iterator[Problem]:
     elif {"curvature", "steering"} <= set(output):
         remedy = "leave one of them out"
         yield Problem("simulator.controller.output", "curvature and steering both steer", remedy)
+    elif "trajectory" in output and len(output) > 1:
+        yield Problem("simulator.controller.output", "a trajectory says where and when already", "give it alone")
+    if isinstance(controller, PlannerController) and output != ["trajectory"]:
+        yield Problem("simulator.controller.output", "the planner gives a trajectory", "leave it out")
+    if "trajectory" in output and isinstance(controller, FmuController):
+        yield Problem("simulator.controller.output", "an FMU has no list of points", "give acceleration and curvature")
+    if isinstance(controller, ProcessController):
+        needs = "trajectory" in output and controller.frames == "binary"
+        if needs != (controller.points is not None):
+            remedy = "give the number of points in each frame" if needs else "leave it out"
+            yield Problem("simulator.controller.points", "it is for trajectories in binary frames", remedy)
 
 
 def _signal_table(controller: FmuController) -> Iterator[Problem]:
@@ -74,6 +128,19 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
             yield Problem("simulator.controller.signals", message, f"add `{name}: VARIABLE`, the FMU's output")
 
 
+def planner_problems(controller: PlannerController, parameters: Collection[str]) -> Iterator[Problem]:
+    """Yields the parameters of the built-in planner that are missing, or given twice. `parameters`: the problem's."""
+    for name in PLANNER_PARAMETERS:
+        if (name in parameters) == (name in controller.values):
+            message = f"the planner's {name} is {'a parameter, too' if name in parameters else 'missing'}"
+            remedy = "leave it out here" if name in parameters else f"add {name} to the problem's parameters, or here"
+            yield Problem(f"simulator.controller.values.{name}", message, remedy)
+    for name in (*parameters, *controller.values):
+        if name not in PLANNER_PARAMETERS:
+            field = "simulator.controller.values" if name in controller.values else "parameters"
+            yield Problem(f"{field}.{name}", "the planner has no such parameter", nearest(name, PLANNER_PARAMETERS))
+
+
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
     """Yields the faults of all scenarios. `step`: the simulator's (s)."""
     for name, data in scenarios.items():
@@ -81,20 +148,26 @@ def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Pr
         if isinstance(scenario, InvalidInputError):
             yield from scenario.problems
         else:
-            yield from _scenario(f"scenarios.{name}", scenario, step)
+            yield from scenario_problems(f"scenarios.{name}", scenario, step)
 
 
-def networks(scenarios: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yields the field of each scenario's network and the path that it names."""
+def files_named(scenarios: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yields the field of each file that a scenario names, and its path."""
     for name, data in scenarios.items():
-        if isinstance(data.get("network"), str):
-            yield f"scenarios.{name}.network", data["network"]
+        for key in ("network", "routes", "openscenario"):
+            if isinstance(data.get(key), str):
+                yield f"scenarios.{name}.{key}", data[key]
 
 
-def scenario_of(name: str, data: Mapping[str, Any]) -> HighwayScenario | InvalidInputError:
+def declared_scenario(data: Mapping[str, Any]) -> Declared:
+    """Returns a scenario's data as a model. Raises InvalidInputError with all faults."""
+    return validated(OpenScenario, dict(data)) if "openscenario" in data else validated(HighwayScenario, dict(data))
+
+
+def scenario_of(name: str, data: Mapping[str, Any]) -> Declared | InvalidInputError:
     """Returns a scenario's data as a model, or all its faults, with the names of their fields in the manifest."""
     try:
-        return validated(HighwayScenario, dict(data))
+        return declared_scenario(data)
     except InvalidInputError as error:
         prefixed = (replace(problem, field=_joined(f"scenarios.{name}", problem.field)) for problem in error.problems)
         return InvalidInputError(*prefixed)
@@ -104,16 +177,13 @@ def _joined(prefix: str, field: str) -> str:
     return f"{prefix}.{field}" if field else prefix
 
 
-def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Problem]:
-    if not scenario.network.endswith(NETWORKS):
-        message = f"{shown(scenario.network)} is neither a SUMO network nor an OpenDRIVE file"
-        yield Problem(f"{field}.network", message, f"give the path of a {' or '.join(NETWORKS)} file of the bundle")
-    elif any(character in scenario.network for character in SPLITTING):
-        message = f"{shown(scenario.network)} has a comma or a dollar sign, by which SUMO reads other files"
-        yield Problem(f"{field}.network", message, "rename the file")
-    if _is_multiple(step, TICK) and not _is_multiple(scenario.duration, step):
-        message = f"{scenario.duration:g} s is no multiple of the simulator's step of {step:g} s"
-        yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(scenario.duration / step)) * step:g}")
+def scenario_problems(field: str, scenario: Declared, step: float, *, is_whole: bool = False) -> Iterator[Problem]:
+    """Yields the faults of a scenario. `is_whole`: its files have been read, so that every vehicle is known."""
+    yield from _files(field, scenario)
+    duration = scenario.duration
+    if duration is not None and _is_multiple(step, TICK) and not _is_multiple(duration, step):
+        message = f"{duration:g} s is no multiple of the simulator's step of {step:g} s"
+        yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(duration / step)) * step:g}")
     seen = {"ego"}
     ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(scenario.traffic)]
     ids += [(f"flows[{index}]", entry.id) for index, entry in enumerate(scenario.flows)]
@@ -126,22 +196,37 @@ def _scenario(field: str, scenario: HighwayScenario, step: float) -> Iterator[Pr
     drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
     drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
     yield from _drivers(field, drivers)
-    for index, vehicle in enumerate(scenario.traffic):
-        for number, action in enumerate(vehicle.actions):
-            place = f"{field}.traffic[{index}].actions[{number}]"
-            yield from _trigger(place, action)
-            if isinstance(action, CutIn) and vehicle.lane_change != "none":
-                remedy = "leave out `lane_change`: SUMO's model would change back"
-                yield Problem(place, f"the vehicle changes lanes by {vehicle.lane_change}", remedy)
+    is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
+    yield from actions_problems(field, scenario.traffic, is_whole=is_whole)
     for index, flow in enumerate(scenario.flows):
         if flow.end is not None and flow.end <= flow.begin:
             yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {flow.begin:g}")
-        if flow.begin >= scenario.duration:
-            message = f"the flow begins after the scenario's duration of {scenario.duration:g} s"
-            yield Problem(f"{field}.flows[{index}].begin", message, f"give less than {scenario.duration:g}")
-        if flow.speed is not None and flow.desired_speed is not None and flow.speed > flow.desired_speed:
+        if flow.random and flow.number is not None and flow.end is not None:
+            message = "random vehicles come until the end, or until the number is reached"
+            yield Problem(f"{field}.flows[{index}].number", message, "give `number` or `end`")
+        if duration is not None and flow.begin >= duration:
+            message = f"the flow begins after the scenario's duration of {duration:g} s"
+            yield Problem(f"{field}.flows[{index}].begin", message, f"give less than {duration:g}")
+        if isinstance(flow.speed, float) and flow.desired_speed is not None and flow.speed > flow.desired_speed:
             message = f"the vehicles would enter faster than their desired speed of {flow.desired_speed:g} m/s"
             yield Problem(f"{field}.flows[{index}].speed", message, f"give at most {flow.desired_speed:g}")
+
+
+def _files(field: str, scenario: Declared) -> Iterator[Problem]:
+    """Yields the faults of the paths that a scenario names."""
+    named = {"network": scenario.network, "routes": scenario.routes}
+    if isinstance(scenario, OpenScenario):
+        named["openscenario"] = scenario.openscenario
+    for key, path in named.items():
+        endings, kind = ENDINGS[key]
+        if path is None:
+            continue
+        if not path.endswith(endings):
+            remedy = f"give the path of a {' or '.join(endings)} file of the bundle"
+            yield Problem(f"{field}.{key}", f"{shown(path)} is {kind}", remedy)
+        elif key == "network" and any(character in path for character in SPLITTING):
+            message = f"{shown(path)} has a comma or a dollar sign, by which SUMO reads other files"
+            yield Problem(f"{field}.network", message, "rename the file")
 
 
 def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Problem]:
@@ -159,13 +244,6 @@ def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Prob
     if sublane and others:
         message = f"SUMO has one kind of lanes: {sublane[0]} has SL2015 and {others[0]} LC2013"
         yield Problem(f"{field}.{others[0]}.lane_change", message, "give all vehicles one of them, or none")
-
-
-def _trigger(field: str, trigger: Trigger) -> Iterator[Problem]:
-    given = [name for name in ("time", "gap", "s") if getattr(trigger, name) is not None]
-    if len(given) != 1:
-        message = f"the action has {' and '.join(given) or 'nothing'} to begin at"
-        yield Problem(field, message, "give exactly one of time, gap and s")
 
 
 def measures_problems(measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str]) -> Iterator[Problem]:

@@ -5,20 +5,23 @@ file does: what is driven is the network. It names the digest of its source, so 
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, Placed, TrafficEntry
-from drivecal.bundles.highway_checks import scenario_of
+from drivecal.bundles.highway import Declared, Driver, FlowEntry, HighwayScenario, HighwaySimulator, Placed, TrafficEntry
+from drivecal.bundles.highway_checks import scenario_of, scenario_problems
 from drivecal.bundles.manifest import Manifest
+from drivecal.bundles.traffic.description import Description, described, map_of, network_of
+from drivecal.bundles.traffic.entities import Files
+from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import Edge, Network, network_file, read_network, source_of
+from drivecal.roads.network import Edge, Network, network_file, source_of
 
 SHORTEST_DRIVE = 0.5
 """Share of the way at start speed that a route must have at least."""
@@ -36,8 +39,13 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
     networks: dict[str, bytes] = {}
     notes: list[str] = []
     problems: list[Problem] = []
+    opened = files_read(files)
     for field, scenario in _scenarios(manifest):
-        name = scenario.network
+        try:
+            name = network_of(scenario, opened)
+        except InvalidInputError as error:
+            problems += _prefixed(error, field)
+            continue
         if not name.endswith(".xodr") or name not in files or network_file(name) in networks:
             continue
         existing = files.get(network_file(name))
@@ -58,21 +66,33 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
 
 
 def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
-    """Returns a note on each scenario whose route ends before its duration, at the ego vehicle's start speed.
+    """Returns what the files of scenarios say and is ignored, and a note on each route that ends before its scenario's duration, at the
+    ego vehicle's start speed.
 
-    Raises InvalidInputError if a scenario's network, route or positions do not fit each other, with the fields of the manifest.
+    Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
     """
-    _check_effort(manifest)
     roads = _Roads(files)
-    problems: dict[str, list[Problem]] = {field: [] for field, _ in _scenarios(manifest)}
-    notes = dict.fromkeys(problems, "")
-    for field, scenario in _by_road(manifest):
-        problems[field] += _problems(roads, field, scenario)
+    problems: dict[str, list[Problem]] = {}
+    descriptions: dict[str, Description] = {}
+    for field, scenario in _scenarios(manifest):
+        problems[field] = []
+        try:
+            descriptions[field] = description = described(scenario, roads.files, roads.map, _step(manifest))
+        except InvalidInputError as error:
+            problems[field] += _prefixed(error, field)
+        else:
+            if description.scenario is not scenario:
+                problems[field] += _located(description, field, _again(description.scenario, field, manifest))
+    _check_effort(descriptions.values())
+    notes = dict.fromkeys(descriptions, "")
+    for field, description in _by_road(descriptions):
+        problems[field] += _located(description, field, _problems(roads, field, description.scenario))
         if not problems[field]:
-            notes[field] = _note(roads.corridor(scenario), field, scenario)
+            notes[field] = _note(roads.corridor(description.scenario), field, description.scenario)
     if any(problems.values()):
         raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
-    return tuple(filter(None, notes.values()))
+    ignored = chain.from_iterable(description.notes for description in descriptions.values())
+    return (*dict.fromkeys(ignored), *filter(None, notes.values()))
 
 
 def _note(road: Corridor, field: str, scenario: HighwayScenario) -> str:
@@ -83,9 +103,26 @@ def _note(road: Corridor, field: str, scenario: HighwayScenario) -> str:
     return f"{field}: at {ego.speed:g} m/s the route ends after {ahead / ego.speed:.1f} of {scenario.duration:g} s"
 
 
-def _check_effort(manifest: Manifest) -> None:
+def _again(scenario: HighwayScenario, field: str, manifest: Manifest) -> Iterator[Problem]:
+    """Yields the faults of a scenario whose files have been read."""
+    return scenario_problems(field, scenario, _step(manifest), is_whole=True)
+
+
+def _located(description: Description, field: str, problems: Iterator[Problem]) -> Iterator[Problem]:
+    """Yields problems with the fields of files for what files describe."""
+    for problem in problems:
+        place = description.located(replace(problem, field=problem.field.removeprefix(f"{field}.")))
+        yield replace(place, field=f"{field}.{place.field}")
+
+
+def _step(manifest: Manifest) -> float:
+    """Returns the simulator's step (s)."""
+    return manifest.simulator.step if isinstance(manifest.simulator, HighwaySimulator) else 0.1
+
+
+def _check_effort(descriptions: Iterable[Description]) -> None:
     """Raises InvalidInputError if checking the routes would take minutes."""
-    routes = {_road(scenario) for _, scenario in _scenarios(manifest)}
+    routes = {_road(description.scenario) for description in descriptions}
     edges = sum(len(route) for _, route in routes)
     remedy = "give more scenarios the same route, or push several problems"
     if len(routes) > MOST_ROUTES:
@@ -101,20 +138,21 @@ class _Roads:
 
     def __init__(self, files: Mapping[str, BundleFile]) -> None:
         self._files = files
-        self._networks: dict[str, Network | InvalidInputError] = {}
+        self.files = files_read(files)
+        self._maps: dict[str, Map | InvalidInputError] = {}
         self._last: tuple[tuple[str, tuple[str, ...]], Corridor | InvalidInputError] | None = None
 
-    def network(self, name: str) -> Network:
-        """Returns the network of a scenario. Raises InvalidInputError with the field `network`."""
-        if name not in self._networks:
+    def map(self, name: str) -> Map:
+        """Returns a network of the bundle with its OpenDRIVE file. Raises InvalidInputError with the field `network`."""
+        if name not in self._maps:
             try:
-                self._networks[name] = self._read(name)
+                self._maps[name] = self._read(name)
             except InvalidInputError as error:
-                self._networks[name] = error
-        network = self._networks[name]
-        if isinstance(network, InvalidInputError):
-            raise network
-        return network
+                self._maps[name] = error
+        known = self._maps[name]
+        if isinstance(known, InvalidInputError):
+            raise known
+        return known
 
     def corridor(self, scenario: HighwayScenario) -> Corridor:
         """Returns the corridor of a scenario. Raises InvalidInputError."""
@@ -122,7 +160,7 @@ class _Roads:
         if self._last is None or self._last[0] != key:
             self._last = None  # before the next is made
             try:
-                self._last = key, corridor(self.network(scenario.network), scenario.route, scenario.network)
+                self._last = key, corridor(self.map(scenario.network).network, scenario.route, scenario.network)
             except InvalidInputError as error:
                 self._last = key, error
         road = self._last[1]
@@ -130,7 +168,7 @@ class _Roads:
             raise road
         return road
 
-    def _read(self, name: str) -> Network:
+    def _read(self, name: str) -> Map:
         file = self._files.get(network_file(name))
         if file is None:
             message = f"the archive has no {shown(network_file(name), 300)}, the network that is made of {shown(name, 300)}"
@@ -139,7 +177,7 @@ class _Roads:
         if name != network_file(name) and (source is None or source_of(file.content) != _digest(source)):
             raise InvalidInputError(replace(_stale("", name), field="network"))
         try:
-            return read_network(file.content, name)
+            return map_of(self.files.read, name)
         except InvalidInputError as error:
             raise InvalidInputError(
                 *(replace(problem, field="network", message=_message(problem)) for problem in error.problems)
@@ -149,7 +187,7 @@ class _Roads:
 def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:
     """Yields the faults of a scenario."""
     try:
-        network, road = roads.network(scenario.network), roads.corridor(scenario)
+        network, road = roads.map(scenario.network).network, roads.corridor(scenario)
     except InvalidInputError as error:
         yield from _prefixed(error, field)
         return
@@ -217,11 +255,11 @@ def _on_own_route(edge: Edge | None, driver: Driver, field: str) -> Iterator[Pro
         yield Problem(f"{field}.edge", f"{shown(edge.id, 80)} is not on its own route", "give an edge of `route`")
 
 
-def _place(network: Network, edge: Edge | None, name: str, lane: int, field: str) -> Iterator[Problem]:
+def _place(network: Network, edge: Edge | None, name: str, lane: int | str, field: str) -> Iterator[Problem]:
     """Yields the faults of an edge and a lane on it."""
     if edge is None or edge.function != "":
         yield _unknown(network, name, f"{field}.edge")
-    elif lane >= len(edge.lanes):
+    elif isinstance(lane, int) and lane >= len(edge.lanes):
         message = f"the edge {shown(name, 80)} has no lane {lane}"
         yield Problem(f"{field}.lane", message, f"give 0 to {len(edge.lanes) - 1}")
 
@@ -245,16 +283,28 @@ def _unknown(network: Network, name: str, field: str) -> Problem:
     return Problem(field, f"{network.name}: there is no edge {shown(name, 80)}", remedy)
 
 
-def _scenarios(manifest: Manifest) -> Iterator[tuple[str, HighwayScenario]]:
+def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Declared]]:
     for name, data in manifest.scenarios.items():
         scenario = scenario_of(name, data)
-        if isinstance(scenario, HighwayScenario):
+        if not isinstance(scenario, InvalidInputError):
             yield f"scenarios.{name}", scenario
 
 
-def _by_road(manifest: Manifest) -> list[tuple[str, HighwayScenario]]:
+def _by_road(descriptions: Mapping[str, Description]) -> list[tuple[str, Description]]:
     """Returns the scenarios, those of one network and route after each other."""
-    return sorted(_scenarios(manifest), key=lambda entry: _road(entry[1]))
+    return sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))
+
+
+def files_read(files: Mapping[str, BundleFile]) -> Files:
+    """Returns the files of a bundle for `described`."""
+
+    def read(name: str) -> bytes:
+        if name not in files:
+            remedy = nearest(name, [other for other in files if other.endswith(name[name.rfind(".") :])])
+            raise InvalidInputError(Problem(name, "the folder of the problem has no such file", remedy))
+        return files[name].content
+
+    return Files(frozenset(files), read)
 
 
 def _road(scenario: HighwayScenario) -> tuple[str, tuple[str, ...]]:

@@ -117,6 +117,8 @@ def read_elements(
 _REMEDIES = {
     "net": "give a SUMO network (.net.xml), or an OpenDRIVE file (.xodr)",
     "OpenDRIVE": "give an OpenDRIVE file (.xodr)",
+    "OpenSCENARIO": "give an OpenSCENARIO file of version 1.x (.xosc)",
+    "routes": "give a SUMO route file (.rou.xml)",
 }
 
 

@@ -40,7 +40,8 @@ OTHER_FILES = ("href", "file", "output", "dest")
 """Attributes by which SUMO reads or writes other files: of `<include>`, and of signs, detectors and events of additional files."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
-
+ORIGIN = "origId"
+"""Parameter of lanes by which netconvert names the roads and lanes of an OpenDRIVE file."""
 
 CONVERTED = ".net.xml"
 """Ending of a converted network's file, after that of its OpenDRIVE file."""
@@ -78,6 +79,8 @@ class Lane:
     """Line of the file."""
     widths: Floats | None = None
     """Shares of the shape's length and widths there (n, 2), if the width changes along the lane."""
+    origin: str | None = None
+    """Roads and lanes of the OpenDRIVE file that it was made of, such as `7_-1`, if netconvert has said so."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -237,9 +240,11 @@ class _Reader:
         )
 
     def on_param(self, attributes: Attributes) -> None:
-        """Takes the widths of a lane."""
+        """Takes the widths of a lane, and what it was made of."""
         if attributes.values.get("key") == WIDTHS and self.edge is not None and self.lanes:
             self.lanes[-1] = replace(self.lanes[-1], widths=_widths(attributes))
+        elif attributes.values.get("key") == ORIGIN and self.edge is not None and self.lanes:
+            self.lanes[-1] = replace(self.lanes[-1], origin=attributes.text("value", ""))
 
     def on_connection(self, attributes: Attributes) -> None:
         begin = attributes.text("from")

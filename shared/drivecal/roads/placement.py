@@ -15,7 +15,7 @@ import numpy as np
 
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
-from drivecal.roads.network import WIDTHS
+from drivecal.roads.network import ORIGIN, WIDTHS
 from drivecal.roads.opendrive import DRIVEN, FileRoad, RoadFile
 
 STEP = 1.0
@@ -23,7 +23,6 @@ DETAIL = 0.01
 """Metres that points may be left out for."""
 CLOSED = "emergency authority"
 """SUMO's classes that may drive where cars may not."""
-ORIGIN = "origId"
 DECIMALS = 4
 
 

@@ -160,3 +160,117 @@ def test_all_faults_are_named_at_once() -> None:
     given["scenarios"]["busy"]["duration"] = 20.05
     given["measures"]["fuel"] = "l"
     assert faults(given) == {"scenarios.merge.ego.s", "scenarios.busy.duration", "measures.fuel"}
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({}, ""),
+        ({"time": 1, "gap": 3}, ""),
+        ({"time": 1, "when": []}, ""),
+        ({"when": [{}]}, ".when[0]"),
+        ({"when": [{"quantity": "gap"}]}, ".when[0]"),
+        ({"when": [{"quantity": "gap", "above": 1, "below": 2}]}, ".when[0]"),
+        ({"when": [{"quantity": "speed", "to": "ego", "above": 1}]}, ".when[0].to"),
+        ({"when": [{"quantity": "gap", "vehicle": "nobody", "above": 1}]}, ".when[0].vehicle"),
+        ({"time": 1, "after": [{"done": "nothing"}]}, ".after[0].done"),
+        ({"time": 1, "lane": None}, ".lane"),
+        ({"time": 1, "by": 1}, ".lane"),
+        ({"time": 1, "beside": "ego"}, ".beside"),
+        ({"time": 1, "lane": None, "by": 0, "beside": "nobody"}, ".beside"),
+        ({"time": 1, "seconds": 2, "metres": 30}, ""),
+    ],
+)
+def test_faults_of_actions_are_named(given: dict[str, Any], field: str) -> None:
+    content = {name: value for name, value in ({"do": "cut_in", "lane": 0} | given).items() if value is not None}
+    manifest = changed("scenarios/busy/traffic/0/actions", [content])
+    assert faults(manifest) == {f"scenarios.busy.traffic[0].actions[0]{field}"}
+
+
+@pytest.mark.parametrize(
+    ("given", "field"),
+    [
+        ({"rate": 2, "seconds": 3}, ""),
+        ({"speed": -3}, ".speed"),
+        ({"factor": 1.5}, ".factor"),
+        ({"continuous": True}, ".continuous"),
+        ({"like": "nobody"}, ".like"),
+    ],
+)
+def test_faults_of_changes_of_speed_are_named(given: dict[str, Any], field: str) -> None:
+    manifest = changed("scenarios/busy/traffic/0/actions", [{"do": "brake", "time": 1} | given])
+    assert faults(manifest) == {f"scenarios.busy.traffic[0].actions[0]{field}"}
+
+
+def test_actions_of_one_id_are_named_and_others_may_wait_for_them() -> None:
+    first, second = {"id": "a", "do": "brake", "time": 1}, {"id": "b", "do": "brake", "when": [{"done": "a", "delay": 2}]}
+    assert checked(changed("scenarios/busy/traffic/0/actions", [first, second]))
+    assert faults(changed("scenarios/busy/traffic/0/actions", [first, second | {"id": "a"}])) == {
+        "scenarios.busy.traffic[0].actions[1].id"
+    }
+
+
+NAMES = [f"P{number}" for number in range(1, 12)]
+
+
+@pytest.mark.parametrize(
+    ("controller", "field"),
+    [
+        ({"kind": "python", "file": "acc.py", "output": ["trajectory", "acceleration"]}, "controller.output"),
+        (FMU | {"output": ["trajectory"], "signals": {"gap": "u1", "trajectory": "y"}}, "controller.output"),
+        (PROCESS | {"output": ["trajectory"]}, "controller.points"),
+        (PROCESS | {"points": 10}, "controller.points"),
+        (PROCESS | {"output": ["trajectory"], "frames": "json", "points": 10}, "controller.points"),
+    ],
+)
+def test_faults_of_trajectories_are_named(controller: dict[str, Any], field: str) -> None:
+    assert faults(changed("simulator/controller", controller), FILES) == {f"simulator.{field}"}
+
+
+def test_the_planner_has_its_parameters_once() -> None:
+    lone = changed("parameters", {"P1": {"lower": -15, "upper": 14}}) | {"baseline": None}
+    values = dict.fromkeys(NAMES[1:], 1)
+    given = {"kind": "highway", "controller": {"kind": "planner", "values": values}}
+    assert checked(lone | {"simulator": given}, FILES)
+    for other, field in (
+        ({name: 1 for name in values if name != "P7"}, "simulator.controller.values.P7"),
+        (values | {"P1": 1}, "simulator.controller.values.P1"),
+        (values | {"P12": 1}, "simulator.controller.values.P12"),
+    ):
+        assert faults(lone | {"simulator": {"kind": "highway", "controller": {"kind": "planner", "values": other}}}, FILES) == {
+            field
+        }
+    assert "parameters.T" in faults(
+        changed("simulator/controller", {"kind": "planner", "values": dict.fromkeys(NAMES, 1)}), FILES
+    )
+
+
+CAR = {"kind": "python", "file": "acc.py"}
+FMU_CAR = {
+    "kind": "fmu",
+    "file": "acc.fmu",
+    "signals": {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")},
+}
+
+
+def test_vehicles_of_users_pass() -> None:
+    for vehicle in (CAR, CAR | {"mass": 1200}, {"kind": "process", "command": ["./acc"]}, FMU_CAR):
+        assert checked(changed("simulator/vehicle", vehicle), FILES)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "field"),
+    [
+        (CAR | {"file": "car.py"}, "file"),
+        (CAR | {"state": ["x", "y", "heading", "yaw_rate"]}, "state"),
+        (CAR | {"state": ["x", "y", "heading", "speed", "x"]}, "state[4]"),
+        (CAR | {"state": ["x", "y", "heading", "fast"]}, "state[3]"),
+        ({"kind": "process", "command": ["./car"]}, "command[0]"),
+        (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "steering"}}, "signals"),
+        (FMU_CAR | {"signals": dict.fromkeys([*FMU_CAR["signals"], "gap"], "u")}, "signals.gap"),
+        ({"kind": "tank"}, "kind"),
+        ({"model": "single_track", "kind": "python", "file": "acc.py"}, "model"),
+    ],
+)  # fmt: skip
+def test_faults_of_vehicles_are_named(vehicle: dict[str, Any], field: str) -> None:
+    assert faults(changed("simulator/vehicle", vehicle), FILES) == {f"simulator.vehicle.{field}"}

@@ -16,6 +16,7 @@ from drivecal.bundles import highway_roads
 from drivecal.bundles.archives import BundleFile, content_digest, files_of, with_files
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_roads import check_roads, conversions
+from drivecal.bundles.traffic import description
 from drivecal.client.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.roads.corridor import Corridor, corridor
@@ -163,7 +164,7 @@ def test_a_folder_is_converted_and_measured_once(tmp_path: Path, monkeypatch: py
         read.append(name)
         return read_network(content, name)
 
-    monkeypatch.setattr(highway_roads, "read_network", counted)
+    monkeypatch.setattr(description, "read_network", counted)
     _, _, notes = read_bundle_with_notes(tmp_path)
     assert len(notes) == 1
     assert read == ["road.net.xml"]

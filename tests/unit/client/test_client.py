@@ -436,7 +436,7 @@ def test_answers_show_themselves_as_tables_in_notebooks(
     assert FULL in shown
     page = CampaignPage.model_validate({"items": [{"id": FULL, "name": "one", "state": "running"}] * 30})
     assert page._repr_html_().count("<tr>") == 21
-    assert "20 of 30 rows" in page._repr_html_()
+    assert "10 more rows" in page._repr_html_()
     assert "<table>" in str(downloaded[0]._repr_html_())
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     assert downloaded[0]._repr_html_() is None

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 import os
 import random
-import re
 import tracemalloc
-import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.support.mutations import mutated, outcome
 from tests.support.networks import crossing, entrance, generated
 from tests.support.opendrive_files import FILES
 
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
@@ -25,76 +24,6 @@ from drivecal.roads.opendrive import read_opendrive
 
 MUTATIONS = 2000 if os.environ.get("DRIVECAL_LONG") else 300
 CONVERSIONS = 100 if os.environ.get("DRIVECAL_LONG") else 10
-STRANGE = (
-    "", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0x10", "١", "1_0", "99999999999999999999", "a" * 300, "\u202e", "before",
-    "before_0", ":b_0", "0,0", "0,0 0,0", "0,0 1e9,1e9", "0,0 1,1,1 2,2", "-0.0,5 5,-0.0", " ", "true", "internal", "driving", "0.1 0.2",
-)  # fmt: skip
-
-
-def mutated(content: bytes, chance: random.Random) -> bytes:
-    """The content with one to three faults: of bytes, of attributes, of elements."""
-    for _ in range(chance.choice((1, 1, 1, 2, 3))):
-        content = chance.choice((other_value, other_value, other_value, without_element, twice, byte, cut, swapped))(
-            content, chance
-        )
-    return content
-
-
-def attribute(content: bytes, chance: random.Random) -> tuple[int, int]:
-    places = [match.span(1) for match in re.finditer(rb'="([^"]*)"', content)]
-    return chance.choice(places) if places else (0, 0)
-
-
-def other_value(content: bytes, chance: random.Random) -> bytes:
-    first, last = attribute(content, chance)
-    value = chance.choice(STRANGE).encode()
-    if chance.random() < 0.3:  # a digit more
-        value = content[first:last] + str(chance.randrange(10)).encode()
-    return content[:first] + value + content[last:]
-
-
-def swapped(content: bytes, chance: random.Random) -> bytes:
-    (first, last), (begin, end) = attribute(content, chance), attribute(content, chance)
-    return content[:first] + content[begin:end] + content[last:]
-
-
-def element(content: bytes, chance: random.Random) -> tuple[int, int]:
-    places = [match.span() for match in re.finditer(rb"<\w[^>]*/>|</\w+>|<\w[^>]*>", content)]
-    return chance.choice(places) if places else (0, 0)
-
-
-def without_element(content: bytes, chance: random.Random) -> bytes:
-    first, last = element(content, chance)
-    return content[:first] + content[last:]
-
-
-def twice(content: bytes, chance: random.Random) -> bytes:
-    first, last = element(content, chance)
-    return content[:last] + content[first:last] * chance.choice((1, 1, 50)) + content[last:]
-
-
-def byte(content: bytes, chance: random.Random) -> bytes:
-    place = chance.randrange(max(1, len(content)))
-    return content[:place] + bytes([chance.randrange(256)]) + content[place + 1 :]
-
-
-def cut(content: bytes, chance: random.Random) -> bytes:
-    return content[: chance.randrange(max(1, len(content)))] if chance.random() < 0.2 else content
-
-
-def outcome(attempt: Callable[[], object]) -> bool:
-    """Whether the attempt succeeds; any exception but InvalidInputError fails the test."""
-    problems: tuple[Problem, ...] = ()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        try:
-            attempt()
-        except InvalidInputError as error:
-            problems = error.problems
-    assert all(problem.message and problem.field for problem in problems)
-    return not problems
-
-
 SUBJECTS: dict[str, tuple[Callable[[], bytes], tuple[str, ...]]] = {
     "entrance": (entrance, ("before", "beside", "after")),
     "ramp": (lambda: entrance("--no-internal-links"), ("ramp", "beside", "after")),

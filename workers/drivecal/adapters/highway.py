@@ -31,17 +31,22 @@ class HighwayAdapter:
     ) -> ProcessSession:
         """Starts the child, which reads the network, loads SUMO and starts the controller."""
         folder, controller = folder.resolve(), section["controller"]
-        for name in (network_file(data["network"]), controller.get("file"), controller.get("wheels")):
+        vehicle = section["vehicle"] if isinstance(section["vehicle"], Mapping) else {}
+        has_fmu = "fmu" in (controller["kind"], vehicle.get("kind"))
+        network = network_file(data["network"]) if "network" in data else None
+        files = [entry.get(key) for entry in (controller, vehicle) for key in ("file", "wheels")]
+        for name in (network, data.get("routes"), data.get("openscenario"), *files):
             if name is not None and not (folder / name).exists():
                 raise UnavailableError(f"{name} does not exist in the bundle")
-        for package in ("libsumo", "numba", *(["fmpy"] if controller["kind"] == "fmu" else [])):
+        for package in ("libsumo", "numba", *(["fmpy"] if has_fmu else [])):
             if find_spec(package) is None:
                 extra = "fmu" if package == "fmpy" else "worker"
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
         scratch = Scratch(folder)
         try:
-            if controller["kind"] == "process":
-                check_command(controller["command"], scratch.work)
+            for entry in (controller, vehicle):
+                if entry.get("kind") == "process":
+                    check_command(entry["command"], scratch.work)
         except UnavailableError:
             scratch.remove()
             raise
@@ -59,7 +64,7 @@ class HighwayAdapter:
         file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
         file.write_text(json.dumps(settings, allow_nan=False))
         launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)], section)
-        most_runs = MOST_FMU_RUNS if controller["kind"] == "fmu" else MOST_RUNS
+        most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS
         return ProcessSession(
             launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
         )

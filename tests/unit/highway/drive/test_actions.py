@@ -10,7 +10,7 @@ import pytest
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.highway.drive import actions
-from drivecal.highway.drive.actions import Actions, EgoPlace
+from drivecal.highway.drive.actions import ActionError, Actions, EgoPlace
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
@@ -78,7 +78,7 @@ def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     for step in range(8):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
-    assert sumo.modes == [FREE_BUT_SAFE, FREE]
+    assert sumo.modes == [FREE]
 
 
 def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
@@ -105,3 +105,64 @@ def test_a_cut_in_that_is_due_in_a_junction_waits_for_the_next_edge(sumo: Sumo) 
     sumo.road = "e1"
     act(these, 1)  # the gap has grown meanwhile
     assert len(sumo.offsets) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "speeds"),
+    [
+        ({"speed": 20, "seconds": 1.0}, [25, 20, 20]),
+        ({"speed": 40, "seconds": 0.0}, [40, 40, 40]),
+        ({"speed": 20, "metres": 25.0}, [25, 20, 20]),
+        ({"speed": 2, "like": "ego", "factor": 0.5, "seconds": 0.0}, [14, 14, 14]),
+        ({"like": "ego", "continuous": True, "seconds": 0.0}, [24, 22, 20]),
+    ],
+)
+def test_a_speed_is_reached_in_a_time_or_a_distance_or_as_another_s(
+    sumo: Sumo, change: dict[str, Any], speeds: list[float]
+) -> None:
+    these = of({"do": "brake", "time": 0} | change, model="constant")
+    for step in range(3):
+        act(these, step, EgoPlace(0.0, 1.0, 24.0 - 2.0 * step))
+    assert sumo.speeds == pytest.approx(speeds)
+
+
+@pytest.mark.parametrize(
+    ("target", "d", "way"),
+    [({"by": 1}, 0.0, 3.5), ({"by": 0, "beside": "ego"}, 3.4, 3.5), ({"by": -1, "beside": "ego"}, 3.4, 0.0)],
+)
+def test_a_vehicle_changes_to_the_lane_beside_its_own_or_another_s(
+    sumo: Sumo, target: dict[str, Any], d: float, way: float
+) -> None:
+    these = of({"do": "cut_in", "time": 0, "seconds": 1.0} | target, model="constant")
+    act(these, 0, EgoPlace(0.0, 1.0, 30.0, d))
+    assert sumo.offsets == [pytest.approx(0.5 * way)]  # half of the way after half of the time
+
+
+def test_a_lane_that_is_not_there_is_named(sumo: Sumo) -> None:
+    assert sumo.road == "e0"
+    with pytest.raises(ActionError, match="lane 3"):
+        act(of({"do": "cut_in", "time": 0, "by": 3}), 0)
+
+
+def test_a_change_of_lanes_takes_as_long_as_its_distance_or_lateral_speed_says(sumo: Sumo) -> None:
+    for given, seconds in (({"metres": 60.0}, 2.0), ({"lateral_speed": 1.875 * 3.5 / 2}, 2.0)):
+        sumo.offsets.clear()
+        these = of({"do": "cut_in", "time": 0, "by": 1} | given)
+        for step in range(5):
+            act(these, step)
+        assert sumo.offsets[round(0.5 * seconds / STEP) - 1] == pytest.approx(1.75)
+
+
+def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
+    first = {"id": "first", "do": "brake", "time": 0, "speed": 20, "rate": 10}
+    second = {"do": "brake", "when": [{"done": "first", "delay": 1.0}], "speed": 30, "rate": 20}
+    these = Actions(
+        {
+            "v": TrafficEntry.model_validate(
+                {"s": 100, "speed": 30, "length": 5.0, "model": "constant", "actions": [first, second]}
+            )
+        }
+    )
+    for step in range(6):
+        act(these, step)
+    assert sumo.speeds == [25, 20, 20, 20, 30, 30]

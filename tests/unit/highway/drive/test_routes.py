@@ -107,3 +107,19 @@ def test_lane_changes_take_time_and_the_seed_is_the_scenario_s() -> None:
     assert option("--lanechange.duration", "LC2013") == "3.0"
     assert option("--lateral-resolution", "SL2015") == "0.8"
     assert option("--lanechange.duration", "none") is None
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"per_hour": 900}, {"end": "20.0", "period": "4.0", "departPos": "base", "departSpeed": "max", "departLane": "0"}),
+        ({"per_hour": 900, "number": 3}, {"number": "3", "period": "4.0"}),
+        ({"per_hour": 900, "number": 30}, {"number": "5", "period": "4.0"}),
+        ({"per_hour": 900, "number": 2, "random": True}, {"number": "2", "period": "exp(0.25)"}),
+        ({"per_hour": 900, "s": 30, "length": 5, "lane": "free", "speed": "avg"}, {"departPos": "32.5", "departLane": "free"}),
+    ],
+)
+def test_a_flow_says_how_many_enter_when_and_where(given: dict[str, Any], expected: dict[str, str]) -> None:
+    flow = next(written(scenario(flows=[given])).iter("flow"))
+    assert expected.items() <= flow.attrib.items()
+    assert len({"end", "number"} & flow.attrib.keys()) == 1

@@ -1,14 +1,23 @@
 """Triggered actions of the traffic's vehicles: they brake, cut in or drift at a time, a gap or a place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf, isnan, sqrt
 from typing import NamedTuple
 
-from drivecal.bundles.highway import Brake, CutIn, Drift, TrafficEntry
+from drivecal.bundles.highway import TrafficEntry
+from drivecal.bundles.highway_actions import EGO, Action, Brake, CutIn, Drift
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
+from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
+
+DEFAULT_RATE, DEFAULT_SECONDS = 4.0, 3.0
+SHORTEST, SLOWEST = 0.1, 0.1
+"""Seconds of a motion to the side at least; speed (m/s) by which a distance is divided at least."""
+PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
+"""Largest speed and acceleration of a motion of least jerk, per its mean speed, and per way / seconds²."""
 
 
 class ActionError(DrivecalError):
@@ -16,21 +25,29 @@ class ActionError(DrivecalError):
 
 
 class EgoPlace(NamedTuple):
-    """Place of the ego vehicle: s of its centre (m), and metres of its way per metre of s."""
+    """Place of the ego vehicle: s of its centre (m), metres of its way per metre of s, its speed (m/s), and d (m)."""
 
     s: float
     stretch: float
+    speed: float = 0.0
+    d: float = 0.0
+
+
+Lateral = Callable[[float, float, float], float]
+"""Returns d at an s (last) of the centre of the lane that holds a place (s, d)."""
 
 
 @dataclass(slots=True)
 class _Speeding:
-    """A running `brake`: the speed now, and the time at which it is given back to the model, if it is known.
+    """A running `brake`: the speed now, the one to be reached, the rate, and the time at which it is given back to the model, if known.
 
     A `constant` vehicle has no model: it comes back to its own speed at the rate of the brake.
     """
 
     brake: Brake
     speed: float
+    target: float
+    rate: float
     until: float | None = None
 
 
@@ -38,6 +55,7 @@ class _Speeding:
 class _Shift:
     """A running motion to the side: from `start` by `way` (m), in `seconds` from `begin`; `steps`: lanes still to be entered."""
 
+    action: str | None
     begin: float
     seconds: float
     start: float
@@ -54,18 +72,19 @@ class _Shift:
 class Actions:
     """The actions of all vehicles of a scenario."""
 
-    def __init__(self, vehicles: Mapping[str, TrafficEntry]) -> None:
-        """`vehicles`: by id."""
+    def __init__(self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d) -> None:
+        """`vehicles`: by id; `lateral`: on the road."""
         self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
-        self._vehicles = vehicles
+        self._vehicles, self._lateral = vehicles, lateral
         self.reset()
 
     def reset(self) -> None:
         """Forgets what has happened, for another run."""
-        self._waiting = list(self._entries)
+        self._waiting: list[tuple[str, Action, Watch | None]] = [(name, action, None) for name, action in self._entries]
         self._late: list[tuple[str, CutIn]] = []
         self._speeding: dict[str, _Speeding] = {}
         self._shifts: dict[str, _Shift] = {}
+        self._events = Events()
 
     @property
     def pending(self) -> bool:
@@ -78,69 +97,107 @@ class Actions:
         Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
         whose lanes the scenario numbers.
         """
-        rows = {name: row for row, name in enumerate(names)}
-        waiting: list[tuple[str, Brake | CutIn | Drift]] = []
-        due: list[tuple[str, Brake | CutIn | Drift]] = [*self._late]
-        for name, action in self._waiting:
-            is_due = name in rows and self._is_due(name, action, time, others.item(rows[name], 0), ego, length)
-            (due if is_due else waiting).append((name, action))
+        vehicles = {
+            name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
+        }
+        moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch)
+        for name, vehicle in moment.vehicles.items():
+            self._events.starts.setdefault(name, vehicle.s)
+        waiting: list[tuple[str, Action, Watch | None]] = []
+        due: list[tuple[str, Action]] = [*self._late]
+        for name, action, known in self._waiting:
+            watch = Watch(name, action, step) if known is None else known
+            if watch.is_due(moment, self._events) and name in vehicles:
+                due.append((name, action))
+            else:
+                waiting.append((name, action, watch))
         self._waiting, self._late = waiting, []
         for name, action in due:
-            if isinstance(action, CutIn) and (name not in rows or sumo.vehicle.getRoadID(name).startswith(":")):
+            if isinstance(action, CutIn) and (name not in vehicles or sumo.vehicle.getRoadID(name).startswith(":")):
                 self._late.append((name, action))
             else:
-                self._begin(name, action, time)
-        for name in [name for name in self._speeding if name in rows]:
-            self._speed(name, time, step)
-        for name in [name for name in self._shifts if name in rows]:
+                self._begin(name, action, moment)
+        for name in [name for name in self._speeding if name in vehicles]:
+            self._speed(name, moment, step)
+        for name in [name for name in self._shifts if name in vehicles]:
             self._shift(name, time + step)
 
-    def _is_due(self, name: str, action: Brake | CutIn | Drift, time: float, s: float, ego: EgoPlace, length: float) -> bool:
-        if action.time is not None:
-            return time >= action.time - 1e-9
-        if action.s is not None:
-            return s >= action.s
-        return abs(s - ego.s) * ego.stretch - 0.5 * (length + self._vehicles[name].length) <= (action.gap or 0.0)
-
-    def _begin(self, name: str, action: Brake | CutIn | Drift, time: float) -> None:
+    def _begin(self, name: str, action: Action, moment: Moment) -> None:
         vehicle = sumo.vehicle
+        self._events.begun.add(action.id or "")
         if isinstance(action, Brake):
-            self._speeding[name] = _Speeding(action, vehicle.getSpeed(name))
-            vehicle.setSpeedMode(name, FREE_BUT_SAFE)
+            if name in self._speeding:
+                self._events.done.add(self._speeding[name].brake.id or "")
+            speed = vehicle.getSpeed(name)
+            target = _target(action, moment, speed)
+            self._speeding[name] = _Speeding(action, speed, target, _rate(action, speed, target))
+            vehicle.setSpeedMode(name, FREE if self._vehicles[name].model == "constant" else FREE_BUT_SAFE)
             return
+        if name in self._shifts:
+            self._events.done.add(self._shifts[name].action or "")
         offset = vehicle.getLateralLanePosition(name)
         if isinstance(action, Drift):
-            self._shifts[name] = _Shift(time, action.seconds, offset, action.offset - offset)
+            way = action.offset - offset
+            seconds = action.seconds or DEFAULT_SECONDS
+            if action.lateral_acceleration is not None:
+                seconds = max(sqrt(PEAK_ACCELERATION * abs(way) / action.lateral_acceleration), SHORTEST)
+            self._shifts[name] = _Shift(action.id, moment.time, seconds, offset, way)
             return
         edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
         count = sumo.edge.getLaneNumber(edge)
-        if action.lane >= count:
-            raise ActionError(
-                f"{name} cannot cut into lane {action.lane} of edge {edge} at {time:g} s, which has {count} lanes"
-            )
         centres = [0.0]
         for lane in range(1, count):
             centres.append(centres[-1] + 0.5 * (_width(edge, lane - 1) + _width(edge, lane)))
-        way = centres[action.lane] - centres[index] - offset
-        self._shifts[name] = _Shift(time, action.seconds, offset, way, action.lane - index)
+        target_lane = action.lane
+        if target_lane is None:
+            left = 0.0
+            if action.beside is not None:
+                left = self._left(name, action.beside, moment) + offset
+            base = min(range(count), key=lambda lane: abs(centres[lane] - centres[index] - left))
+            target_lane = base + (action.by or 0)
+        if not 0 <= target_lane < count:
+            raise ActionError(
+                f"{name} cannot cut into lane {target_lane} of edge {edge} at {moment.time:g} s, which has {count} lanes"
+            )
+        way = centres[target_lane] - centres[index] - offset
+        seconds = action.seconds or DEFAULT_SECONDS
+        if action.metres is not None:
+            seconds = action.metres / max(vehicle.getSpeed(name), SLOWEST)
+        elif action.lateral_speed is not None:
+            seconds = PEAK_SPEED * abs(way) / action.lateral_speed
+        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
 
-    def _speed(self, name: str, time: float, step: float) -> None:
-        running = self._speeding[name]
+    def _left(self, name: str, other: str, moment: Moment) -> float:
+        """Returns how far to the left of a vehicle the lane of another one is (m)."""
+        if other not in moment.vehicles or isnan(moment.vehicles[other].s):
+            raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the road")
+        own, there = moment.vehicles[name], moment.vehicles[other]
+        return self._lateral(there.s, there.d, own.s) - own.d
+
+    def _speed(self, name: str, moment: Moment, step: float) -> None:
+        running, time = self._speeding[name], moment.time
         if running.until is not None and time >= running.until - 1e-9:
+            self._events.done.add(running.brake.id or "")
             vehicle = self._vehicles[name]
             if vehicle.model != "constant":
                 sumo.vehicle.setSpeedMode(name, MODEL)
                 sumo.vehicle.setSpeed(name, -1)
                 del self._speeding[name]
                 return
-            sumo.vehicle.setSpeedMode(name, FREE)
-            running.brake, running.until = Brake(do="brake", speed=vehicle.speed, rate=running.brake.rate), None
-        change, target = running.brake.rate * step, running.brake.speed
+            running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
+            running.target, running.until = vehicle.speed, None
+        if running.brake.continuous:
+            running.target = _target(running.brake, moment, running.target)
+        change, target = running.rate * step, running.target
         speed = max(running.speed - change, target) if running.speed > target else min(running.speed + change, target)
         running.speed = speed
         sumo.vehicle.setSpeed(name, speed)
-        if speed == target and running.until is None and running.brake.hold is not None:
+        if speed != target or running.until is not None:
+            return
+        if running.brake.hold is not None:
             running.until = time + step + running.brake.hold
+        elif not running.brake.continuous:
+            self._events.done.add(running.brake.id or "")
 
     def _shift(self, name: str, time: float) -> None:
         """Moves a vehicle sideways, and into the next lane when its centre crosses the marking, or after the junction."""
@@ -158,7 +215,25 @@ class Actions:
                 offset -= way
         vehicle.setLateralLanePosition(name, offset)
         if time >= running.begin + running.seconds and not running.steps:
+            self._events.done.add(running.action or "")
             del self._shifts[name]
+
+
+def _target(brake: Brake, moment: Moment, otherwise: float) -> float:
+    """Returns the speed to be reached, `otherwise` if the vehicle to compare with has left the network."""
+    if brake.like is None:
+        return brake.speed
+    other = moment.vehicles.get(brake.like)
+    return otherwise if other is None else max(brake.factor * other.speed + brake.speed, 0.0)
+
+
+def _rate(brake: Brake, speed: float, target: float) -> float:
+    """Returns the rate (m/s²) of a change of speed."""
+    if brake.seconds is not None:
+        return abs(target - speed) / brake.seconds if brake.seconds > 0.0 else inf
+    if brake.metres is not None:
+        return abs(target**2 - speed**2) / (2.0 * brake.metres)
+    return DEFAULT_RATE if brake.rate is None else brake.rate
 
 
 def _width(edge: str, lane: int) -> float:

@@ -53,7 +53,7 @@ class FunctionController(Controller):
         answer = self._call(dict(zip(NAMES, signals, strict=True)))
         if isinstance(answer, Mapping):
             return by_name(answer, self._output, self._name)
-        if isinstance(answer, (list, tuple)):
+        if isinstance(answer, (list, tuple)) and "trajectory" not in self._output:
             return answer
         return (answer,)
 
@@ -98,7 +98,7 @@ class Checked:
         except (MemoryError, DrivecalError):
             raise
         except (Exception, SystemExit) as error:
-            _end_if_fatal(error)
+            end_if_fatal(error)
             raise ControllerError(f"the controller does not start: {described(error)}") from error
 
     def step(self, signals: Sequence[float]) -> Sequence[float]:
@@ -108,13 +108,13 @@ class Checked:
         except (MemoryError, DrivecalError):
             raise
         except (Exception, SystemExit) as error:
-            _end_if_fatal(error)
+            end_if_fatal(error)
             raise ControllerError(f"the controller failed at {signals[0]:g} s: {described(error)}") from error
         if len(commands) != len(self._output):
             names = ", ".join(self._output)
             raise ControllerError(f"the controller gave {len(commands)} values at {signals[0]:g} s, not {names}")
         for name, value in zip(self._output, commands, strict=True):
-            if not _is_finite(value):
+            if name != "trajectory" and not _is_finite(value):
                 raise ControllerError(
                     f"the controller gave {value!r:.100} for {name} at {signals[0]:g} s; it must be a finite number"
                 )
@@ -128,7 +128,7 @@ def _is_finite(value: Any) -> bool:
         return False
 
 
-def _end_if_fatal(error: BaseException) -> None:
+def end_if_fatal(error: BaseException) -> None:
     """Ends the process after an FMU's fatal error, after which none of its functions may be called."""
     if getattr(error, "status", None) == FATAL:
         print(described(error), file=sys.stderr, flush=True)  # noqa: T201  # the cause of the crash
@@ -149,7 +149,7 @@ def controller(
     output, period = section["output"], section.get("period", step)
     made: Controller
     if section["kind"] == "python":
-        made = FunctionController(_function(section, folder, scratch), output, scenario)
+        made = FunctionController(function_of(section, folder, scratch), output, scenario)
     elif section["kind"] == "process":
         made = ProgramController(section, work, scenario, period)
     else:
@@ -157,7 +157,8 @@ def controller(
     return Checked(made, output)
 
 
-def _function(section: Mapping[str, Any], folder: Path, scratch: Path) -> Callable[..., Any]:
+def function_of(section: Mapping[str, Any], folder: Path, scratch: Path) -> Callable[..., Any]:
+    """Returns the function or class of the user's file. Raises ControllerError, and any exception of the file."""
     if section.get("wheels") is not None:
         sys.path.insert(0, str(unpack(folder / section["wheels"], scratch / "packages")))
     file = folder / section["file"]

@@ -15,12 +15,15 @@ from drivecal.adapters.driver import Evaluate, serve
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller."""
-    from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, VehicleEntry
-    from drivecal.highway.drive.controllers import controller
+    from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleValues
+    from drivecal.bundles.traffic.description import described_in
+    from drivecal.highway.drive.controllers import Checked, controller
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
+    from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
+    from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor
@@ -28,21 +31,34 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.roads.network import network_file, read_network
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
-    scenario = HighwayScenario.model_validate(settings["data"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
+    scenario = described_in(folder, settings["data"], simulator.step)
     network = folder / network_file(scenario.network)
     roads = read_network(network.read_bytes(), scenario.network)
     route = corridor(roads, scenario.route, scenario.network)
     road = HighwayRoad(route, other_levels(roads, route))
-    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleEntry) else {}
+    changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
-    control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
-    loop = Loop(name, simulator, scenario, road, traffic, SingleTrackModel(parameters, parameters), control)
+    if isinstance(simulator.controller, PlannerController):
+        control: Checked | TrajectorySource = PlannerTrajectories(
+            simulator.controller, scenario, road, (traffic.start_s, traffic.start_d)
+        )
+    else:
+        control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
+        if simulator.controller.output == ["trajectory"]:
+            control = ControllerTrajectories(control, road, section.get("period", simulator.step))
+    vehicle = SingleTrackModel(parameters, parameters)
+    if isinstance(simulator.vehicle, UserVehicleEntry):
+        print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
+        entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
+        plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"])
+        vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
+    loop = Loop(name, simulator, scenario, road, traffic, vehicle, control)
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:

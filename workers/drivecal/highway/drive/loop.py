@@ -13,8 +13,10 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.controllers import Checked
 from drivecal.highway.drive.measures import TICK, Record, way
 from drivecal.highway.drive.observation import keeper_acceleration
+from drivecal.highway.drive.plants import UserVehicleModel
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
+from drivecal.highway.drive.trajectories import TrajectorySource
 from drivecal.highway.geometry import hit
 from drivecal.highway.vehicle.model import SingleTrackModel
 
@@ -47,11 +49,12 @@ class Loop:
         road: HighwayRoad,
         traffic: Traffic,
         vehicle: SingleTrackModel,
-        controller: Checked,
+        controller: Checked | TrajectorySource,
     ) -> None:
         """`name`: the scenario's."""
         self._name, self._scenario, self._road, self._traffic = name, scenario, road, traffic
         self._vehicle, self._controller = vehicle, controller
+        self._plans = None if isinstance(controller, Checked) else controller
         step = simulator.step
         period = step if simulator.controller.period is None else simulator.controller.period
         tick = min(step, period)
@@ -124,8 +127,11 @@ class Loop:
         )  # fmt: skip
         pose, half = vehicle.pose, self._size.item(0)
         per_step, per_period, tick, step = self._ticks_per_step, self._ticks_per_period, self._tick, self._step
-        by_acceleration, by_lateral, steer = self._acceleration, self._lateral, self._steer
+        by_acceleration, by_lateral, steer, plans = self._acceleration, self._lateral, self._steer, self._plans
+        trajectory, planned = self._path, 0
         traffic.reset()
+        if isinstance(vehicle, UserVehicleModel):
+            vehicle.begin(parameters)
         vehicle.start(*self._start)
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
@@ -140,10 +146,17 @@ class Loop:
                     line, lanes, ends, traffic.others, motion, pose, vehicle.steering, half, index * tick, lead, signals
                 )
                 observed = signals.tolist()
-                commands = controller.step(observed)
-                acceleration = keeper_acceleration(observed) if by_acceleration is None else float(commands[by_acceleration])
-                lateral = 0.0 if by_lateral is None else float(commands[by_lateral])
-            if steer == "path":
+                if plans is not None:
+                    trajectory, planned = plans.plan(observed, pose, motion.item(geometry.S), traffic), index
+                elif isinstance(controller, Checked):
+                    commands = controller.step(observed)
+                    acceleration = (
+                        keeper_acceleration(observed) if by_acceleration is None else float(commands[by_acceleration])
+                    )
+                    lateral = 0.0 if by_lateral is None else float(commands[by_lateral])
+            if plans is not None:
+                stable = vehicle.follow(trajectory, (index - planned) * tick, tick, dynamics)
+            elif steer == "path":
                 geometry.path_of(line, lanes, track, motion.item(geometry.S), pose.item(3), self._path)
                 stable = vehicle.keep(self._path, 0.0, acceleration, dynamics)
             elif steer == "curvature":

@@ -29,28 +29,39 @@ class ProgramController:
     announces the line of the next run.
     """
 
-    def __init__(self, section: Mapping[str, Any], work: Path, scenario: Mapping[str, Any], period: float) -> None:
+    def __init__(
+        self,
+        section: Mapping[str, Any],
+        work: Path,
+        scenario: Mapping[str, Any],
+        period: float,
+        names: Sequence[str] = NAMES,
+        role: str = "controller",
+    ) -> None:
+        """`names`: of the signals; `role`: what the program is, for messages."""
+        self._role = role
         self._command, self._work, self._scenario, self._period = section["command"], work, scenario, period
         self._output = list(section["output"])
-        self._signals = list(section.get("signals") or NAMES)
-        self._indices = [NAMES.index(name) for name in self._signals]
+        self._signals = list(section.get("signals") or names)
+        self._indices = [list(names).index(name) for name in self._signals]
         self._is_binary = section.get("frames") == "binary"
         self._frame = struct.Struct(f"={len(self._signals)}d")
-        self._answer = struct.Struct(f"={len(self._output)}d")
+        self._points = section.get("points")
+        self._answer = struct.Struct(f"={len(self._output) if self._points is None else 3 * self._points}d")
         self._process: subprocess.Popen[bytes] | None = None
         self._received = b""
         self._number = 0
         self._stdin = self._stdout = -1
 
-    def begin(self, parameters: Mapping[str, Any]) -> None:
-        """Tells the program of a run and waits until it is ready. Raises ProgramError."""
+    def begin(self, parameters: Mapping[str, Any], **start: float) -> None:
+        """Tells the program of a run, with values of its start, and waits until it is ready. Raises ProgramError."""
         self._number += 1
         try:
             if self._process is None:
                 self._start()
             elif self._is_binary:
                 self._send(self._frame.pack(*[float("nan")] * len(self._signals)))
-            self._ask({"run": self._number, "parameters": dict(parameters), "scenario": dict(self._scenario)})
+            self._ask({"run": self._number, "parameters": dict(parameters), "scenario": dict(self._scenario)} | start)
         except BaseException:
             self._stop()
             raise
@@ -61,13 +72,14 @@ class ProgramController:
             chosen = [signals[index] for index in self._indices]
             if self._is_binary:
                 self._send(self._frame.pack(*chosen))
-                return self._answer.unpack(self._read(self._answer.size))
+                values = self._answer.unpack(self._read(self._answer.size))
+                return values if self._points is None else [[values[row : row + 3] for row in range(0, len(values), 3)]]
             self._send(json.dumps(dict(zip(self._signals, chosen, strict=True))).encode() + b"\n")
             answer = self._line()
             if len(self._output) == 1 and isinstance(answer, (int, float)):
                 return (answer,)
             if not isinstance(answer, dict) or answer.keys() != set(self._output):
-                raise ProgramError(f"the controller answered {answer!r:.200}, not an object of {', '.join(self._output)}")
+                raise ProgramError(f"the {self._role} answered {answer!r:.200}, not an object of {', '.join(self._output)}")
             return [answer[name] for name in self._output]
         except BaseException:
             self._stop()
@@ -90,7 +102,7 @@ class ProgramController:
         self._send(json.dumps(message, allow_nan=False).encode() + b"\n")
         answer = self._line()
         if not isinstance(answer, dict) or answer.get("ready") is not True:
-            raise ProgramError(f'the controller answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
+            raise ProgramError(f'the {self._role} answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
 
     def _send(self, content: bytes) -> None:
         try:
@@ -107,7 +119,7 @@ class ProgramController:
                 raise self._ended()
             received += more
         if len(received) > size:
-            raise ProgramError("the controller wrote more than one frame in answer to one")
+            raise ProgramError(f"the {self._role} wrote more than one frame in answer to one")
         self._received = b""
         return received
 
@@ -119,24 +131,26 @@ class ProgramController:
                 raise self._ended()
             received += more
             if len(received) > LONGEST_LINE:
-                raise ProgramError(f"the controller wrote a line of more than {LONGEST_LINE >> 10} kB")
+                raise ProgramError(f"the {self._role} wrote a line of more than {LONGEST_LINE >> 10} kB")
         line, _, rest = received.partition(b"\n")
         if rest:
-            raise ProgramError("the controller wrote more than one line in answer to one")
+            raise ProgramError(f"the {self._role} wrote more than one line in answer to one")
         self._received = b""
         try:
             return json.loads(line)
         except (ValueError, RecursionError):
-            raise ProgramError(f"the controller's answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
+            raise ProgramError(f"the {self._role}'s answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
 
     def _ended(self) -> ProgramError:
         """Returns the error of a program that has closed its pipes; its messages are on standard error."""
         try:
             status = None if self._process is None else self._process.wait(END_SECONDS)
         except subprocess.TimeoutExpired:
-            return ProgramError("the controller closed its standard input or output")
+            return ProgramError(f"the {self._role} closed its standard input or output")
         killed = status is not None and status < 0
-        return ProgramError(f"the controller {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}")
+        return ProgramError(
+            f"the {self._role} {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}"
+        )
 
     def _stop(self) -> None:
         process, self._process = self._process, None

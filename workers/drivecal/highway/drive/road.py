@@ -1,7 +1,7 @@
 """The corridor of a scenario as the arrays of `geometry`, and places on it."""
 
 from collections.abc import Mapping
-from math import atan, cos, sin
+from math import atan, cos, isnan, sin
 
 import numpy as np
 
@@ -38,6 +38,15 @@ class HighwayRoad:
         row = min(int(s / self.line[1, 0]), len(self.line) - 1)
         slope = 0.0 if track is None else float(np.nan_to_num(self.lanes[row, track, 3]))
         return x - d * sin(heading), y + d * cos(heading), heading + atan(slope / (1.0 - curvature * d))
+
+    def lateral(self, s: float, d: float, at: float) -> float:
+        """Returns d at another s, `at`, of the centre of the lane that holds (s, d); d itself if there is no lane, or it is not there."""
+        track = self.corridor.lane_at(s, d)
+        if track is None:
+            return d
+        row = min(max(int(at / self.line[1, 0]), 0), len(self.line) - 1)
+        centre = float(self.lanes[row, track, 0])
+        return d if isnan(centre) else centre
 
 
 def slopes(line: Floats, centres: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """SUMO's route file and command line options of a scenario."""
 
+from math import ceil
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
@@ -107,7 +108,7 @@ def _type(driver: Driver, unmoved: str) -> dict[str, str]:
         "width": driver.width,
         "speedFactor": driver.speed_factor,
         "speedDev": driver.speed_deviation,
-        "maxSpeed": None,
+        "maxSpeed": driver.max_speed,
         "tau": driver.time_headway,
         "minGap": driver.min_gap,
         "accel": driver.acceleration,
@@ -122,17 +123,22 @@ def _type(driver: Driver, unmoved: str) -> dict[str, str]:
 
 def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
     mean = 3600.0 / flow.per_hour
+    speed = "max" if flow.speed is None else flow.speed
+    end = min(duration, duration if flow.end is None else flow.end)
+    amount = {"end": repr(end)}
+    if flow.number is not None:  # SUMO takes either of them
+        fitting = max(1, ceil((end - flow.begin) / mean - 1e-9))
+        amount = {"number": str(flow.number if flow.random else min(flow.number, fitting))}
     return {
         "id": name,
         "type": name,
         "route": route_id(name),
         "begin": repr(flow.begin),
-        "end": repr(min(duration, duration if flow.end is None else flow.end)),
         "departLane": str(flow.lane),
-        "departPos": "base",
-        "departSpeed": "max" if flow.speed is None else repr(flow.speed),
+        "departPos": flow.s if isinstance(flow.s, str) else repr(flow.s + 0.5 * flow.length),
+        "departSpeed": speed if isinstance(speed, str) else repr(speed),
         "period": f"exp({1.0 / mean!r})" if flow.random else repr(mean),
-    }
+    } | amount
 
 
 def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:

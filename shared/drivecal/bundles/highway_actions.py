@@ -1,0 +1,96 @@
+"""Actions of the traffic's vehicles in a scenario of kind `highway`: what they do, and the conditions on which they begin."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from drivecal.contracts.specification import Model
+
+VehicleId = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_-]+$")]
+Lane = Annotated[int, Field(ge=0, le=30)]
+"""Index of a lane as in SUMO: 0 is the rightmost."""
+Position = Annotated[float, Field(ge=0, le=1e6)]
+Speed = Annotated[float, Field(ge=0, le=100)]
+Seconds = Annotated[float, Field(ge=0, le=100_000)]
+EGO = "ego"
+"""Id of the controlled vehicle."""
+
+
+class Condition(Model):
+    """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
+
+    Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) of `vehicle`, by default
+    the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead), `headway` (s, if `to` is
+    ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres` between centres.
+    `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago.
+    """
+
+    quantity: Literal["time", "speed", "s", "travelled", "gap", "headway", "ttc"] | None = None
+    vehicle: VehicleId | None = None
+    to: VehicleId | None = None
+    centres: bool = False
+    above: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    below: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    begun: VehicleId | None = None
+    done: VehicleId | None = None
+    rising: bool = False
+    delay: Annotated[float, Field(ge=0, le=3600)] = 0.0
+
+
+class Trigger(Model):
+    """Begin of an action: at a `time` (s), or when the ego vehicle is within `gap` (m, between bumpers), or at `s` (m) of the
+    scenario's route, or `when` all conditions are fulfilled at once. `after`: conditions that must have been fulfilled before, all at once.
+    """
+
+    id: VehicleId | None = None
+    time: Seconds | None = None
+    gap: Annotated[float, Field(ge=0, le=1000)] | None = None
+    s: Position | None = None
+    when: Annotated[list[Condition], Field(max_length=20)] | None = None
+    after: Annotated[list[Condition], Field(max_length=20, default_factory=list)]
+
+
+class Brake(Trigger):
+    """The vehicle brakes, or accelerates, to `speed` at `rate` (m/s²), and holds it for `hold` seconds, by default to the end.
+
+    `like`: another vehicle, whose speed times `factor` is added to `speed`; `continuous`: as it changes. Instead of the rate, by default
+    4: in so many `seconds`, or `metres`.
+    """
+
+    do: Literal["brake"]
+    speed: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    like: VehicleId | None = None
+    factor: Annotated[float, Field(ge=0, le=100)] = 1.0
+    continuous: bool = False
+    rate: Annotated[float, Field(gt=0, le=20)] | None = None
+    seconds: Annotated[float, Field(ge=0, le=3600)] | None = None
+    metres: Annotated[float, Field(gt=0, le=10_000)] | None = None
+    hold: Seconds | None = None
+
+
+class CutIn(Trigger):
+    """The vehicle changes to `lane` of the edge where it is, in `seconds`, whatever gap there is.
+
+    Instead of the lane: `by` so many lanes to the left of its own, or of that of the vehicle `beside`. Instead of seconds: in so many
+    `metres`, or at most at `lateral_speed` (m/s).
+    """
+
+    do: Literal["cut_in"]
+    lane: Lane | None = None
+    by: Annotated[int, Field(ge=-30, le=30)] | None = None
+    beside: VehicleId | None = None
+    seconds: Annotated[float, Field(gt=0, le=60)] | None = None
+    metres: Annotated[float, Field(gt=0, le=10_000)] | None = None
+    lateral_speed: Annotated[float, Field(gt=0, le=20)] | None = None
+
+
+class Drift(Trigger):
+    """The vehicle drifts to `offset` (m, to the left of its lane's centre) in `seconds`, or at most at `lateral_acceleration` (m/s²)."""
+
+    do: Literal["drift"]
+    offset: Annotated[float, Field(ge=-5, le=5)]
+    seconds: Annotated[float, Field(gt=0, le=600)] | None = None
+    lateral_acceleration: Annotated[float, Field(gt=0, le=20)] | None = None
+
+
+Action = Annotated[Brake | CutIn | Drift, Field(discriminator="do")]

@@ -1,0 +1,1 @@
+"""Traffic from files: SUMO route files and OpenSCENARIO files become the traffic of a scenario of kind `highway`."""

@@ -1,0 +1,123 @@
+"""Start triggers of OpenSCENARIO files as conditions of actions."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivecal.bundles.traffic.elements import Element, Notes
+
+LARGEST = 1e6
+ABOVE = ("greaterThan", "greaterOrEqual")
+BELOW = ("lessThan", "lessOrEqual")
+ENDED = ("completeState", "endTransition")
+BEGUN = ("startTransition", "runningState")
+Conditions = list[dict[str, Any]]
+Reached = Callable[[Element], float]
+"""Returns s of the scenario's route at a <Position>."""
+
+
+class Triggers:
+    """Reads the triggers of a storyboard."""
+
+    def __init__(
+        self, ids: Mapping[str, str], elements: Mapping[tuple[str, str], list[str]], reached: Reached, notes: Notes
+    ) -> None:
+        """`ids`: of vehicles by the names of entities; `elements`: ids of actions by kind and name of an element of the storyboard."""
+        self._ids, self._elements, self._reached, self._notes = ids, elements, reached, notes
+
+    def conditions(self, trigger: Element | None) -> Conditions:
+        """Returns conditions that must be fulfilled at once; none means that it begins at once. Raises InvalidInputError."""
+        groups = trigger.every("ConditionGroup") if trigger is not None else []
+        if len(groups) > 1:
+            raise groups[1].fault("alternatives (several groups) are not supported", "give one group of conditions")
+        return [entry for group in groups for condition in group.every("Condition") for entry in self._condition(condition)]
+
+    def _condition(self, condition: Element) -> Conditions:
+        edge = condition.word("conditionEdge", ("none", "rising"), "none")
+        delay = condition.number("delay", 0.0, 3600.0, 0.0)
+        kind = condition.only("ByValueCondition", "ByEntityCondition")
+        entries = self._of_value(kind) if kind.element == "ByValueCondition" else self._of_entity(kind)
+        common = {"rising": edge == "rising", "delay": delay}
+        return [entry | common for entry in entries if not _is_start(entry, delay)]
+
+    def _of_value(self, kind: Element) -> Conditions:
+        condition = kind.only("SimulationTimeCondition", "StoryboardElementStateCondition")
+        if condition.element == "SimulationTimeCondition":
+            return [{"quantity": "time"} | _limit(condition)]
+        state = condition.word("state", ENDED + BEGUN)
+        element = condition.text("storyboardElementType"), condition.text("storyboardElementRef").rpartition("::")[2]
+        actions = self._elements.get(element)
+        if not actions:
+            message = f"there is no {element[0]} {element[1][:60]!r} with actions of the traffic"
+            raise condition.fault(message, "give an element of the file that does not drive the ego vehicle only")
+        if state in ENDED:
+            return [{"done": action} for action in actions]
+        if element[0] in {"act", "story", "maneuver", "maneuverGroup"}:
+            return [] if _is_inside(condition, *element) else [{"begun": actions[0]}]
+        return [{"begun": action} for action in actions[:1]]
+
+    def _of_entity(self, kind: Element) -> Conditions:
+        triggering = kind.only("TriggeringEntities")
+        rule = triggering.word("triggeringEntitiesRule", ("any", "all"))
+        entities = [self._vehicle(entity) for entity in triggering.every("EntityRef")]
+        if not entities or (rule == "any" and len(entities) > 1):
+            raise triggering.fault("any of several entities is not supported", "give one entity")
+        condition = kind.only("EntityCondition").only(
+            "RelativeDistanceCondition",
+            "TimeHeadwayCondition",
+            "TimeToCollisionCondition",
+            "TraveledDistanceCondition",
+            "ReachPositionCondition",
+            "SpeedCondition",
+        )
+        quantity = self._quantity(condition)
+        return [quantity | {"vehicle": entity} for entity in entities]
+
+    def _quantity(self, condition: Element) -> dict[str, Any]:
+        kind = condition.element
+        if kind == "TraveledDistanceCondition":
+            return {"quantity": "travelled", "above": condition.number("value", 0.0, LARGEST)}
+        if kind == "ReachPositionCondition":
+            tolerance = condition.number("tolerance", 0.0, LARGEST)
+            return {"quantity": "s", "above": self._reached(condition.only("Position")) - tolerance}
+        if kind == "SpeedCondition":
+            return {"quantity": "speed"} | _limit(condition)
+        target = (
+            condition.only("TimeToCollisionConditionTarget").only("EntityRef")
+            if kind == "TimeToCollisionCondition"
+            else condition
+        )
+        axis = condition.text("relativeDistanceType", "longitudinal")
+        if axis in {"euclidianDistance", "cartesianDistance"}:
+            self._notes.add(condition, f"{axis} is measured along the road")
+        elif axis != "longitudinal":
+            raise condition.fault(f"the {axis[:40]} distance is not supported", "give longitudinal")
+        names = {"RelativeDistanceCondition": "gap", "TimeHeadwayCondition": "headway", "TimeToCollisionCondition": "ttc"}
+        centres = not condition.decides("freespace", "true")
+        return {"quantity": names[kind], "to": self._vehicle(target), "centres": centres} | _limit(condition)
+
+    def _vehicle(self, element: Element) -> str:
+        name = element.text("entityRef")
+        if name not in self._ids:
+            raise element.fault(f"there is no entity {name[:60]!r}", f"give one of {', '.join(list(self._ids)[:10])}")
+        return self._ids[name]
+
+
+def _limit(condition: Element) -> dict[str, float]:
+    rule = condition.word("rule", ABOVE + BELOW)
+    return {"above" if rule in ABOVE else "below": condition.number("value", -LARGEST, LARGEST)}
+
+
+def _is_start(entry: Mapping[str, Any], delay: float) -> bool:
+    """Returns whether a condition is fulfilled as soon as the scenario runs."""
+    return entry.get("quantity") == "time" and entry.get("above", 1.0) <= 0.0 and delay == 0.0
+
+
+def _is_inside(element: Element, kind: str, name: str) -> bool:
+    """Returns whether an element lies inside of one of the storyboard, whose begin it cannot wait for otherwise."""
+    tags = {"act": "Act", "story": "Story", "maneuver": "Maneuver", "maneuverGroup": "ManeuverGroup"}
+    owner: Element | None = element
+    while owner is not None:
+        if owner.element == tags[kind] and owner.text("name") == name:
+            return True
+        owner = owner.parent
+    return False

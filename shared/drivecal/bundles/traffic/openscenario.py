@@ -1,0 +1,288 @@
+"""OpenSCENARIO 1.x files: entities, their starts and the storyboard become the ego vehicle and the traffic of a scenario.
+
+A declared subset is read. What has no effect on the drive is noted with its line; what would change it and is not supported is refused.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+from drivecal.bundles.highway import OpenScenario
+from drivecal.bundles.highway_actions import EGO
+from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
+from drivecal.bundles.traffic.elements import Element, Notes, read_tree
+from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
+from drivecal.bundles.traffic.entries import Entry, VehicleNames
+from drivecal.bundles.traffic.parameters import declare, substituted
+from drivecal.bundles.traffic.places import FilePlace, Map
+from drivecal.bundles.traffic.routes import along
+from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
+from drivecal.contracts.input_errors import nearest
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.roads.corridor import Corridor
+
+MOST_ENTITIES = 200
+BEHIND = 2_000.0
+"""Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there."""
+SPARE = 1.5
+"""A route that the file does not give is longer by this factor than the way at start speed, and at least `SHORTEST`."""
+SHORTEST = 1_000.0
+
+
+@dataclass(slots=True)
+class _Start:
+    """Start of an entity: the place of its centre, and its speed (m/s)."""
+
+    place: FilePlace
+    speed: float
+
+
+class ScenarioFile:
+    """An OpenSCENARIO file with the parameters of a scenario."""
+
+    def __init__(self, scenario: OpenScenario, files: Files) -> None:
+        """Reads the file. Raises InvalidInputError."""
+        self.name, self._scenario, self._files = scenario.openscenario, scenario, files
+        self._root = read_tree(files.read(self.name), self.name, "OpenSCENARIO", substituted)
+        self._notes = Notes(self.name)
+        header = self._root.only("FileHeader")
+        header.skip()
+        if header.text("revMajor") != "1":
+            message = f"OpenSCENARIO of version {shown(header.text('revMajor'), 10)} cannot be read, only 1.x"
+            raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
+        declare(self._root, scenario.parameters)
+        self.notes: tuple[str, ...] = ()
+
+    @property
+    def network(self) -> str:
+        """Path of the network in the bundle. Raises InvalidInputError if the file names one that cannot be in a bundle."""
+        logic = self._root.only("RoadNetwork").optional("LogicFile")
+        if self._scenario.network is not None:
+            return self._scenario.network
+        if logic is None:
+            raise self._root.only("RoadNetwork").fault("it names no road", "give `network` in the scenario")
+        path = bundle_path(self.name, logic.text("filepath"), logic)
+        if path not in self._files.names:
+            message = f"the folder of the problem has no file {shown(path, 200)}"
+            raise logic.fault(message, "copy it there, or give `network` in the scenario")
+        return path
+
+    def described(self, roads: Map, corridor_of: Any, step: float, names: VehicleNames) -> tuple[dict[str, Any], list[Entry]]:
+        """Returns network, route, duration and ego vehicle as a document, and the other vehicles.
+
+        `corridor_of`: returns the corridor of a route; `step`: the simulator's (s). Raises InvalidInputError.
+        """
+        scenario, storyboard = self._scenario, self._root.only("Storyboard")
+        self._root.only("RoadNetwork").optional("LogicFile")
+        entities = entities_of(self._root, self._files, self._notes)
+        if len(entities) > MOST_ENTITIES:
+            raise self._root.only("Entities").fault(f"there are more than {MOST_ENTITIES} entities", "leave some out")
+        ego = self._ego(entities)
+        duration = self._duration(storyboard, step)
+        starts = self._starts(storyboard.only("Init"), entities, roads)
+        if ego.name not in starts:
+            raise ego.element.fault("it has no place", "give it a TeleportAction in <Init>")
+        route = scenario.route or self._route(starts, ego, roads, duration)
+        present = {name: entity for name, entity in entities.items() if name in starts}
+        ids = {name: EGO if name == ego.name else names.new(name, entity.element) for name, entity in present.items()}
+        ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items()}
+
+        def reached(position: Element) -> float:
+            corridor: Corridor = corridor_of(route)
+            place = roads.place(position, {name: start.place for name, start in starts.items()})
+            try:
+                return corridor.position(place.edge, place.index, place.position)[0]
+            except InvalidInputError as error:
+                raise position.fault(error.problems[0].message, "give a place on the scenario's route") from error
+
+        actions = Storyboard(storyboard, ids, Ways(ways, roads), reached, self._notes).actions
+        for name, entity in present.items():
+            if entity.is_still and (name == ego.name or actions.get(ids[name]) or starts[name].speed > 0.0):
+                raise entity.element.fault("a pedestrian that walks is not supported", "let it stand, or leave it out")
+        document = {"route": route, "duration": duration, "ego": _placed(starts[ego.name], ego)}
+        entries = [
+            Entry("traffic", self._vehicle(entity, starts[name], ids[name], ways[ids[name]], route, actions), entity.element)
+            for name, entity in present.items()
+            if name != ego.name
+        ]
+        for name, entity in entities.items():
+            if name not in starts:
+                self._notes.add(entity.element, "left out: it has no place in <Init>")
+        self.notes = self._notes.texts(self._root)
+        return document, entries
+
+    def _ego(self, entities: Mapping[str, Entity]) -> Entity:
+        named = [name for name in entities if name.lower() == self._scenario.ego.lower()]
+        if len(named) != 1:
+            message = f"{self.name} has no entity {shown(self._scenario.ego)}"
+            raise InvalidInputError(Problem("ego", message, nearest(self._scenario.ego, list(entities))))
+        return entities[named[0]]
+
+    def _duration(self, storyboard: Element, step: float) -> float:
+        """Returns the scenario's duration (s), or the first multiple of the step that is as long as the file's."""
+        trigger = storyboard.optional("StopTrigger")
+        if self._scenario.duration is not None:
+            if trigger is not None and trigger.children:
+                trigger.skip()
+                self._notes.add(trigger, "ignored: the scenario has its own duration")
+            return self._scenario.duration
+        conditions = (
+            [entry for group in trigger.every("ConditionGroup") for entry in group.every("Condition")] if trigger else []
+        )
+        times = [time for entry in conditions if (time := _stop_time(entry)) is not None]
+        if not times:
+            raise (trigger or storyboard).fault("the file has no time at which it stops", "give `duration` in the scenario")
+        for entry in conditions:
+            if _stop_time(entry) is None:
+                entry.skip()
+                self._notes.add(entry, "ignored: the run lasts until the time of the StopTrigger")
+        return round(max(1, ceil(min(times) / step - 1e-9)) * step, 9)
+
+    def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map) -> dict[str, _Start]:
+        """Returns the starts of the entities that have one, in the order of <Init>."""
+        starts: dict[str, _Start] = {}
+        places: dict[str, FilePlace] = {}
+        sections = init.only("Actions")
+        for section in sections.every("GlobalAction"):
+            ignore_global(section, self._notes)
+        for section in sections.every("Private"):
+            name = section.text("entityRef")
+            if name not in entities:
+                raise section.fault(f"there is no entity {shown(name)}", nearest(name, list(entities)))
+            kinds = [action.only(*_INIT) for action in section.every("PrivateAction")]
+            for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
+                places[name] = roads.place(kind.only("Position"), places)
+                starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
+            for kind in kinds:
+                self._init(kind, name, entities, starts, roads)
+        return starts
+
+    def _centre(self, place: FilePlace, entity: Entity, roads: Map, element: Element) -> FilePlace:
+        """Returns the place of an entity's centre: positions mean another point, e.g. that of the rear axle."""
+        if entity.centre == 0.0:
+            return place
+        moved = roads.moved(place, entity.centre, element)
+        return FilePlace(moved.edge, moved.index, moved.position, place.offset)
+
+    def _init(self, kind: Element, name: str, entities: Mapping[str, Entity], starts: dict[str, _Start], roads: Map) -> None:
+        """Takes an action of <Init> other than the place."""
+        if kind.element == "TeleportAction":
+            return
+        if kind.element != "LongitudinalAction":
+            if name == self._ego(entities).name:
+                kind.skip()
+                self._notes.add(kind, "ignored: the problem's controller drives the ego vehicle")
+            else:
+                ignore_controller(kind, self._notes)
+            return
+        if name not in starts:
+            raise kind.fault(f"{shown(name)} has no place", "give it a TeleportAction before")
+        action = kind.only("SpeedAction", "LongitudinalDistanceAction")
+        if action.element == "SpeedAction":
+            action.only("SpeedActionDynamics").skip()
+            target = target_speed(
+                action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed"),
+                {other: other for other in starts},
+            )
+            speed = target.get("speed", 0.0)
+            if (other := target.get("like")) is not None:
+                speed += target.get("factor", 1.0) * starts[other].speed
+            if not 0.0 <= speed <= 100.0:
+                raise action.fault(f"the start speed is {speed:g} m/s", "give 0 to 100")
+            starts[name].speed = speed
+            return
+        starts[name].place = self._spaced(action, name, entities, starts, roads)
+
+    def _spaced(
+        self, action: Element, name: str, entities: Mapping[str, Entity], starts: Mapping[str, _Start], roads: Map
+    ) -> FilePlace:
+        """Returns the place at a distance to another entity: before it, or behind it."""
+        other = action.text("entityRef")
+        if other not in starts or action.decides("continuous", "false"):
+            raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
+        displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), "any")
+        is_ahead = displacement != "trailingReferencedEntity"
+        follower = starts[other] if is_ahead else starts[name]
+        if "timeGap" in action.values:
+            distance = action.number("timeGap", 0.0, 1_000.0) * follower.speed
+        else:
+            distance = action.number("distance", 0.0, LARGEST)
+        if action.decides("freespace", "true"):
+            distance += 0.5 * (entities[name].length + entities[other].length)
+        moved = roads.moved(starts[other].place, distance if is_ahead else -distance, action)
+        lanes, mine = roads.network.edges[moved.edge].lanes, starts[name].place
+        shift = mine.index - starts[other].place.index if mine.edge == starts[other].place.edge else 0
+        if not 0 <= moved.index + shift < len(lanes):
+            raise action.fault("there is no lane at this distance", "give another distance")
+        return FilePlace(moved.edge, moved.index + shift, min(moved.position, lanes[moved.index + shift].length), mine.offset)
+
+    def _route(self, starts: Mapping[str, _Start], ego: Entity, roads: Map, duration: float) -> list[str]:
+        """Returns the route along the road of the ego vehicle, from the farthest vehicle behind it on."""
+        start = starts[ego.name]
+        length = start.place.position + max(SHORTEST, SPARE * max(start.speed, 10.0) * duration)
+        ahead = along(roads.network, start.place.edge, length)
+        before: Sequence[str] = ()
+        for other in starts.values():
+            way = along(roads.network, other.place.edge, BEHIND)
+            if start.place.edge in way[1:]:
+                before = max(before, way[: way.index(start.place.edge)], key=len)
+        route = [*before, *(edge for edge in ahead if edge not in before)]
+        self._notes.add(self._root, f"the route is [{', '.join(route[:20])}{', ...' if len(route) > 20 else ''}]")
+        return route
+
+    def _way(self, start: _Start, route: Sequence[str], roads: Map, duration: float) -> list[str]:
+        """Returns the edges that a vehicle drives: the rest of the route, or along its own road."""
+        if start.place.edge in route:
+            return list(route[route.index(start.place.edge) :])
+        length = start.place.position + max(SHORTEST, SPARE * max(start.speed, 10.0) * duration)
+        way = along(roads.network, start.place.edge, length)
+        joins = next((index for index, edge in enumerate(way) if edge in route), None)
+        return way if joins is None else [*way[:joins], *route[route.index(way[joins]) :]]
+
+    def _vehicle(
+        self,
+        entity: Entity,
+        start: _Start,
+        name: str,
+        way: list[str],
+        route: Sequence[str],
+        actions: Mapping[str, list[dict[str, Any]]],
+    ) -> dict[str, Any]:
+        document = {"id": name, "model": "constant", "vehicle_class": entity.vehicle_class} | _placed(start, entity)
+        if start.place.edge not in route:
+            document["route"] = way
+        return document | {"actions": actions.get(name, [])}
+
+
+_INIT = (
+    "TeleportAction",
+    "LongitudinalAction",
+    "ControllerAction",
+    "ActivateControllerAction",
+    "VisibilityAction",
+    "AppearanceAction",
+)
+
+
+def _placed(start: _Start, entity: Entity) -> dict[str, Any]:
+    place = start.place
+    return {
+        "edge": place.edge,
+        "lane": place.index,
+        "s": max(place.position, 0.0),
+        "offset": place.offset if abs(place.offset) > 1e-3 else 0.0,
+        "speed": start.speed,
+        "length": entity.length,
+        "width": entity.width,
+    }
+
+
+def _stop_time(condition: Element) -> float | None:
+    """Returns the time (s) of a condition of the StopTrigger, None if it is another one."""
+    value = condition.optional("ByValueCondition")
+    time = value.optional("SimulationTimeCondition") if value is not None else None
+    if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
+        return None
+    return time.number("value", 0.0, 3_600.0) + condition.number("delay", 0.0, 3_600.0, 0.0)

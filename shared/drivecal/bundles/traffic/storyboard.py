@@ -1,0 +1,230 @@
+"""The storyboard of an OpenSCENARIO file: events of its maneuvers become actions of the traffic's vehicles."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from drivecal.bundles.highway_actions import EGO
+from drivecal.bundles.traffic.conditions import LARGEST, Reached, Triggers
+from drivecal.bundles.traffic.elements import Element, Notes
+from drivecal.bundles.traffic.parameters import declare
+from drivecal.bundles.traffic.places import Map
+
+MOST_ACTIONS = 2_000
+IMMEDIATE = 0.1
+"""Seconds of a change of lanes that the file wants in no time."""
+SHAPES = ("linear", "cubic", "sinusoidal", "step")
+
+
+class _Planned(NamedTuple):
+    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event and its act."""
+
+    id: str
+    vehicle: str
+    action: Element
+    event: Element
+    act: Element
+
+
+class Ways(NamedTuple):
+    """The edges that each vehicle drives, from its start on, by its id."""
+
+    edges: Mapping[str, list[str]]
+    roads: Map
+
+
+class Storyboard:
+    """The actions of a storyboard, by vehicle."""
+
+    def __init__(self, root: Element, ids: Mapping[str, str], ways: Ways, reached: Reached, notes: Notes) -> None:
+        """`ids`: of vehicles by entity. Raises InvalidInputError."""
+        self._ids, self._ways, self._notes = ids, ways, notes
+        self._names: dict[tuple[str, str], list[str]] = {}
+        planned = list(self._planned(root))
+        triggers = Triggers(ids, self._names, reached, notes)
+        self.actions: dict[str, list[dict[str, Any]]] = {}
+        for entry in planned:
+            after = triggers.conditions(entry.act.optional("StartTrigger"))
+            when = triggers.conditions(entry.event.optional("StartTrigger"))
+            for content in self._content(entry):
+                document = {"id": entry.id, "after": after, "when": when} | content
+                self.actions.setdefault(entry.vehicle, []).append(document)
+        self._check_references()
+
+    def _planned(self, root: Element) -> Iterator[_Planned]:
+        """Yields the actions of the traffic's vehicles; notes those of the ego vehicle."""
+        count = 0
+        for story in root.every("Story"):
+            declare(story, {})
+            for act in story.every("Act"):
+                for group in act.every("ManeuverGroup"):
+                    actors = group.only("Actors")
+                    if actors.decides("selectTriggeringEntities", "false"):
+                        raise actors.fault("triggering entities as actors are not supported", "name the actors")
+                    names = [self._actor(actor) for actor in actors.every("EntityRef")]
+                    for maneuver in group.every("Maneuver"):
+                        declare(maneuver, {})
+                        for event in maneuver.every("Event"):
+                            for action in event.every("Action"):
+                                for vehicle in names:
+                                    count += 1
+                                    if count > MOST_ACTIONS:
+                                        raise action.fault(f"there are more than {MOST_ACTIONS:,} actions", "leave some out")
+                                    if vehicle == EGO:
+                                        self._skip(event, act)
+                                        continue
+                                    owners = (event, maneuver, group, act, story)
+                                    yield self._named(vehicle, action, owners, f"action{count}")
+
+    def _named(self, vehicle: str, action: Element, owners: tuple[Element, ...], name: str) -> _Planned:
+        keys = [("action", action.text("name", ""))]
+        kinds = ("event", "maneuver", "maneuverGroup", "act", "story")
+        keys += [(kind, owner.text("name", "")) for kind, owner in zip(kinds, owners, strict=True)]
+        for key in keys:
+            self._names.setdefault(key, []).append(name)
+        return _Planned(name, vehicle, action, owners[0], owners[3])
+
+    def _actor(self, element: Element) -> str:
+        name = element.text("entityRef")
+        if name not in self._ids:
+            raise element.fault(f"there is no entity {name[:60]!r}", f"give one of {', '.join(list(self._ids)[:10])}")
+        return self._ids[name]
+
+    def _skip(self, event: Element, act: Element) -> None:
+        event.skip()
+        for trigger in act.every("StartTrigger"):
+            trigger.skip()
+        self._notes.add(event, "ignored for the ego vehicle: the problem's controller drives it")
+
+    def _content(self, entry: _Planned) -> Iterator[dict[str, Any]]:
+        """Yields what an action is as a document, nothing if it has no effect on the traffic."""
+        private = entry.action.only("PrivateAction", "GlobalAction")
+        if private.element == "GlobalAction":
+            ignore_global(private, self._notes)
+            return
+        kind = private.only(
+            "LongitudinalAction",
+            "LateralAction",
+            "ControllerAction",
+            "VisibilityAction",
+            "AppearanceAction",
+            "ActivateControllerAction",
+        )
+        if kind.element == "LongitudinalAction":
+            yield from speed_action(kind.only("SpeedAction"), self._ids, self._notes)
+        elif kind.element == "LateralAction":
+            lateral = kind.only("LaneChangeAction", "LaneOffsetAction")
+            yield self._lane_change(lateral, entry.vehicle) if lateral.element == "LaneChangeAction" else self._offset(lateral)
+        else:
+            ignore_controller(kind, self._notes)
+
+    def _lane_change(self, action: Element, vehicle: str) -> dict[str, Any]:
+        if abs(action.number("targetLaneOffset", -10.0, 10.0, 0.0)) > 0.0:
+            raise action.fault("targetLaneOffset is not supported", "give a LaneOffsetAction after the change of lanes")
+        return {"do": "cut_in"} | self._sideways(action.only("LaneChangeActionDynamics")) | self._target(action, vehicle)
+
+    def _sideways(self, dynamics: Element) -> dict[str, float]:
+        """Returns how a change of lanes is done: drivecal's motion has the same time, distance or largest lateral speed."""
+        shape = dynamics.word("dynamicsShape", SHAPES)
+        dimension = dynamics.word("dynamicsDimension", ("time", "distance", "rate"))
+        value = dynamics.number("value", -LARGEST, LARGEST)
+        if shape == "step" or value == 0.0:
+            self._notes.add(dynamics, f"driven in {IMMEDIATE:g} s")
+            return {"seconds": IMMEDIATE}
+        if shape != "sinusoidal":
+            self._notes.add(
+                dynamics, "driven with least jerk, in the same time or distance, or at most at the same lateral speed"
+            )
+        if dimension == "rate":
+            return {"lateral_speed": abs(value)}
+        return {"seconds" if dimension == "time" else "metres": value}
+
+    def _target(self, action: Element, vehicle: str) -> dict[str, Any]:
+        target = action.only("LaneChangeTarget").only("RelativeTargetLane", "AbsoluteTargetLane")
+        if target.element == "RelativeTargetLane":
+            other = self._actor(target)
+            lanes = target.integer("value", -30, 30)
+            widest = max(len(self._ways.roads.network.edges[edge].lanes) for edge in self._ways.edges[vehicle])
+            if abs(lanes) >= widest:
+                raise target.fault(f"the road of the vehicle has only {widest} lanes", "give a lane of its direction")
+            return ({} if other == vehicle else {"beside": other}) | {"by": lanes}
+        number = target.integer("value", -64, 64)
+        indices = {self._ways.roads.lane_index(edge, number) for edge in self._ways.edges[vehicle]} - {None}
+        if len(indices) != 1:
+            message = (
+                f"lane {number} has {'no place' if not indices else 'several places'} among the lanes of the vehicle's way"
+            )
+            raise target.fault(message, "give a RelativeTargetLane")
+        return {"lane": indices.pop()}
+
+    def _offset(self, action: Element) -> dict[str, Any]:
+        if action.decides("continuous", "false"):
+            raise action.fault("an offset that is kept continuously is not supported", 'give continuous="false"')
+        dynamics = action.only("LaneOffsetActionDynamics")
+        target = action.only("LaneOffsetTarget").only("AbsoluteTargetLaneOffset")
+        return {
+            "do": "drift",
+            "offset": target.number("value", -5.0, 5.0),
+            "lateral_acceleration": dynamics.number("maxLateralAcc", 1e-3, 20.0),
+        }
+
+    def _check_references(self) -> None:
+        """Leaves out conditions on actions that have no effect: a change at a rate of 0 is done as soon as it begins."""
+        ids = {action["id"] for actions in self.actions.values() for action in actions}
+        for actions in self.actions.values():
+            for action in actions:
+                for section in ("after", "when"):
+                    action[section] = [entry for entry in action[section] if _known(entry, ids)]
+
+
+def _known(entry: Mapping[str, Any], ids: set[str]) -> bool:
+    return all(key not in entry or entry[key] in ids for key in ("done", "begun"))
+
+
+def speed_action(action: Element, ids: Mapping[str, str], notes: Notes) -> Iterator[dict[str, Any]]:
+    """Yields a change of speed as the document of a `brake`, nothing if its rate is 0."""
+    dynamics = action.only("SpeedActionDynamics")
+    shape = dynamics.word("dynamicsShape", SHAPES)
+    dimension = dynamics.word("dynamicsDimension", ("time", "distance", "rate"))
+    value = abs(dynamics.number("value", -LARGEST, LARGEST))
+    target = action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed")
+    content = {"do": "brake"} | target_speed(target, ids)
+    if shape == "step" or (value == 0.0 and dimension != "rate"):
+        yield content | {"seconds": 0.0}
+        return
+    if value == 0.0:
+        notes.add(dynamics, "ignored: a rate of 0 changes nothing")
+        return
+    if shape != "linear":
+        notes.add(dynamics, "driven with constant acceleration")
+    yield content | {{"time": "seconds", "distance": "metres", "rate": "rate"}[dimension]: value}
+
+
+def target_speed(target: Element, ids: Mapping[str, str]) -> dict[str, Any]:
+    """Returns the fields of a `brake` that say to which speed."""
+    value = target.number("value", -100.0, 100.0)
+    if target.element == "AbsoluteTargetSpeed":
+        return {"speed": value}
+    other = target.text("entityRef")
+    if other not in ids:
+        raise target.fault(f"there is no entity {other[:60]!r}", f"give one of {', '.join(list(ids)[:10])}")
+    kind = target.word("speedTargetValueType", ("delta", "factor"))
+    relative = {"speed": value} if kind == "delta" else {"factor": value, "speed": 0.0}
+    return {"like": ids[other], "continuous": target.decides("continuous", "false")} | relative
+
+
+def ignore_controller(kind: Element, notes: Notes) -> None:
+    """Notes an action without effect on the traffic. Raises InvalidInputError if a controller of the file would drive a vehicle."""
+    inner = [kind, *kind.every("ActivateControllerAction", "AssignControllerAction", "OverrideControllerValueAction")]
+    for element in inner:
+        if element.element == "ActivateControllerAction" and any(
+            element.decides(key, "false") for key in ("lateral", "longitudinal")
+        ):
+            raise element.fault("a controller would drive a vehicle of the traffic", "give SpeedAction and LaneChangeAction")
+    kind.skip()
+    notes.add(kind, "ignored")
+
+
+def ignore_global(action: Element, notes: Notes) -> None:
+    """Notes an action of the surroundings without effect on the traffic. Raises InvalidInputError for others."""
+    action.only("EnvironmentAction", "InfrastructureAction").skip()
+    notes.add(action, "ignored")

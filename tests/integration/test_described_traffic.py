@@ -1,0 +1,98 @@
+"""Scenarios of OpenSCENARIO and SUMO route files as workers drive them: what the files say happens, and gives the same bits anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.motorways import CONTROLLERS, PARAMETERS, PYTHON, driven, motorway
+from tests.support.networks import entrance
+from tests.support.scenario_files import FILES, ROUTES
+from tests.support.scenario_files import motorway as opendrive
+
+from drivecal.plugins.simulators import RunOutcome
+from drivecal.roads.conversion import converted
+
+BLIND = "def control(observation, parameters):\n    return 0.0\n"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("described") / "bundle"
+    motorway(path, BLIND)
+    for name in ("maps", "scenarios"):
+        (path / name).mkdir()
+    (path / "maps" / "motorway.xodr").write_bytes(opendrive())
+    (path / "maps" / "motorway.xodr.net.xml").write_bytes(converted(opendrive(), "motorway.xodr").network)
+    for name, make in FILES.items():
+        (path / "scenarios" / f"{name}.xosc").write_bytes(make())
+    (path / "merge.net.xml").write_bytes(entrance())
+    (path / "merge.rou.xml").write_bytes(ROUTES)
+    (path / "follow.py").write_text(PYTHON)
+    return path
+
+
+MERGE = {
+    "network": "merge.net.xml",
+    "route": ["before", "beside", "after"],
+    "duration": 12.0,
+    "ego": {"lane": 0, "s": 60, "speed": 28},
+    "routes": "merge.rou.xml",
+}
+
+
+def result(
+    folder: Path, data: Mapping[str, Any], file: str = "acc.py", parameters: Mapping[str, Any] = PARAMETERS
+) -> RunOutcome:
+    with driven(folder, data, CONTROLLERS["python"] | {"file": file}) as session:
+        return session.evaluate(parameters, series=True)
+
+
+def series(outcome: RunOutcome, name: str) -> np.ndarray:
+    return np.array(outcome.series[name])
+
+
+def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) -> None:
+    outcome = result(folder, {"openscenario": "scenarios/cut_in.xosc"})
+    gap, speed, time = (series(outcome, name) for name in ("gap_m", "leader_speed_mps", "time_s"))
+    enters = int(np.argmax(gap < 1000))
+    # 30 m behind and 6 m/s faster, it is 0.8 s (24 m) ahead after 9 s; its side reaches the lane in the 3 s of the change.
+    assert 9.0 < time[enters] < 12.0
+    assert gap[enters] == pytest.approx(6 * (time[enters] - 5.0) - 4.4, abs=0.8)
+    assert speed[enters] == pytest.approx(36.0, abs=0.01)
+    braking = time[np.argmax(series(outcome, "leader_speed_mps") * (time > time[enters]) + 99 * (time <= time[enters]) < 35.9)]
+    assert braking == pytest.approx(13.1, abs=0.3)  # a second after the change is done
+
+
+def test_a_parameter_of_the_file_moves_the_cut_in(folder: Path) -> None:
+    for gap in (15, 40):
+        outcome = result(folder, {"openscenario": "scenarios/slower_cut_in.xosc", "duration": 12.0, "parameters": {"gap": gap}})
+        gaps = series(outcome, "gap_m")
+        first = gaps[np.argmax(gaps < 1000)]
+        assert gap - 8 * 3.3 < first < gap  # it comes in while the ego vehicle closes in by 8 m/s
+
+
+def test_a_leader_leaves_before_an_obstacle(folder: Path) -> None:
+    outcome = result(folder, {"openscenario": "scenarios/cut_out.xosc"})
+    assert outcome.failure == "collision"  # a controller that does nothing meets the box
+    assert series(outcome, "leader_speed_mps")[0] == 25.0
+    assert series(outcome, "leader_speed_mps")[-1] == 0.0
+
+
+def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
+    outcome = result(folder, MERGE, "follow.py")
+    assert outcome.failure is None
+    assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
+
+
+@pytest.mark.parametrize("data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE], ids=["openscenario", "routes"])
+def test_runs_repeat_to_the_bit_in_other_orders_and_processes(folder: Path, data: dict[str, Any]) -> None:
+    sets = [PARAMETERS | {"v0": speed} for speed in (26.0, 30.0, 33.0)]
+    with driven(folder, data, CONTROLLERS["python"] | {"file": "follow.py"}) as session:
+        forwards = [session.evaluate(parameters).measures for parameters in sets]
+    with driven(folder, data, CONTROLLERS["python"] | {"file": "follow.py"}) as session:
+        backwards = [session.evaluate(parameters).measures for parameters in reversed(sets)]
+    assert forwards == backwards[::-1]

@@ -1,0 +1,118 @@
+"""Controllers that give trajectories: a user's in Python and as a program, and the built-in planner on a corridor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.motorways import PARAMETERS, drive, driven, motorway
+from tests.support.simulators import compiled, lost
+
+from drivecal.client.problems import read_bundle
+from drivecal.domain.evaluations import Breakdown
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "planner-highway"
+CODE = """
+def control(o, p):
+    speed, a = o["speed"], 0.4 * (p["v0"] - o["speed"])
+    if o["gap"] < 200.0:
+        a = min(a, p["k"] * (o["gap"] - (4.0 + p["T"] * speed)) + p["c"] * (o["leader_speed"] - speed))
+    a = max(-6.0, min(2.0, a))
+    points = []
+    for i in range(11):
+        t = 0.25 * i
+        moving = min(t, speed / -a) if a < 0.0 else t
+        points.append([t, o["position"] + speed * moving + 0.5 * a * moving * moving, o["lane_offset"] * max(0.0, 1.0 - 0.5 * t)])
+    return points
+"""
+PROGRAM = r"""
+#include <math.h>
+#include <stdio.h>
+static char line[65536];
+int main(void) {
+    double s[3], answer[33];
+    fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout);
+    fgets(line, sizeof line, stdin); puts("{\"ready\": true}"); fflush(stdout);
+    for (;;) {
+        if (fread(s, sizeof s, 1, stdin) != 1) return 0;
+        if (isnan(s[0])) { if (!fgets(line, sizeof line, stdin)) return 0; puts("{\"ready\": true}"); fflush(stdout); continue; }
+        for (int i = 0; i < 11; i++) {
+            double t = 0.25 * i, rest = 1.0 - 0.5 * t;
+            answer[3 * i] = t;
+            answer[3 * i + 1] = s[1] + s[0] * t;
+            answer[3 * i + 2] = s[2] * (rest > 0.0 ? rest : 0.0);
+        }
+        fwrite(answer, sizeof answer, 1, stdout); fflush(stdout);
+    }
+}
+"""
+STEADY = """
+def control(o, p):
+    return [[0.25 * i, o["position"] + o["speed"] * 0.25 * i, o["lane_offset"] * max(0.0, 1.0 - 0.5 * 0.25 * i)] for i in range(11)]
+"""
+CONTROLLER = {"kind": "python", "file": "acc.py", "output": ["trajectory"], "period": 0.2}
+BRAKING = {"id": "leader", "s": 160, "speed": 30, "actions": [{"do": "brake", "time": 4, "speed": 12, "rate": 3}]}
+
+
+def test_a_trajectory_follows_a_braking_leader(tmp_path: Path) -> None:
+    with driven(motorway(tmp_path / "b", CODE), drive([BRAKING], 30.0), CONTROLLER) as session:
+        outcome = session.evaluate(PARAMETERS, series=True)
+    assert outcome.failure is None
+    assert outcome.series["speed_mps"][-1] == pytest.approx(12, abs=0.4)
+    assert outcome.series["gap_m"][-1] == pytest.approx(4 + 1.5 * 12, abs=2)
+    assert outcome.measures["max_lane_offset_m"] < 0.1
+
+
+def test_a_trajectory_holds_its_lane_on_a_curve_as_a_program_does(tmp_path: Path) -> None:
+    folder = motorway(tmp_path / "b", STEADY)
+    (folder / "steady.c").write_text(PROGRAM)
+    compiled("cc", folder / "steady.c", folder / "steady", "-ffp-contract=off", "-lm")
+    program = {
+        "kind": "process", "command": ["./steady"], "output": ["trajectory"], "period": 0.2, "frames": "binary", "points": 11,
+        "signals": ["speed", "position", "lane_offset"],
+    }  # fmt: skip
+    measures = []
+    for controller in (CONTROLLER, program):
+        with driven(folder, drive(duration=30.0, ego={"s": 400}), controller) as session:
+            measures += [session.evaluate(PARAMETERS).measures for _ in range(2)]
+    assert measures[0] == measures[1] == measures[2] == measures[3]
+    assert measures[0]["max_lane_offset_m"] < 0.15
+    assert measures[0]["distance_m"] == pytest.approx(900, abs=3)
+
+
+@pytest.mark.parametrize(
+    "code", ["return []", "return [[0, 1, 0], [0.1, 2, 0]]", "return 3.0", "return {'trajectory': [[0, 1]]}"]
+)
+def test_a_faulty_trajectory_costs_its_cell(tmp_path: Path, code: str) -> None:
+    folder = motorway(tmp_path / "b", f"def control(o, p):\n    {code}\n")
+    with driven(folder, drive(), CONTROLLER) as session:
+        assert "trajectory" in lost(session, PARAMETERS, Breakdown.ERROR)
+
+
+def sets() -> list[dict[str, Any]]:
+    manifest, _ = read_bundle(EXAMPLE)
+    assert manifest.baseline is not None
+    return [dict(manifest.baseline), dict(manifest.baseline) | {"P7": 20, "P8": 1500}]
+
+
+@pytest.mark.parametrize("scenario", ["merge", "cut_in"])
+def test_the_planner_merges_from_a_ramp_and_keeps_away_from_a_car_that_cuts_in(scenario: str) -> None:
+    manifest, _ = read_bundle(EXAMPLE)
+    controller = manifest.simulator.model_dump(mode="json")["controller"]
+    results = []
+    for order in (1, -1):  # other order, other process
+        with driven(EXAMPLE, manifest.scenarios[scenario], controller) as session:
+            outcomes = [session.evaluate(parameters, series=True) for parameters in sets()[::order]]
+            results.append([outcome.measures for outcome in outcomes][::order])
+    assert results[0] == results[1]
+    assert [outcome.failure for outcome in outcomes] == [None, None]
+    series = {name: np.array(values) for name, values in outcomes[-1].series.items()}
+    assert 0.0 < series["gap_m"].min() < 50.0
+    if scenario == "merge":
+        assert (series["lane"][0], series["lane"][-1]) == (0.0, 1.0)  # from the ramp's track into the right lane
+        assert abs(series["offset_m"][-1]) < 0.5
+    else:
+        assert results[0][0]["max_deceleration_mps2"] > 0.5
+        assert results[0][0]["lane_changes"] == 0

@@ -1,0 +1,54 @@
+"""Damaged route and OpenSCENARIO files: whatever is in them, reading ends soon, with a scenario or a refusal that names file and cause."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from tests.support.effort import tries
+from tests.support.mutations import mutated, outcome
+from tests.support.scenario_files import FILES, ROUTES, STEP, maps, of_file, refused, with_routes
+
+from drivecal.bundles.highway_checks import scenario_problems
+from drivecal.bundles.traffic.description import Description
+
+MUTATIONS = tries(50, 2000)
+SUBJECTS: dict[str, tuple[bytes, Callable[[bytes], Description]]] = {
+    "routes": (ROUTES, with_routes),
+    **{name: (make(), of_file) for name, make in FILES.items()},
+}
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_damaged_files_give_a_scenario_or_a_named_refusal(subject: str) -> None:
+    content, described = SUBJECTS[subject]
+    chance = random.Random(subject)
+    maps()
+    results = []
+    for _ in range(MUTATIONS):
+        damaged = mutated(content, chance)
+
+        def attempt(damaged: bytes = damaged) -> None:
+            description = described(damaged)
+            for problem in scenario_problems("scenarios.x", description.scenario, STEP, is_whole=True):
+                assert problem.field
+                assert problem.message
+
+        results.append(outcome(attempt))
+    assert any(results)
+    assert not all(results)
+
+
+def test_a_file_with_too_many_elements_or_parameters_of_parameters_is_refused() -> None:
+    content = FILES["cut_in"]()
+    assert "elements" in refused(content.replace(b"<Entities>", b"<a/>" * 200_001 + b"<Entities>"))
+    chain = "".join(f'<ParameterDeclaration name="p{n}" parameterType="double" value="${{$p{n + 1}}}"/>' for n in range(5))
+    assert "no parameter p1" in refused(
+        content.replace(b"</ParameterDeclarations>", chain.encode() + b"</ParameterDeclarations>")
+    )
+
+
+def test_document_types_are_refused() -> None:
+    content = FILES["cut_in"]().replace(b"<OpenSCENARIO>", b'<!DOCTYPE x [<!ENTITY a "b">]><OpenSCENARIO>')
+    assert "document type" in refused(content)

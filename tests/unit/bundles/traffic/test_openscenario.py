@@ -1,0 +1,343 @@
+"""OpenSCENARIO files as traffic: places, speeds, actions and conditions; what is ignored is noted, what is missing is refused by line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.support.scenario_files import (
+    BESIDE,
+    BOX,
+    FILES,
+    NEAR,
+    absolute,
+    act,
+    change_of_lane,
+    change_of_speed,
+    cut_in,
+    cut_out,
+    event,
+    lane,
+    maps,
+    motorway,
+    of_file,
+    refused,
+    scenario,
+    slower_cut_in,
+    start,
+    trigger,
+    vehicle,
+    when,
+    when_time,
+)
+
+from drivecal.bundles.archives import files_of
+from drivecal.bundles.highway_actions import Brake, CutIn, Drift
+from drivecal.client.problems import read_archived, read_bundle_with_notes
+from drivecal.domain.errors import InvalidInputError
+from drivecal.roads.opendrive import read_opendrive
+
+EGO = start("Ego", lane(-3, 150), absolute(30))
+OTHER = start("Other", lane(-2, 200), absolute(25))
+WORLD = '<Position><WorldPosition x="{}" y="{}" h="0.2"/></Position>'
+CARS = {"Ego": vehicle(), "Other": vehicle()}
+
+
+def with_events(*events: str, other: str = OTHER, stop: str = trigger(when_time(10), tag="StopTrigger")) -> bytes:
+    """A file in which another car does something."""
+    return scenario(CARS, EGO + other, act("Other", *events), stop)
+
+
+def actions(content: bytes) -> list[Brake | CutIn | Drift]:
+    """The actions of the other car."""
+    return list(of_file(content).scenario.traffic[0].actions)
+
+
+@pytest.mark.parametrize(("index", "s", "offset"), [(-3, 150.0, 0.0), (-1, 800.0, 0.7), (2, 1200.0, -0.5), (-2, 1990.0, 0.0)])
+def test_a_place_on_a_lane_is_that_of_the_file(index: int, s: float, offset: float) -> None:
+    other = start("Other", lane(index, s, offset), absolute(20))
+    placed = of_file(scenario(CARS | {"Other": vehicle(centre=0.0)}, EGO + other)).scenario.traffic[0]
+    assert placed.edge is not None
+    found = maps()["maps/motorway.xodr"].network.edges[placed.edge].lanes[placed.lane]
+    share = placed.s / found.length * np.sum(np.hypot(*np.diff(found.shape, axis=0).T))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(found.shape, axis=0).T))])
+    here = np.array([np.interp(share, along, column) for column in found.shape.T])
+    points, _ = read_opendrive(motorway(), "x").roads["7"].centre(0, index, np.array([s]))
+    assert np.hypot(*(here - points[0])) < 0.05
+    assert placed.offset == pytest.approx(offset if index < 0 else -offset, abs=0.05)
+    assert placed.edge == ("-7" if index < 0 else "7")
+
+
+def test_positions_mean_a_point_behind_the_centre() -> None:
+    ahead, centred = (
+        of_file(scenario(CARS | {"Other": vehicle(centre=centre)}, EGO + OTHER)).scenario.traffic[0].s for centre in (1.4, 0.0)
+    )
+    assert ahead - centred == pytest.approx(1.4, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("position", "same"),
+    [
+        ('<Position><RelativeLanePosition entityRef="Ego" dLane="1" ds="50" offset="0.3"/></Position>', lane(-2, 200, 0.3)),
+        ('<Position><RelativeLanePosition entityRef="Ego" dLane="0" ds="-40"/></Position>', lane(-3, 110)),
+        ('<Position><RelativeRoadPosition entityRef="Ego" ds="50" dt="3.5"/></Position>', lane(-2, 200)),
+        ('<Position><RoadPosition roadId="7" s="200" t="-5.25"/></Position>', lane(-2, 200)),
+        (
+            WORLD.format(100 + 200 * np.cos(0.2) + 5.25 * np.sin(0.2), 50 + 200 * np.sin(0.2) - 5.25 * np.cos(0.2)),
+            lane(-2, 200),
+        ),
+    ],
+)
+def test_places_by_other_means_are_the_same(position: str, same: str) -> None:
+    one, other = (
+        of_file(scenario(CARS, EGO + start("Other", place, absolute(25)))).scenario.traffic[0] for place in (position, same)
+    )
+    assert (one.edge, one.lane) == (other.edge, other.lane)
+    assert (one.s, one.offset) == pytest.approx((other.s, other.offset), abs=2e-3)
+
+
+def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
+    found = of_file(cut_in()).scenario
+    assert (found.network, found.route, found.duration) == ("maps/motorway.xodr", ["-7"], 15.0)
+    assert (found.ego.speed, found.ego.lane, found.ego.length) == (30.0, 0, 4.6)
+    (other,) = found.traffic
+    assert (other.id, other.model, other.speed, other.lane, other.length) == ("Other", "constant", 36.0, 1, 4.2)
+    change, brake = other.actions
+    assert isinstance(change, CutIn)
+    assert isinstance(brake, Brake)
+    assert (change.by, change.beside, change.seconds) == (0, "ego", 3.0)
+    assert change.when is not None
+    (condition,) = change.when
+    assert (condition.quantity, condition.vehicle, condition.to) == ("headway", "ego", "Other")
+    assert (condition.above, condition.centres, condition.rising) == (0.8, True, True)
+    assert brake.when is not None
+    assert [(entry.done, entry.delay) for entry in brake.when] == [(change.id, 1.0)]
+    assert (brake.speed, brake.rate) == (15.0, 4.0)
+
+
+def test_parameters_of_the_scenario_replace_those_of_the_file() -> None:
+    near, far = (of_file(slower_cut_in(), parameters={"gap": gap}).scenario.traffic[0] for gap in (12, 60.5))
+    assert near.actions[0].when is not None
+    assert near.actions[0].when[0].below == 12.0
+    assert far.s - near.s == pytest.approx(3 * 48.5, abs=0.5)
+    assert near.speed == 22.0
+
+
+def test_a_change_of_lanes_by_absolute_lane_has_sumo_s_index() -> None:
+    (change,) = actions(with_events(event("in", change_of_lane('<AbsoluteTargetLane value="-1"/>', 2), when_time(3))))
+    assert isinstance(change, CutIn)
+    assert (change.lane, change.by, change.seconds) == (2, None, 2.0)
+
+
+def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
+    relative = '<RelativeTargetSpeed entityRef="Ego" value="1.2" speedTargetValueType="factor" continuous="true"/>'
+    contents = (
+        change_of_speed(absolute(10), "linear", "time", 4),
+        change_of_speed(absolute(10), "linear", "distance", 80),
+        change_of_speed(absolute(40), "linear", "rate", 2),
+        change_of_speed(relative),
+        change_of_speed(absolute(10), "linear", "rate", 0),
+    )
+    events = [
+        event(f"e{index}", f"<LongitudinalAction>{content}</LongitudinalAction>") for index, content in enumerate(contents)
+    ]
+    found = actions(with_events(*events))
+    assert [(action.seconds, action.metres, action.rate) for action in found if isinstance(action, Brake)] == [
+        (4.0, None, None), (None, 80.0, None), (None, None, 2.0), (0.0, None, None),
+    ]  # fmt: skip
+    last = found[-1]
+    assert isinstance(last, Brake)
+    assert (last.like, last.factor, last.speed, last.continuous) == ("ego", 1.2, 0.0, True)
+
+
+def test_offsets_are_drifts() -> None:
+    offset = (
+        '<LateralAction><LaneOffsetAction continuous="false"><LaneOffsetActionDynamics maxLateralAcc="0.5" dynamicsShape="sinusoidal"/>'
+        '<LaneOffsetTarget><AbsoluteTargetLaneOffset value="0.9"/></LaneOffsetTarget></LaneOffsetAction></LateralAction>'
+    )
+    (drift,) = actions(with_events(event("drift", offset, when_time(2))))
+    assert isinstance(drift, Drift)
+    assert (drift.offset, drift.lateral_acceleration, drift.seconds) == (0.9, 0.5, None)
+
+
+def test_the_act_s_trigger_comes_before_the_event_s() -> None:
+    story = act("Other", event("in", change_of_lane(BESIDE), when("Ego", NEAR)), conditions=(when_time(4),))
+    (action,) = of_file(scenario(CARS, EGO + OTHER, story, parameters={"gap": 20})).scenario.traffic[0].actions
+    assert action.when is not None
+    assert [condition.above for condition in action.after] == [4.0]
+    assert [condition.below for condition in action.when] == [20.0]
+
+
+def test_an_obstacle_stands_and_a_leader_leaves_before_it() -> None:
+    leader, box = of_file(cut_out()).scenario.traffic
+    assert (box.speed, box.length, box.model, box.actions) == (0.0, 2.0, "constant", [])
+    (change,) = leader.actions
+    assert isinstance(change, CutIn)
+    assert (change.by, change.beside, change.metres) == (1, None, 60.0)
+    assert change.when is not None
+    assert change.when[0].above == pytest.approx(299, abs=0.5)
+
+
+def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
+    keep = (
+        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="leadingReferencedEntity" '
+        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction></Private>'
+    )
+    other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", keep)
+    found = of_file(scenario(CARS, EGO + other)).scenario
+    assert found.traffic[0].s - found.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
+
+
+def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
+    reference = '<CatalogReference catalogName="cars" entryName="long"/>'
+    locations = (
+        '<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>'
+    )
+    content = scenario({"Ego": reference, "Other": vehicle()}, EGO + OTHER).replace(b"<RoadNetwork>", locations.encode())
+    catalog = (
+        f'<OpenSCENARIO><Catalog name="cars">{vehicle(9.5, category="van").replace("car", "long", 1)}</Catalog></OpenSCENARIO>'
+    )
+    assert of_file(content, {"scenarios/catalogs/c.xosc": catalog.encode()}).scenario.ego.length == 9.5
+    assert "no entry" in refused(
+        content.replace(b'entryName="long"', b'entryName="short"'), files={"scenarios/catalogs/c.xosc": catalog.encode()}
+    )
+    assert "no catalog" in refused(content)
+
+
+def test_what_drives_the_ego_vehicle_in_the_file_is_noted() -> None:
+    notes = of_file(
+        scenario(
+            CARS,
+            EGO + OTHER,
+            act("Ego", event("brake", f"<LongitudinalAction>{change_of_speed(absolute(1))}</LongitudinalAction>")),
+        )
+    ).notes
+    assert any("<Event>" in note and "controller" in note for note in notes)
+
+
+def test_what_is_ignored_is_noted_with_its_line() -> None:
+    content = cut_in().replace(b"<Entities>", b"<Environment><Weather/></Environment>\n<Entities>")
+    assert any(note.startswith("scenarios/a.xosc: line 6, <Environment>: ignored") for note in of_file(content).notes)
+
+
+def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:
+    assert of_file(cut_in(), duration=8.0).scenario.duration == 8.0
+    never = trigger(when("Other", '<SpeedCondition value="1" rule="lessThan"/>'), tag="StopTrigger")
+    assert "duration" in refused(with_events(stop=never))
+
+
+def test_vehicles_behind_the_ego_vehicle_s_edge_lengthen_the_route() -> None:
+    found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20)))).scenario
+    assert found.route == ["-7"]
+    assert found.traffic[0].route == ["7"]
+
+
+PEDESTRIAN = (
+    f'<Pedestrian name="p" mass="1" pedestrianCategory="pedestrian">{BOX.format(centre=0, length=0.5, width=0.5)}</Pedestrian>'
+)
+ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudinal="true"/></ControllerAction>'
+ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
+GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
+LATERAL = NEAR.replace("$gap", "3").replace("longitudinal", "lateral")
+IN = change_of_lane(BESIDE)
+CASES = {
+    "version": (cut_in().replace(b'revMajor="1"', b'revMajor="2"'), "line 3, <FileHeader>"),
+    "no road": (cut_in().replace(b'"../maps/motorway.xodr"', b'"../../motorway.xodr"'), "leaves the folder"),
+    "unknown road": (cut_in().replace(b'roadId="7" laneId="-2"', b'roadId="8" laneId="-2"'), "no road 8"),
+    "unknown lane": (cut_in().replace(b'laneId="-2"', b'laneId="-9"'), "no lane -9"),
+    "shoulder": (cut_in().replace(b'laneId="-2"', b'laneId="-4"'), "shoulder"),
+    "beyond the road": (cut_in().replace(b'value="120"', b'value="2500"'), "2500"),
+    "unknown parameter": (cut_in().replace(b'"$s"', b'"$t"'), "no parameter t"),
+    "no expression": (cut_in().replace(b"+ 6}", b"+ }"), "AbsoluteTargetSpeed"),
+    "division by zero": (cut_in().replace(b"+ 6}", b"/ 0}"), "AbsoluteTargetSpeed"),
+    "routes": (cut_in().replace(b"</Private>", ROUTING + b"</Private>", 1), "RoutingAction"),
+    "world outside": (with_events(other=start("Other", WORLD.format(0, 999), absolute(1))), "no lane at"),
+    "alternatives": (with_events(event("in", IN)).replace(b"<StartTrigger/>", GROUPS, 1), "alternatives"),
+    "falling": (with_events(event("in", IN, when_time(1, edge="falling"))), "falling"),
+    "lateral": (with_events(event("in", IN, when("Ego", LATERAL))), "lateral"),
+    "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
+    "synchronised": (with_events(event("in", "<SynchronizeAction/>")), "SynchronizeAction"),
+    "controller": (with_events(event("in", ACTIVE)), "controller"),
+    "no such entity": (
+        with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Nobody" value="1"/>'))),
+        "Nobody",
+    ),
+    "two of a name": (scenario(CARS, EGO + OTHER).replace(b'name="Other"', b'name="Ego"'), "another entity"),
+    "walks": (scenario(CARS | {"Other": PEDESTRIAN}, EGO + OTHER), "pedestrian"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_needed_and_not_supported_is_refused_by_line(case: str) -> None:
+    content, part = CASES[case]
+    message = refused(content)
+    assert part in message
+    assert "scenarios/a.xosc: line " in message
+
+
+def test_parameters_and_entities_that_the_file_lacks_are_fields_of_the_scenario() -> None:
+    for data, field in (({"parameters": {"gap": 3}}, "parameters.gap"), ({"ego": "Hero"}, "ego")):
+        with pytest.raises(InvalidInputError) as error:
+            of_file(cut_in(), **data)
+        assert [problem.field for problem in error.value.problems] == [field]
+
+
+def test_values_outside_of_a_parameter_s_constraints_are_refused() -> None:
+    bound = (
+        '<ParameterDeclaration name="x" parameterType="double" value="5"><ConstraintGroup><ValueConstraint rule="greaterThan" value="0"/>'
+        '<ValueConstraint rule="lessOrEqual" value="${2 * $limit}"/></ConstraintGroup></ParameterDeclaration>'
+        '<ParameterDeclaration name="limit" parameterType="double" value="4"/>'
+    )
+    content = scenario(CARS, EGO + OTHER, declarations=bound)
+    assert of_file(content, parameters={"x": 8}).scenario
+    with pytest.raises(InvalidInputError) as error:
+        of_file(content, parameters={"x": 8.5})
+    assert [problem.field for problem in error.value.problems] == ["parameters.x"]
+
+
+def folder(path: Path, content: bytes, **data: object) -> Path:
+    """A bundle with an OpenSCENARIO file in one folder and its road in another."""
+    for name in ("scenarios", "maps"):
+        (path / name).mkdir(parents=True)
+    document = {
+        "problem": "acc",
+        "parameters": {"T": {"lower": 0.8, "upper": 2.5}},
+        "simulator": {"kind": "highway", "controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}},
+        "scenarios": {"x": {"openscenario": "scenarios/a.xosc"} | data},
+        "measures": {"min_ttc_s": "s"},
+        "scores": {"safe": {"formula": "min_ttc_s", "direction": "maximise", "range": [0, 10]}},
+    }
+    (path / "problem.yaml").write_text(yaml.safe_dump(document))
+    (path / "acc.py").write_text("def control(observation, parameters):\n    return 0.0\n")
+    (path / "scenarios" / "a.xosc").write_bytes(content)
+    (path / "maps" / "motorway.xodr").write_bytes(motorway())
+    return path
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_folder_with_a_file_and_its_road_is_packed_and_checked_again_in_the_archive(name: str, tmp_path: Path) -> None:
+    manifest, archive, notes = read_bundle_with_notes(folder(tmp_path / "b", FILES[name]()))
+    assert read_archived(files_of(archive)) == manifest
+    assert any("the route is" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("content", "data", "field"),
+    [
+        (cut_in().replace(b'laneId="-2"', b'laneId="-9"'), {}, "openscenario"),
+        (cut_in().replace(b"../maps", b"../map"), {}, "openscenario"),
+        (cut_in(), {"network": "maps/none.xodr"}, "network"),
+        (cut_in(), {"route": ["7"]}, "ego.edge"),
+        (cut_in(), {"duration": 200.0}, "route"),
+        (cut_in(), {"openscenario": "scenarios/b.xosc"}, "openscenario"),
+        (cut_in().replace(b'value="3"', b'value="900"'), {}, "openscenario"),
+    ],
+)
+def test_faults_of_a_folder_have_the_manifest_s_fields(
+    content: bytes, data: dict[str, object], field: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidInputError) as error:
+        read_bundle_with_notes(folder(tmp_path / "b", content, **data))
+    assert [problem.field.rpartition(": ")[2] for problem in error.value.problems] == [f"scenarios.x.{field}"]

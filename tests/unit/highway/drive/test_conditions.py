@@ -1,0 +1,90 @@
+"""Triggers of actions: quantities between vehicles, edges, delays and what has happened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from drivecal.bundles.highway_actions import CutIn
+from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
+
+STEP = 0.5
+
+
+def action(**trigger: Any) -> CutIn:
+    return CutIn.model_validate({"do": "cut_in", "lane": 0} | trigger)
+
+
+def fired(trigger: CutIn, moments: Sequence[Moment], events: Events | None = None) -> list[int]:
+    """The steps in which an action of `other` is due."""
+    watch, happened = Watch("other", trigger, STEP), events or Events()
+    return [index for index, moment in enumerate(moments) if watch.is_due(moment, happened)]
+
+
+def moments(*places: tuple[float, float], speeds: tuple[float, float] = (20.0, 30.0)) -> list[Moment]:
+    """Moments with the ego vehicle and another one at these s; both are 4 m long."""
+    return [
+        Moment(
+            index * STEP, {"ego": Moving(ego, 0.0, speeds[0], 2.0), "other": Moving(other, 0.0, speeds[1], 2.0)}, stretch=1.0
+        )
+        for index, (ego, other) in enumerate(places)
+    ]
+
+
+PASSING = moments((100, 80), (110, 95), (120, 120), (130, 145), (140, 170), (150, 195))
+
+
+@pytest.mark.parametrize(
+    ("condition", "steps"),
+    [
+        ({"quantity": "time", "above": 1.0}, [2, 3, 4, 5]),
+        ({"quantity": "speed", "below": 30}, [0, 1, 2, 3, 4, 5]),
+        ({"quantity": "s", "above": 170}, [4, 5]),
+        ({"quantity": "gap", "below": 12}, [1, 2, 3]),
+        ({"quantity": "gap", "below": 15, "centres": True}, [1, 2, 3]),
+        ({"quantity": "gap", "above": 15, "centres": True, "rising": True}, [3]),
+        ({"quantity": "headway", "vehicle": "ego", "above": 1.0}, [4, 5]),
+        ({"quantity": "headway", "vehicle": "other", "to": "ego", "below": 5}, [0, 1, 2]),
+        ({"quantity": "ttc", "below": 1.2}, [1, 2]),
+        ({"quantity": "ttc", "vehicle": "ego", "below": 1.2}, [1]),
+        ({"quantity": "gap", "below": 12, "delay": 1.0}, [3, 4, 5]),
+        ({"quantity": "gap", "to": "nobody", "below": 12}, []),
+    ],
+)
+def test_a_condition_holds_when_its_quantity_is_beyond_the_limit(condition: dict[str, Any], steps: list[int]) -> None:
+    assert fired(action(when=[condition]), PASSING) == steps
+
+
+def test_all_conditions_must_hold_at_once() -> None:
+    assert fired(action(when=[{"quantity": "s", "above": 120}, {"quantity": "gap", "below": 12}]), PASSING) == [2, 3]
+
+
+def test_what_comes_after_waits_for_what_was_fulfilled_once() -> None:
+    first = {"quantity": "gap", "below": 0}
+    assert fired(action(after=[first], when=[{"quantity": "gap", "above": 10}]), PASSING) == [3, 4, 5]
+    assert fired(action(after=[first], when=[]), PASSING) == [2, 3, 4, 5]
+
+
+def test_simple_triggers_are_conditions() -> None:
+    assert fired(action(time=1.0), PASSING) == [2, 3, 4, 5]
+    assert fired(action(s=170), PASSING) == [4, 5]
+    assert fired(action(gap=12), PASSING) == [1, 2, 3]
+
+
+def test_the_way_since_the_start_counts() -> None:
+    events = Events()
+    events.starts["other"] = 80.0
+    assert fired(action(when=[{"quantity": "travelled", "above": 60}]), PASSING, events) == [3, 4, 5]
+
+
+def test_an_action_waits_for_others_to_begin_or_to_be_done() -> None:
+    events = Events()
+    begins, ends = (Watch("other", action(when=[{name: "first"}]), STEP) for name in ("begun", "done"))
+    assert not begins.is_due(PASSING[0], events)
+    events.begun.add("first")
+    assert begins.is_due(PASSING[0], events)
+    assert not ends.is_due(PASSING[0], events)
+    events.done.add("first")
+    assert ends.is_due(PASSING[0], events)
