@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import subprocess
+import sys
 from functools import cache
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -176,13 +179,63 @@ def test_an_image_holds_what_is_locked_and_nothing_else(role: str) -> None:
     assert names <= {name.partition("==")[0].split("[")[0] for name in mine}
 
 
+BEGIN = {
+    "api": ("api.__main__",),
+    "dispatcher": ("dispatch.__main__",),
+    "ray-head": ("cluster.__main__",),
+    "ray-worker": ("cluster.__main__", "runtime.__main__", "adapters.kinds", "adapters.fmu_driver", "highway.drive.driver"),
+}
+"""Modules at which the programs of each role begin, those included that are named in command lines only."""
+
+
+def source(module: str) -> Path | None:
+    """The file of a module of ours; None for a name in a module."""
+    path = Path(*module.split("."))
+    files = (
+        PROJECT / root / each
+        for root in ("shared", "services", "workers")
+        for each in (path.with_suffix(".py"), path / "__init__.py")
+    )
+    return next((file for file in files if file.is_file()), None)
+
+
+def imported(role: str) -> set[str]:
+    """The packages of others that the programs of a role import, also late and in functions."""
+    waiting, seen, others = [f"drivecal.{module}" for module in BEGIN[role]], set(), set()
+    while waiting:
+        module = waiting.pop()
+        file = source(module)
+        if module in seen or file is None:
+            continue
+        seen.add(module)
+        for node in ast.walk(ast.parse(file.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module is not None:
+                names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            waiting += [name for name in names if name.startswith("drivecal.")]
+            others |= {name.partition(".")[0] for name in names}
+    return others - {"drivecal", "_typeshed"} - sys.stdlib_module_names
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_an_image_holds_what_its_programs_import(role: str) -> None:
+    mine = {plain(name.partition("==")[0].split("[")[0]) for name in locked(IMAGES / f"{role}.lock")}
+    owners = packages_distributions()
+    assert {name for name in imported(role) if not set(map(plain, owners.get(name, []))) & mine} == set()
+
+
+def plain(name: str) -> str:
+    """The name of a distribution as package registries compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
 @pytest.mark.parametrize(
     ("role", "absent"),
     [
         ("api", {"ray", "libsumo", "numba"}),
         ("dispatcher", {"fastapi", "uvicorn", "libsumo", "numba"}),
         ("ray-head", {"numpy", "libsumo", "numba", "sqlalchemy", "fastapi"}),
-        ("ray-worker", {"sqlalchemy", "psycopg", "fastapi", "uvicorn", "scipy"}),
+        ("ray-worker", {"sqlalchemy", "psycopg", "fastapi", "uvicorn"}),
     ],
 )
 def test_a_role_lacks_what_it_has_no_use_for(role: str, absent: set[str]) -> None:

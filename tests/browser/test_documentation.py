@@ -30,7 +30,7 @@ def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, o
     expect(page.get_by_role("heading", level=1)).to_contain_text("Tokens")
     page.keyboard.press("/")
     page.keyboard.type("certificate")
-    expect(page.get_by_role("link").filter(has_text="repeat a stored one").first).to_be_visible()
+    expect(page.get_by_role("option", name="Certificates").first).to_be_visible()
 
 
 def test_every_page_opens_without_a_complaint(api: RunningApi, opening: Opening) -> None:

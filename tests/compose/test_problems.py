@@ -15,7 +15,7 @@ from drivecal.client import Client
 pytestmark = [pytest.mark.compose, pytest.mark.timeout(3600)]
 
 
-@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu"])
+@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
 def test_a_pushed_problem_finds_in_the_cluster_what_it_finds_embedded(
     cluster: Cluster, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -70,6 +70,15 @@ def test_rows_are_ranked_marked_and_win_everywhere_together(ended: Ended) -> Non
     assert all(row["violation"] == 0 and row["iteration"] is not None for row in rows)
 
 
+def test_solutions_are_ranked_by_the_first_objective_and_under_weights_by_the_score(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        ranked, best = client.solutions(ended.first, limit=5).items, client.campaign(ended.first).best
+        weighted = client.solutions(ended.first, {"S1": 1, "S2": 0, "S3": 0}, limit=5).items
+    assert best is not None
+    assert ranked[0].objective == best.objective == rows_of(ended, ended.first)[0]["objectives"]["comfort"]
+    assert [each.objective for each in weighted] == [each.scores["S1"] for each in weighted]
+
+
 def test_weights_order_the_front_and_agree_with_who_wins(ended: Ended) -> None:
     by_rank = {json.dumps(row["parameters"]): row for row in rows_of(ended, ended.first)}
     for weight in (0.0, 0.2, 0.5, 1.0):

@@ -13,7 +13,7 @@ from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.trust import TrustAnswer
+from drivecal.contracts.results import TrustAnswer
 from drivecal.storage import campaigns
 
 

@@ -13,6 +13,8 @@ from drivecal.plugins.ports import Floats
 
 MOST_EXACT = 3
 """Objectives up to which hypervolumes and winning weights are computed."""
+MOST_WINNING = 1_000
+"""Sets of a front up to which winning weights are computed: the work grows with its square."""
 FLAT = 1e-9
 """Smallest distance beyond the plane through the extremes that makes a knee, in shares of the front's ranges."""
 
@@ -147,9 +149,9 @@ def winning_weights(points: Floats) -> list[WinningWeights] | None:
     """Returns where each point of a front wins: an interval for two objectives, a polygon for three, empty for one that never wins.
 
     Exact, by cutting the simplex of all weights with the half plane of each other point. Points win together where they are equal. None
-    for more than MOST_EXACT objectives.
+    for more than MOST_EXACT objectives or MOST_WINNING points.
     """
-    if points.shape[1] > MOST_EXACT:
+    if points.shape[1] > MOST_EXACT or len(points) > MOST_WINNING:
         return None
     shares = scaled(points)
     return [_region(shares, place) for place in range(len(points))]

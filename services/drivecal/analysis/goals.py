@@ -7,6 +7,7 @@ data, so that its results can be read without its problem.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from math import isclose
 from typing import Any, Literal
 
 from drivecal.bundles.expressions import Formula
@@ -108,7 +109,8 @@ class Objective(Goal):
 
     def is_weighted_mean(self, shares: Mapping[str, float]) -> bool:
         """Whether it is the mean of the campaign's score with these weights (Eq. 6)."""
-        return self.value.key == SCORE and self.aggregate.kind == "mean" and dict(self.shares) == dict(shares)
+        same = self.shares.keys() == shares.keys() and all(isclose(self.shares[name], share) for name, share in shares.items())
+        return self.value.key == SCORE and self.aggregate.kind == "mean" and same
 
     def compared(self, amount: float) -> float:
         """Returns what dominance compares, higher is better: the amount without differences up to the tolerance."""

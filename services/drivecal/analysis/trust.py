@@ -12,9 +12,9 @@ from typing import Any
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
-from drivecal.contracts.trust import Light, Reason, TrustAnswer
 from drivecal.domain.campaigns import CampaignState
 
 FEW = 0.01
@@ -77,7 +77,7 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
     verdict = verdict_in(campaign.notes)
     if verdict is not None:
         light: Light = "green" if verdict.startswith(CONFIRMED) else "red"
-        yield Reason(light=light, about="confirmation", text=f"The best set is {verdict}.")
+        yield Reason(light=light, about="confirmation", text=f"{verdict[0].upper()}{verdict[1:]}.")
     elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
         text = "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a reference's."
         yield Reason(light="amber", about="confirmation", text=text)

@@ -20,13 +20,20 @@ from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, Transport, named, path_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, FrontSummary, StudyPage, TradeOff
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage, ScenarioPage, WorkerPage
-from drivecal.contracts.problems import ProblemAnswer, ProblemPage
+from drivecal.contracts.inventory import (
+    InfluenceMapAnswer,
+    InfluenceMapPage,
+    ProblemAnswer,
+    ProblemPage,
+    ScenarioPage,
+    WorkerPage,
+)
+from drivecal.contracts.results import FrontSummary, TradeOff, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
     FrontRow,
@@ -37,7 +44,6 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
-from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]

@@ -5,7 +5,7 @@ from importlib import import_module
 from io import BytesIO
 from typing import Any
 
-from drivecal.contracts.notebooks import MOST_ROWS, html_table
+from drivecal.contracts.campaign import MOST_ROWS, html_table
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, Study, StudyName
 from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.results import TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
-from drivecal.contracts.trust import TrustAnswer
 
 RANKED = 1000
 """Number of best sets in a report; all of them are in the table."""

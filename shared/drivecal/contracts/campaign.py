@@ -1,17 +1,20 @@
 """Answers about campaigns."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from html import escape
 from typing import Any, Generic, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, computed_field, model_validator
 
-from drivecal.contracts.notebooks import html_facts, html_table
 from drivecal.domain.scales import COMFORT, Scale
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
 
 Score = int | float
 """A score in units of the campaign's scale; an integer if it is whole (`domain.scales.plain`)."""
+MOST_ROWS = 20
+"""Rows of a table that a notebook shows; further ones are counted."""
 
 
 class Answer(BaseModel):
@@ -309,65 +312,35 @@ class StudyPage(Page[Study]):
     """The studies of a campaign's best sets and of its influence map, newest first."""
 
 
-class FrontObjective(Answer):
-    """An objective, in its own units: best and worst value on the front (null without one), and the `reference` of hypervolumes.
-
-    `aggregate`: mean, min, max or `quantile Q` over the scenarios.
-    """
-
-    name: str
-    unit: str
-    direction: str
-    aggregate: str
-    scenarios: dict[str, float]
-    """Weights, of sum 1."""
-    tolerance: float
-    reference: float
-    best: float | None
-    worst: float | None
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a row whose mappings are columns of their own."""
+    columns: dict[str, Any] = {}
+    for name, value in row.items():
+        columns.update(
+            {f"{name}.{key}": inner for key, inner in value.items()} if isinstance(value, Mapping) else {name: value}
+        )
+    return columns
 
 
-class FrontGrowth(Answer):
-    """The front of all sets up to an iteration; -1: those of other campaigns. `hypervolume` is null for more than three objectives."""
-
-    iteration: int
-    hypervolume: float | None
-    size: int
-
-
-class FrontSummary(Answer):
-    """The front of a campaign: `evaluated` sets have a value of every objective, `feasible` ones keep all constraints, `size` make the
-    front, of which `copied` have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
-
-    objectives: list[FrontObjective]
-    constraints: list[str]
-    evaluated: int
-    feasible: int
-    size: int
-    copied: int
-    knee: int | None
-    extremes: dict[str, int] = {}
-    hypervolume: float | None
-    growth: list[FrontGrowth]
+def html_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Returns rows as a table with all their columns."""
+    shown = [_flat(row) for row in rows[:MOST_ROWS]]
+    columns = list(dict.fromkeys(name for row in shown for name in row))
+    lines = [_line("th", columns), *(_line("td", [row.get(name) for name in columns]) for row in shown)]
+    more = f"<p>{len(rows) - len(shown):,} more rows</p>" if len(rows) > len(shown) else ""
+    return f"<table>{''.join(lines)}</table>{more}"
 
 
-class ValuePair(Answer):
-    """Two values of the same thing; `gain`: by how much the second is better, null if neither is."""
-
-    name: str
-    first: Score | str | None
-    second: Score | str | None
-    gain: float | None = None
+def html_facts(facts: Mapping[str, object]) -> str:
+    """Returns named values as a table of two columns."""
+    return f"<table>{''.join(_line('td', (name, value)) for name, value in facts.items())}</table>"
 
 
-class TradeOff(Answer):
-    """Two sets of a front, by rank: all objectives, scores by scenario, and the parameters that differ. `distance`: root mean square, in
-    shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
+def _line(tag: str, values: Iterable[object]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(_text(value))}</{tag}>' for value in values)}</tr>"
 
-    first: int
-    second: int
-    objectives: list[ValuePair]
-    scores: list[ValuePair]
-    parameters: list[ValuePair]
-    distance: float
-    text: list[str]
+
+def _text(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -225,8 +225,8 @@ class FrontRow(Answer):
 
     `alternatives`: sets with the same objectives, this one included. `knee`: it gives the most for what it costs; `best_in`: the objectives
     in which no set is better. `wins`: its share of all weightings of the objectives, scaled to the front, and `weights` the corners of that
-    region; null for more than three objectives. `violation`: of the constraints, in shares; above 0 only if no set keeps them all.
-    `degree`: that of the robustness stage if it examined the set.
+    region; null for more than three objectives or 1,000 sets. `violation`: of the constraints, in shares; above 0 only if no set keeps
+    them all. `degree`: that of the robustness stage if it examined the set.
     """
 
     rank: int

@@ -130,6 +130,15 @@ def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left
     assert numbers(ranking) == [(8, 1), (2, 1), (1, 1)]
 
 
+def test_equal_first_objectives_are_ordered_by_the_rating() -> None:
+    weights = dict.fromkeys(["S1", "S2", "S3", "S4", "S5", "S6"], 1 / 6)
+    ranking = Ranking(weights, goals=Goals((Objective("comfort", CellValue(COMFORT), weights, MEAN, 1),), ()))
+    ranking.add(
+        CellScore(number, name, 5.0, rating, True, number, 0) for number, rating in ((1, 4.9), (2, 5.2)) for name in weights
+    )
+    assert [solution.parameter_set for solution in ranking.ranking()] == [2, 1]
+
+
 def test_a_set_reaches_the_front_unless_a_sure_set_is_as_good_in_everything() -> None:
     ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (6.0, 2.0))
     ranking.add(cell(9, name, 7.0, 10.0, own=False) for name in EVEN)

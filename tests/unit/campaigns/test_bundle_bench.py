@@ -201,3 +201,28 @@ def test_the_problem_s_baseline_is_the_default() -> None:
     problem = resolved(parameters=narrow, fixed=held)
     assert problem.baseline is None
     assert any("baseline" in note for note in problem.notes)
+
+
+def test_the_first_score_of_the_objectives_is_the_campaigns_and_others_are_computed() -> None:
+    search = {"kind": "nsga2", "population": 10, "iterations": 2}
+    problem = resolved(objectives=[{"score": "safety"}, {"score": "discomfort", "aggregate": "max"}], optimizer=search)
+    assert problem.bench.scale.name == problem.specification.evaluator == "safety"
+    assert problem.specification.reduction.mode == "exact"
+    assert problem.goals is not None
+    safety, discomfort = problem.goals.objectives
+    assert (safety.sign, safety.reference, discomfort.sign, discomfort.reference) == (1, 0.0, -1, 100.0)
+    computed = problem.goals.values(dict(MEASURES), None)
+    assert computed == {discomfort.value.key: rated("discomfort", dict(MEASURES))}
+    assert problem.goals.values(dict(MEASURES), "collision") == {discomfort.value.key: 100.0}
+    again = resolved(**problem.specification.model_dump(mode="json") | {"problem": "python-function"})
+    assert again.goals == problem.goals
+
+
+def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None:
+    search = {"kind": "nsga2", "population": 10, "iterations": 2}
+    limits = [{"measure": "min_gap_m", "at_least": 2.0}, {"score": "discomfort", "at_most": 50.0}]
+    problem = resolved(constraints=limits, optimizer=search)
+    assert problem.goals is not None
+    assert [objective.name for objective in problem.goals.objectives] == ["discomfort"]
+    assert [(bound.aggregate.kind, bound.span) for bound in problem.goals.bounds] == [("min", 2.0), ("max", 100.0)]
+    assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer=search) == {"constraints[0].measure"}

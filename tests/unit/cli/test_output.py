@@ -25,8 +25,8 @@ from drivecal.cli.views.output import (
 from drivecal.cli.views.progress import Lines
 from drivecal.cli.views.savings import print_trust
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Released, Seconds
+from drivecal.contracts.results import Reason, TrustAnswer
 from drivecal.contracts.tables import Solution
-from drivecal.contracts.trust import Reason, TrustAnswer
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
 

@@ -15,7 +15,7 @@ from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, 
 
 from drivecal.contracts.campaign import Campaign, Released
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.trust import Reason, TrustAnswer
+from drivecal.contracts.results import Reason, TrustAnswer
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import ReportData, Studied
 from drivecal.report.page import page

@@ -5,6 +5,7 @@ has thousands. The namespaces `vehicle`, `edge`, `lane` and `simulation` are lib
 """
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from drivecal.domain.errors import UnavailableError
 
@@ -31,6 +32,20 @@ FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
 """Speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
 NO_LANE_CHANGES = 0
 """Lane change mode."""
+COLUMNS = 4
+"""Cells of a vehicle in `read`."""
+
+
+class Start(NamedTuple):
+    """A vehicle at its start: id, also of its type; route; lane; position of the front along it (m); speed (m/s); offset from the lane's
+    centre (m, left positive)."""
+
+    name: str
+    route: str
+    lane: str
+    position: float
+    speed: float
+    offset: float = 0.0
 
 
 def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
@@ -61,3 +76,35 @@ def load(arguments: Sequence[str]) -> None:
         libsumo.load(list(arguments))
     else:
         libsumo.start(["sumo", *arguments])
+
+
+def clear() -> None:
+    """Removes all vehicles."""
+    for name in vehicle.getLoadedIDList():
+        vehicle.remove(name)
+
+
+def place(starts: Sequence[Start]) -> list[str]:
+    """Adds vehicles, the ego vehicle's speed and lane free of SUMO's models. Returns those that SUMO left out, which it does not report."""
+    for name, route, lane_id, position, speed, offset in starts:
+        vehicle.add(name, route, typeID=name)
+        vehicle.moveTo(name, lane_id, position)
+        vehicle.setPreviousSpeed(name, speed)
+        if offset:
+            vehicle.setLateralLanePosition(name, offset)
+    vehicle.setLaneChangeMode(EGO, NO_LANE_CHANGES)
+    vehicle.setSpeedMode(EGO, FREE)
+    return sorted({start.name for start in starts} - set(vehicle.getIDList()))
+
+
+def read(names: Sequence[str], cells: Any) -> None:
+    """Writes x and y (m) of each vehicle's front and its speed (m/s) to the first three of its `COLUMNS` cells.
+
+    `cells`: a memoryview, which assigns single items several times faster than numpy.
+    """
+    position, speed = GET_POSITION, GET_SPEED
+    cell = 0
+    for name in names:
+        cells[cell], cells[cell + 1] = position(name)
+        cells[cell + 2] = speed(name)
+        cell += COLUMNS

@@ -17,9 +17,9 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.contracts.campaign import Study, StudyPage
 from drivecal.contracts.evaluation import FailurePage
+from drivecal.contracts.results import TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
-from drivecal.contracts.trust import TrustAnswer
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup

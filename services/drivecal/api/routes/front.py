@@ -11,7 +11,7 @@ from drivecal.api.tables.front import FrontTable, front_table, summary, trade_of
 from drivecal.api.tables.paging import page_or_file, slices, table_answer
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.front import front_of
-from drivecal.contracts.campaign import FrontSummary, TradeOff
+from drivecal.contracts.results import FrontSummary, TradeOff
 from drivecal.contracts.tables import FrontRow, Kind, columns_of
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database

@@ -18,7 +18,7 @@ from drivecal.api.responses import ROOT, matches
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.client.problems import read_archived
 from drivecal.configuration.pushing import HEADER
-from drivecal.contracts.problems import ProblemAnswer, ProblemHeading, ProblemPage
+from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
 from drivecal.storage import admission
 from drivecal.storage.engine.database import Database
 from drivecal.storage.problems import bundles

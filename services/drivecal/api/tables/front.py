@@ -11,7 +11,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.results.front import EARLIER, CampaignFront
 from drivecal.campaigns.results.optima import unit_cube
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.campaign import FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
+from drivecal.contracts.results import FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem

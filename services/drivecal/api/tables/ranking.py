@@ -62,7 +62,7 @@ class CampaignRanking:
 def ranking(
     database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
 ) -> CampaignRanking:
-    """Returns the ranking under the campaign's own weights or those in `weights` (`S1=2,S2=1`), and its score or another of its problem.
+    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another of its problem.
 
     A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of the runs that answered.
     Raises InvalidInputError for unusable weights and unknown scores.
@@ -70,11 +70,13 @@ def ranking(
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
     other = None if score is None else _other_score(database, campaign, score)
     scale = resolved.scale if other is None or other.scale is None else other.scale
-    standing = Ranking(used, scale.sign)
+    goals = resolved.goals if weights is None and score is None else None
+    valued = goals.values if goals is not None and goals.computed else None
+    standing = Ranking(used, scale.sign, goals)
     with database.read() as connection:
         if other is None:
-            corrected_by = resolved.evaluator
-            standing.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=corrected_by))
+            stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
+            standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued))
         else:
             standing.add(_rated(connection, campaign, other))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)

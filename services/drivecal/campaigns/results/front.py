@@ -75,12 +75,14 @@ class CampaignFront:
     def hypervolumes(self) -> list[tuple[int, float | None, int]]:
         """The hypervolume and the size of the front after each iteration, by the sets that were first seen up to it."""
         worst = np.array([goal.sign * amount for goal, amount in zip(self.goals.objectives, self.reference, strict=True)])
-        front, grown = np.empty((0, len(self.goals.objectives))), []
+        front = np.empty((0, len(worst)))
+        grown: list[tuple[int, float | None, int]] = []
         feasible = sorted((each for each in self.ranked if each.violation == 0), key=attrgetter("iteration"))
         for iteration, found in groupby(feasible, attrgetter("iteration")):
             points = np.concatenate([front, self._compared(list(found))])
-            front = np.unique(points[non_dominated(points)], axis=0)
-            grown.append((int(iteration), hypervolume(front, worst), len(front)))
+            before, front = front, np.unique(points[non_dominated(points)], axis=0)
+            volume = grown[-1][1] if np.array_equal(before, front) else hypervolume(front, worst)
+            grown.append((int(iteration), volume, len(front)))
         return grown
 
     def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:

@@ -12,7 +12,7 @@ from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, conne
 from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
 from drivecal.client.problem_templates import write_problem
 from drivecal.client.problems import read_bundle_with_notes
-from drivecal.contracts.problems import ProblemAnswer
+from drivecal.contracts.inventory import ProblemAnswer
 
 if TYPE_CHECKING:
     from drivecal.local.problems import CheckedScenario

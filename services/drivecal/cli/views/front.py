@@ -6,7 +6,7 @@ import typer
 
 from drivecal.cli.views.output import print_columns
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import FrontSummary, TradeOff, ValuePair
+from drivecal.contracts.results import FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow
 
 

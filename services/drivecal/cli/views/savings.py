@@ -8,7 +8,7 @@ from drivecal.cli.views.output import duration, print_columns
 from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven
 from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.trust import TrustAnswer
+from drivecal.contracts.results import TrustAnswer
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.rows import FAILURES, LOTS_NOTE, error_rates, exceeds_limit, failure_causes, released_lots, totals
 

@@ -129,7 +129,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
 
 @compiled
 def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
-    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3).
+    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3 or more).
 
     `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
     on another level has x = NaN, and no place.

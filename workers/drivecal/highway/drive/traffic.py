@@ -74,11 +74,15 @@ class Traffic:
         try:
             sumo.load(self._options)
             self._loaded = True
-            self._places = [
-                (key, *_front(road, vehicle, vehicle.length, f"{field}.traffic[{index}]"), vehicle.speed, vehicle.offset)
+            placed: list[tuple[str, str, Placed, float, float, float]] = [
+                (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed, vehicle.offset)
                 for index, (key, vehicle) in enumerate(vehicles.items())
             ]
-            self._places.append((EGO, *_front(road, ego, ego.length, f"{field}.ego"), ego.speed, 0.0))
+            placed.append(("ego", EGO, ego, ego.length, ego.speed, 0.0))
+            self._starts = [
+                sumo.Start(key, route_id(key), *_front(road, entry, length, f"{field}.{part}"), speed, offset)
+                for part, key, entry, length, speed, offset in placed
+            ]
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles, road.lateral)
@@ -88,31 +92,21 @@ class Traffic:
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
-        self.raw: Floats = np.zeros((0, 3))
+        self.raw: Floats = np.zeros((0, sumo.COLUMNS))
         self.others: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 6))
         self._cells: Any = self.raw.reshape(-1).data
 
     def reset(self) -> None:
         """Puts all vehicles to their starts. Raises TrafficError if SUMO refuses one."""
-        vehicle = sumo.vehicle
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
                 sumo.load(self._options)
                 self._loaded = True
             else:
-                for name in vehicle.getLoadedIDList():
-                    vehicle.remove(name)
-            for name, lane, position, speed, offset in self._places:
-                vehicle.add(name, route_id(name), typeID=name)
-                vehicle.moveTo(name, lane, position)
-                vehicle.setPreviousSpeed(name, speed)
-                if offset:
-                    vehicle.setLateralLanePosition(name, offset)
-            vehicle.setLaneChangeMode(EGO, NO_LANE_CHANGES)
-            vehicle.setSpeedMode(EGO, FREE)
-            missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
+                sumo.clear()
+            missing = sumo.place(self._starts)
             self.names = []
             self._enlist(self._vehicles)
         except SUMO_ERRORS as error:
@@ -120,8 +114,8 @@ class Traffic:
             raise TrafficError(f"scenarios.{self._name}: SUMO cannot place the vehicles: {error}") from error
         if missing:
             self._loaded = False
-            names = ", ".join(sorted(missing))
-            raise TrafficError(f"scenarios.{self._name}: SUMO does not take the vehicles {names}; place them farther apart")
+            message = f"SUMO does not take the vehicles {', '.join(missing)}; place them farther apart"
+            raise TrafficError(f"scenarios.{self._name}: {message}")
         self._actions.reset()
         self._track, self._ego = -1, self._ego_start
         self._read()
@@ -181,7 +175,7 @@ class Traffic:
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
-        raw, others, outlines = np.zeros((len(names), 3)), np.zeros((len(names), 6)), np.zeros((len(names), 6))
+        raw, others, outlines = np.zeros((len(names), sumo.COLUMNS)), np.zeros((len(names), 6)), np.zeros((len(names), 6))
         rows = {name: row for row, name in enumerate(self.names)}
         for row, name in enumerate(names):
             if name in rows:
@@ -197,15 +191,10 @@ class Traffic:
                 sumo.vehicle.setSpeedMode(name, FREE)
                 sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else outlines.item(row, 5))
         self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
-        self._cells = raw.reshape(-1).data  # a memoryview assigns single items several times faster than numpy
+        self._cells = raw.reshape(-1).data
 
     def _read(self) -> None:
-        position, speed, cells = GET_POSITION, GET_SPEED, self._cells
-        cell = 0
-        for name in self.names:
-            cells[cell], cells[cell + 1] = position(name)
-            cells[cell + 2] = speed(name)
-            cell += 3
+        sumo.read(self.names, self._cells)
         if self._road.levels:
             self._leave_out_other_levels()
 

@@ -20,8 +20,6 @@ from drivecal.highway import sumo
 from drivecal.highway.geometry import with_directions
 from drivecal.highway.sumo import (
     EGO,
-    GET_POSITION,
-    GET_SPEED,
     MAPPED_ANYWHERE,
     MAPPED_WITHIN,
     MOVE_TO_XY,
@@ -50,8 +48,7 @@ class Simulation:
         self._scenario: Scenario | None = None
         self._step = 0.0
         self._line: Floats = np.zeros((0, 7))
-        self._places: list[tuple[str, str, float, float]] = []
-        """Id, lane, position of the front along the lane (m) and speed (m/s) at the start; the ego vehicle comes last."""
+        self._starts: list[sumo.Start] = []
         self._drifts: list[tuple[int, str, list[float]]] = []
         """Row, id and offsets from the lane's centre (m) after each step, of all drifting vehicles."""
         self._start: Floats = np.zeros((0, 6))
@@ -61,7 +58,7 @@ class Simulation:
         self._ego: Floats = np.zeros(2)
         """Half length and half width of the ego vehicle."""
         self._cells: Any = self._raw.reshape(-1).data
-        """Memoryview of `_raw`, which assigns single items several times faster than numpy."""
+        """Memoryview of `_raw`."""
         self.neighbours: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 5))
 
@@ -91,14 +88,14 @@ class Simulation:
         fronts = [(vehicle.id, vehicle.s + 0.5 * vehicle.length, vehicle.lane * width, vehicle.speed) for vehicle in traffic]
         fronts.append((EGO, ego.s + 0.5 * ego.length, scenario.task.start_lane * width, ego.speed))
         try:
-            self._places = [(name, *_lane_at(line, name, s, d), speed) for name, s, d, speed in fronts]
+            self._starts = [sumo.Start(name, ROUTE, *_lane_at(line, name, s, d), speed) for name, s, d, speed in fronts]
         except SUMO_ERRORS as error:
             raise SimulationError(f"the network of scenario {scenario.id} does not hold its vehicles: {error}") from error
         rows = [(vehicle.s, vehicle.lane * width, 0.0, 0.0, vehicle.length, vehicle.width) for vehicle in traffic]
         self._start = np.array(rows, dtype=np.float64).reshape(-1, 6)
         self._names = [vehicle.id for vehicle in traffic]
         self._lanes = self._start[:, 1].tolist()
-        self._raw = np.zeros((len(rows), 4))
+        self._raw = np.zeros((len(rows), sumo.COLUMNS))
         self._raw[:, 3] = self._lanes  # only the ego vehicle changes lane: `reset` disables it for others
         self._cells = self._raw.reshape(-1).data
         self.neighbours = self._start.copy()
@@ -110,23 +107,18 @@ class Simulation:
 
         Raises SimulationError if a vehicle is missing afterwards, which SUMO does not report. The next `load` then reloads the scenario.
         """
-        vehicle = sumo.vehicle
         try:
-            for name in vehicle.getLoadedIDList():
-                vehicle.remove(name)
-            for name, lane, position, speed in self._places:
-                vehicle.add(name, ROUTE, typeID=name)
-                vehicle.setLaneChangeMode(name, sumo.NO_LANE_CHANGES)
-                vehicle.moveTo(name, lane, position)
-                vehicle.setPreviousSpeed(name, speed)
-            vehicle.setSpeedMode(EGO, sumo.FREE)
-            missing = {name for name, *_ in self._places} - set(vehicle.getIDList())
+            sumo.clear()
+            missing = sumo.place(self._starts)
+            for name in self._names:
+                if name not in missing:
+                    sumo.vehicle.setLaneChangeMode(name, sumo.NO_LANE_CHANGES)
         except SUMO_ERRORS as error:
             self._scenario = None
             raise SimulationError(f"SUMO cannot place the vehicles: {error}") from error
         if missing:
             self._scenario = None
-            raise SimulationError(f"SUMO did not accept the vehicles {', '.join(sorted(missing))}; place them farther apart")
+            raise SimulationError(f"SUMO did not accept the vehicles {', '.join(missing)}; place them farther apart")
         self.neighbours[:] = self._start
         self._read()
         locate(self._line, self._raw, self.neighbours, self.outlines, 0.0)
@@ -149,14 +141,9 @@ class Simulation:
         return settle(self._line, self._raw, self.neighbours, self.outlines, self._step, pose, self._ego)
 
     def _read(self) -> None:
-        position, speed, cells = GET_POSITION, GET_SPEED, self._cells
-        cell = 0
-        for name in self._names:
-            cells[cell], cells[cell + 1] = position(name)
-            cells[cell + 2] = speed(name)
-            cell += 4
+        sumo.read(self._names, self._cells)
         for row, name, _ in self._drifts:
-            cells[4 * row + 3] = self._lanes[row] + sumo.vehicle.getLateralLanePosition(name)
+            self._cells[sumo.COLUMNS * row + 3] = self._lanes[row] + sumo.vehicle.getLateralLanePosition(name)
 
 
 def _lane_at(line: Floats, name: str, s: float, d: float) -> tuple[str, float]:

@@ -1,0 +1,90 @@
+"""Answers about the result of a search: the trust that it deserves, the front of several objectives."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from drivecal.contracts.campaign import Answer, Score
+
+Light = Literal["green", "amber", "red"]
+
+
+class Reason(Answer):
+    """A reason for a light. `about`: end, confirmation, baseline, map, references, predictions, noise, failures or robustness."""
+
+    light: Light
+    about: str
+    scenario: str | None = None
+    text: str
+
+
+class TrustAnswer(Answer):
+    """The trust that a campaign's result deserves. `light`: that of the gravest of the `reasons`, which comes first; null before the end,
+    unless it is red already, and without a search."""
+
+    light: Light | None
+    reasons: list[Reason]
+
+
+class FrontObjective(Answer):
+    """An objective, in its own units: best and worst value on the front (null without one), and the `reference` of hypervolumes.
+
+    `aggregate`: mean, min, max or `quantile Q` over the scenarios.
+    """
+
+    name: str
+    unit: str
+    direction: str
+    aggregate: str
+    scenarios: dict[str, float]
+    """Weights, of sum 1."""
+    tolerance: float
+    reference: float
+    best: float | None
+    worst: float | None
+
+
+class FrontGrowth(Answer):
+    """The front of all sets up to an iteration; -1: those of other campaigns. `hypervolume` is null for more than three objectives."""
+
+    iteration: int
+    hypervolume: float | None
+    size: int
+
+
+class FrontSummary(Answer):
+    """The front of a campaign: `evaluated` sets have a value of every objective, `feasible` ones keep all constraints, `size` make the
+    front, of which `copied` have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
+
+    objectives: list[FrontObjective]
+    constraints: list[str]
+    evaluated: int
+    feasible: int
+    size: int
+    copied: int
+    knee: int | None
+    extremes: dict[str, int] = Field(default_factory=dict)
+    hypervolume: float | None
+    growth: list[FrontGrowth]
+
+
+class ValuePair(Answer):
+    """Two values of the same thing; `gain`: by how much the second is better, null if neither is."""
+
+    name: str
+    first: Score | str | None
+    second: Score | str | None
+    gain: float | None = None
+
+
+class TradeOff(Answer):
+    """Two sets of a front, by rank: all objectives, scores by scenario, and the parameters that differ. `distance`: root mean square, in
+    shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
+
+    first: int
+    second: int
+    objectives: list[ValuePair]
+    scores: list[ValuePair]
+    parameters: list[ValuePair]
+    distance: float
+    text: list[str]
