@@ -20,7 +20,7 @@ class Condition(Model):
     """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
 
     Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) of `vehicle`, by default
-    the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whoever is ahead), `headway` (s, if `to` is
+    the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead), `headway` (s, if `to` is
     ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres` between centres.
     `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago.
     """

@@ -129,7 +129,7 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
 
 
 def planner_problems(controller: PlannerController, parameters: Collection[str]) -> Iterator[Problem]:
-    """Yields the parameters of the built-in planner that nobody gives, or that are given twice. `parameters`: the problem's."""
+    """Yields the parameters of the built-in planner that are missing, or given twice. `parameters`: the problem's."""
     for name in PLANNER_PARAMETERS:
         if (name in parameters) == (name in controller.values):
             message = f"the planner's {name} is {'a parameter, too' if name in parameters else 'missing'}"

@@ -1,4 +1,4 @@
-"""Small XML documents as trees that know what was read of them: whatever nobody asked for is listed as ignored."""
+"""Small XML documents as trees that record which parts were read: the rest is listed as ignored."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -75,7 +75,7 @@ class Element(Attributes):
             child.skip()
 
     def unread(self) -> "Iterator[Element]":
-        """Yields the outermost elements that nobody has asked for."""
+        """Yields the outermost elements that were not read."""
         for child in self.children:
             if child.is_read:
                 yield from child.unread()

@@ -107,7 +107,7 @@ class RouteFile:
             return
         if len(self.entries) == MOST_VEHICLES:
             message = f"the file has more than {MOST_VEHICLES} vehicles, trips and flows until the scenario's end"
-            raise element.fault(message, "leave out those that nobody meets, or make flows of them")
+            raise element.fault(message, "leave out vehicles that are never met, or make flows of them")
         length = driver["length"]
         start = _start(element, length)
         name = self._names.new(element.text("id"), element)

@@ -30,20 +30,20 @@ LANE_TOLERANCE = 0.5
 TRACK = NAMES.index("lane")
 
 
-class SeenTraffic(Protocol):
-    """What a planner sees: the other vehicles' `names` and rows (s, d, speed, acceleration, length, width)."""
+class VisibleTraffic(Protocol):
+    """Traffic that a planner sees: the other vehicles' `names` and rows (s, d, speed, acceleration, length, width)."""
 
     names: list[str]
     others: Floats
 
 
 class TrajectorySource(Protocol):
-    """Gives the trajectory to follow, shape (n, 7): t, x, y, heading, curvature, speed, acceleration, equally spaced in time."""
+    """Source of the trajectory to follow, shape (n, 7): t, x, y, heading, curvature, speed, acceleration, equally spaced in time."""
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         """Starts a run."""
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: SeenTraffic) -> Floats:
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
         """Returns the trajectory from now on. `pose`: as the vehicle's; `position`: its s."""
 
 
@@ -57,7 +57,7 @@ class ControllerTrajectories(TrajectorySource):
     def begin(self, parameters: Mapping[str, Any]) -> None:
         self._controller.begin(parameters)
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: SeenTraffic) -> Floats:
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
         del pose, position, traffic
         points = checked_points(self._controller.step(signals)[0], self._needed, signals[0])
         return trajectory_of(self._road, int(signals[TRACK]), points)
@@ -142,7 +142,7 @@ class PlannerTrajectories(TrajectorySource):
         self._planner.reset([float(given[name]) for name in PLANNER_PARAMETERS])
         self._before, self._position = {}, self._start
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: SeenTraffic) -> Floats:
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
         x, y, heading, speed, slip, _, forward, left = pose.tolist()
         course, cosine, sine = heading + slip, np.cos(heading), np.sin(heading)
         velocity = speed * np.cos(course), speed * np.sin(course)
