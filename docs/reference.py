@@ -57,6 +57,7 @@ PROBLEM = (
     manifest.FmuSimulator,
     highway.HighwaySimulator,
     highway.HighwayScenario,
+    highway.OpenScenario,
 )
 ROWS = (
     tables.EvaluationRow,
