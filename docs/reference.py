@@ -57,6 +57,7 @@ PROBLEM = (
     manifest.FmuSimulator,
     highway.HighwaySimulator,
     highway.HighwayScenario,
+    highway.OpenScenario,
 )
 ROWS = (
     tables.EvaluationRow,
@@ -159,7 +160,7 @@ def kind(schema: Schema) -> str:
         return ", ".join(map(str, schema["enum"]))
     alternatives = schema.get("anyOf") or schema.get("oneOf")
     if alternatives:
-        return " or ".join(dict.fromkeys(kind(one) for one in alternatives))
+        return " or ".join(dict.fromkeys(kind(alternative) for alternative in alternatives))
     if schema.get("type") == "array":
         return "list" + (f" of {kind(schema['items'])}" if schema.get("items") else "")
     if schema.get("type") == "object":
@@ -225,11 +226,15 @@ def commands(command: Any, name: str) -> Iterator[str]:
         for inner in listed:
             yield from commands(command.commands[inner], f"{name} {inner}")
         return
-    arguments = [one for one in command.params if one.param_type_name == "argument"]
-    options = [one for one in command.params if one.param_type_name == "option" and not one.hidden and one.name != "help"]
+    arguments = [parameter for parameter in command.params if parameter.param_type_name == "argument"]
+    options = [
+        parameter
+        for parameter in command.params
+        if parameter.param_type_name == "option" and not parameter.hidden and parameter.name != "help"
+    ]
     usage = " ".join([name, *map(placeholder, arguments), *(["[OPTIONS]"] if options else [])])
-    rows = [(code(placeholder(one)), one.help or "") for one in arguments]
-    rows += [(code(", ".join([*one.opts, *one.secondary_opts])), option_help(one)) for one in options]
+    rows = [(code(placeholder(parameter)), parameter.help or "") for parameter in arguments]
+    rows += [(code(", ".join([*option.opts, *option.secondary_opts])), option_help(option)) for option in options]
     yield f"## {name}\n\n{prose(command.help)}\n\n```text\n{usage}\n```\n\n{table(('argument or option', 'meaning'), rows)}"
 
 
@@ -280,7 +285,7 @@ def rest() -> str:
     for path, methods in document["paths"].items():
         for method, route in methods.items():
             if method in METHODS:
-                query = [one["name"] for one in route.get("parameters", []) if one["in"] == "query"]
+                query = [parameter["name"] for parameter in route.get("parameters", []) if parameter["in"] == "query"]
                 sections.setdefault(route["tags"][0], []).append(
                     (code(f"{method.upper()} {path}"), route.get("description", ""), ", ".join(map(code, query)))
                 )

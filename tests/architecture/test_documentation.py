@@ -15,7 +15,7 @@ from tests.support.documentation import DOCS, PAGES, Block, blocks, program
 
 from drivecal.bundles.archives import content_digest, files_digest
 from drivecal.bundles.checks import checked
-from drivecal.bundles.highway import HighwayScenario
+from drivecal.bundles.highway_checks import scenarios_problems
 from drivecal.bundles.manifest import AnySimulator
 from drivecal.campaigns.comparisons.resolve import resolve_comparison
 from drivecal.campaigns.resolve.bundle_bench import Bundle
@@ -149,8 +149,7 @@ def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
     elif "simulator" in document:
         TypeAdapter(AnySimulator).validate_python(document["simulator"])
     elif "scenarios" in document:
-        for scenario in document["scenarios"].values():
-            HighwayScenario.model_validate(scenario)
+        assert list(scenarios_problems(0.1, document["scenarios"])) == []
     elif "scrape_configs" not in document:  # a file of Prometheus
         validated(CampaignSpecification, document)
 

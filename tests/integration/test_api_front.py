@@ -173,3 +173,22 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     )
     assert written.exit_code == 0, written.stderr
     assert target.stat().st_size > 0
+
+
+def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: Ended) -> None:
+    def light_of(**changes: Any) -> tuple[dict[str, Any], dict[str, str]]:
+        submitted = ended.api.http.post("/api/v1/campaigns", json=SPEC | changes).raise_for_status().json()
+        with ended.api.database.read() as connection:
+            stored = campaigns.get(connection, submitted["id"])
+        run(ended.api.database, stored, backend())
+        campaign, trust = (ended.api.http.get(submitted["links"][name]).json() for name in ("self", "trust"))
+        return campaign, {reason["about"]: reason["light"] for reason in trust["reasons"]} | {"all": trust["light"]}
+
+    worst = {f"P{i}": 0.5 for i in range(1, 12)}
+    campaign, lights = light_of(objectives=[TWO[1]], optimizer=SMALL["optimizer"], baseline=worst)
+    assert campaign["objective"] == {"name": JERK, "unit": "m/s^3", "direction": "minimise"}
+    assert campaign["best"]["objective"] < campaign["baseline"]["objective"]
+    assert lights["baseline"] == "green"
+    campaign, lights = light_of(constraints=[{"measure": JERK, "at_most": 0.1, "failed": 20.0}])
+    assert campaign["best"]["violation"] > 0
+    assert (lights["constraints"], lights["all"]) == ("red", "red")

@@ -119,3 +119,45 @@ def test_measures_are_columns_of_evaluations_if_they_are_asked_for(asked: Asked)
     assert {row["id"] for row in items(asked, f"{asked.first}/evaluations", **some)} == {
         row["id"] for row in measured if row["measure_y"] is not None and row["measure_y"] <= 1
     }
+
+
+def test_a_reference_answers_no_other_score(database: Database, tmp_path: Path) -> None:
+    """z matters to the other score alone, so that references answer the own score across z."""
+    parameters = {name: {"lower": 0, "upper": 1, "step": 0.05} for name in ("x", "z")}
+    scores = {
+        "cost": {"formula": "x", "direction": "minimise", "range": [0, 1]},
+        "gain": {"formula": "z", "direction": "maximise", "range": [0, 1]},
+    }
+    store(database, MANIFEST | {"parameters": parameters, "measures": {"x": "1", "z": "1"}, "scores": scores})
+
+    def both(scenario: str, cell: Cell) -> CellResult:
+        del scenario
+        return CellResult(cell.id, None, None, {name: float(cell.parameters[name]) for name in ("x", "z")}, None, 7.0)
+
+    app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
+    analysed = {"sensitivity": {"intervals": 4, "samples": 4}, "reduction": {"mode": "influence", "max_error": 1, "confirm": 0}}
+    with TestClient(app, base_url="http://127.0.0.1") as http:
+        accepted = http.post("/api/v1/campaigns", json=SPEC | analysed).raise_for_status().json()
+        path = f"/api/v1/campaigns/{accepted['id']}"
+        with database.read() as connection:
+            queued = campaigns.get(connection, accepted["id"])
+        ended = run(database, queued, ComputedBackend(answer=both))
+        assert ended.cells.reused > 0
+        asked = Asked(http, path, path)
+        by_gain = items(asked, f"{path}/solutions", limit=100, score="gain")
+        assert 0 < len(by_gain) < len(items(asked, f"{path}/solutions", limit=100))
+        assert all(row["objective"] == pytest.approx(row["parameters"]["z"]) and not row["reused"] for row in by_gain)
+
+
+def test_the_front_of_everything_keeps_the_constraints_of_the_problem(asked: Asked, database: Database) -> None:
+    """Earlier pushes of the problem allowed more sets in the same setups."""
+    store(database, MANIFEST | {"constraints": ["x <= 0.5"]})
+    few = {"evaluator": "gain", "optimizer": {"kind": "random", "population": 5, "iterations": 1, "seed": 2}}
+    accepted = asked.http.post("/api/v1/campaigns", json=SPEC | few).raise_for_status().json()
+    with database.read() as connection:
+        queued = campaigns.get(connection, accepted["id"])
+    run(database, queued, ComputedBackend(answer=simulated))
+    path = f"/api/v1/campaigns/{accepted['id']}/front"
+    evaluated = asked.http.get(f"{path}/summary", params={"everything": "true"}).raise_for_status().json()["evaluated"]
+    assert evaluated > asked.http.get(f"{path}/summary").raise_for_status().json()["evaluated"]
+    assert [row["parameters"]["x"] <= 0.5 for row in items(asked, path, everything="true")] == [True]

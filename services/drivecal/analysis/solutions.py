@@ -44,6 +44,11 @@ class EvaluatedSet:
         """Sum of the violations of constraints, in units of EQUAL."""
         return 0 if self.judgement is None else round(self.judgement.violation / EQUAL)
 
+    @property
+    def shares_violated(self) -> float:
+        """The same in shares; 0 up to EQUAL."""
+        return 0.0 if self.judgement is None or self.violation == 0 else self.judgement.violation
+
 
 @dataclass(frozen=True, slots=True)
 class FrontMember:

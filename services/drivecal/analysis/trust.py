@@ -47,6 +47,7 @@ def trust(campaign: Campaign, validated: Sequence[Validated] = (), driven: Seque
         return TrustAnswer(light=None, reasons=[])
     reasons = [
         *_end(campaign),
+        *_constraints(campaign),
         *_confirmation(campaign),
         *_baseline(campaign),
         *_map(campaign, _newest(validated, of_predictions=False)),
@@ -71,6 +72,12 @@ def _end(campaign: Campaign) -> Iterator[Reason]:
         yield Reason(light="amber", about="end", text="The campaign was cancelled before its search was complete.")
 
 
+def _constraints(campaign: Campaign) -> Iterator[Reason]:
+    if campaign.best is not None and campaign.best.violation > 0:
+        text = f"No set keeps all constraints; the best set breaks them by {campaign.best.violation:.1%}."
+        yield Reason(light="red", about="constraints", text=text)
+
+
 def _confirmation(campaign: Campaign) -> Iterator[Reason]:
     if campaign.best is None:
         return
@@ -81,7 +88,9 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
     elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
         text = "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a reference's."
         yield Reason(light="amber", about="confirmation", text=text)
-    elif not campaign.cells.reused and CampaignState(campaign.state).ended:
+    elif CampaignState(campaign.state) is CampaignState.SUCCEEDED or (
+        not campaign.cells.reused and CampaignState(campaign.state).ended
+    ):
         text = "Every score of the best set was simulated, repeats a simulation or provably equals one."
         yield Reason(light="green", about="confirmation", text=text)
 
@@ -89,8 +98,12 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
 def _baseline(campaign: Campaign) -> Iterator[Reason]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
-    gain = campaign.scale.sign * (campaign.best.objective - campaign.baseline.objective)
-    if gain > EQUAL:
+    minimised = campaign.scale.sign < 0 if campaign.objective is None else campaign.objective.direction == "minimise"
+    gain = (campaign.best.objective - campaign.baseline.objective) * (-1 if minimised else 1)
+    if campaign.best.violation < campaign.baseline.violation:
+        text = "The baseline breaks the constraints more than the best set."
+        yield Reason(light="green", about="baseline", text=text)
+    elif gain > EQUAL:
         yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
     else:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
@@ -199,8 +212,9 @@ def _newest(validated: Iterable[Validated], *, of_predictions: bool) -> list[tup
 
 
 def _is_inspected(campaign: Campaign) -> bool:
-    """Returns whether answers by references are inspected in lots."""
-    return bool(_setting(campaign, "max_error") < 1)
+    """Returns whether answers by references are inspected in lots; earlier releases had a limit without lots."""
+    lots = sum(rate.lots for rate in campaign.error_rate.values())
+    return bool(_setting(campaign, "max_error") < 1) and (lots > 0 or not campaign.cells.reused)
 
 
 def _setting(campaign: Campaign, name: str) -> Any:

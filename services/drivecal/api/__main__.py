@@ -12,7 +12,7 @@ from drivecal.api.http import memory
 from drivecal.api.http.protocol import Server, configuration
 from drivecal.api.http.startup_log import tell_of_database
 from drivecal.configuration import logs
-from drivecal.configuration.access import check_exposure
+from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.domain.errors import DrivecalError, InvalidInputError

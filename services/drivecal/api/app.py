@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from drivecal.api import document
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems
-from drivecal.api.http.auth import Authorisation
+from drivecal.api.http.authorisation import Authorisation
 from drivecal.api.http.limits import SECONDS_FOR_A_PROBLEM, Concurrency, Requests
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.response_cache import ResponseCache

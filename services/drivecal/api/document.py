@@ -4,7 +4,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from drivecal.api.http.auth import OPEN
+from drivecal.api.http.authorisation import OPEN
 from drivecal.api.routes.page_live import PROTOCOL
 
 EVENTS = "text/event-stream"

@@ -6,8 +6,8 @@ from datetime import datetime
 from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
-from drivecal.campaigns.resolve.resolved_spec import stored_scale
-from drivecal.contracts.campaign import Campaign, CellCounts, Seconds
+from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
+from drivecal.contracts.campaign import Campaign, CellCounts, FirstObjective, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.tables import PLACE, CampaignTable, ComparisonTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
@@ -36,9 +36,18 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         "stages": {stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
         "seconds": seconds_of(stored, now),
         "scale": stored_scale(stored.resolution),
+        "objective": _first_objective(stored),
         "links": _links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
     }
     return Campaign(**as_it_is | changing)
+
+
+def _first_objective(stored: StoredCampaign) -> FirstObjective | None:
+    goals = stored_goals(stored.resolution)
+    if goals is None:
+        return None
+    first = goals.objectives[0]
+    return FirstObjective(name=first.name, unit=first.unit, direction="maximise" if first.sign > 0 else "minimise")
 
 
 def state_of(stored: StoredCampaign | ProgressSnapshot) -> CampaignState:

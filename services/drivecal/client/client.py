@@ -3,7 +3,7 @@
 import json
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, Literal
 
@@ -48,8 +48,8 @@ from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]
 
-NEWEST = 200
-"""Campaigns and maps among which an abbreviated id is looked up."""
+AT_A_TIME = 200
+"""Campaigns or maps in a request for ids."""
 
 
 class Client(Transport):
@@ -71,22 +71,20 @@ class Client(Transport):
         self._full_ids: dict[tuple[str, str], str] = {}
 
     def full_id(self, identifier: str) -> str:
-        """Returns the id that `identifier` abbreviates among the newest campaigns, or an unknown `identifier` itself.
+        """Returns the id that `identifier` abbreviates among all campaigns, or an unknown `identifier` itself.
 
         Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
         """
-        return self._completed("campaign", identifier, lambda: [item.id for item in self.campaigns(limit=NEWEST).items])
+        return self._completed("campaign", identifier, lambda: _ids(self.campaigns))
 
     def full_map_id(self, identifier: str) -> str:
         """Returns the id of an influence map, like `full_id`."""
-        return self._completed(
-            "influence map", identifier, lambda: [item.id for item in self.influence_maps(limit=NEWEST).items]
-        )
+        return self._completed("influence map", identifier, lambda: _ids(self.influence_maps))
 
-    def _completed(self, kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
+    def _completed(self, kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
         known = self._full_ids.get((kind, identifier))
         if known is None:
-            known = completed(kind, identifier, newest)
+            known = completed(kind, identifier, ids)
             if known != identifier:
                 self._full_ids[kind, identifier] = known
         return known
@@ -377,6 +375,15 @@ class Client(Transport):
     def workers(self) -> WorkerPage:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
+
+
+def _ids(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:
+    """Yields the ids on all pages, newest first."""
+    page = pages(limit=AT_A_TIME)
+    yield from (item.id for item in page.items)
+    while page.next_cursor is not None:
+        page = pages(limit=AT_A_TIME, cursor=page.next_cursor)
+        yield from (item.id for item in page.items)
 
 
 def _weights_text(weights: Mapping[str, float] | str | None) -> str | None:

@@ -1,7 +1,8 @@
 """Ids of campaigns and influence maps that users abbreviate by their first characters."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 from drivecal.domain.errors import NotFoundError
@@ -18,16 +19,16 @@ def is_abbreviated(identifier: str) -> bool:
     return _ABBREVIATION.fullmatch(identifier) is not None
 
 
-def completed(kind: str, identifier: str, newest: Callable[[], Sequence[str]]) -> str:
-    """Returns the only one of the `newest` ids that begins with `identifier`, or an unknown `identifier` itself.
+def completed(kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
+    """Returns the only one of the `ids` that begins with `identifier`, or an unknown `identifier` itself.
 
     Raises NotFoundError if several begin so.
     """
     if len(identifier) >= LENGTH or not identifier:
         return identifier
-    matching = [full for full in newest() if full.startswith(identifier)]
+    matching = list(islice((full for full in ids() if full.startswith(identifier)), 2))
     if len(matching) > 1:
-        raise NotFoundError(f"single {kind}", identifier, f"{len(matching)} ids begin so; give more characters")
+        raise NotFoundError(f"single {kind}", identifier, "several ids begin so; give more characters")
     return matching[0] if matching else identifier
 
 

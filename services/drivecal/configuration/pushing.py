@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from drivecal.configuration.access import is_loopback
+from drivecal.configuration.exposure import is_loopback
 from drivecal.configuration.settings import Settings
 from drivecal.domain.errors import InvalidInputError, Problem
 

@@ -6,7 +6,7 @@ import socket
 import sys
 from collections.abc import Callable
 
-from drivecal.configuration.access import is_loopback
+from drivecal.configuration.exposure import is_loopback
 from drivecal.configuration.settings import Settings
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.server.supervisor import ChildProcess, Supervisor

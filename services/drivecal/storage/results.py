@@ -164,12 +164,12 @@ def answers(
     corrected_by: str | None = None,
     valued: Valued | None = None,
 ) -> Iterator[CellScore]:
-    """The answered cells of one iteration, or of all, in the order of `page`, with the values that `valued` computes from the run that
-    answered each; the connection must stay open meanwhile.
+    """The answered cells of one iteration, or of all, in the order of `page`, with the values that `valued` computes from the run of each;
+    the connection must stay open meanwhile. A reference's run has the score of the cell, but other measures, so that it gives no values.
 
     With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, or to that
-    of the run that a certificate says it repeats. A search must not read its answers in this way: they would change after it has gone on
-    from them.
+    of the run that a certificate says it repeats, and so do its values. A search must not read its answers in this way: they would change
+    after it has gone on from them.
     """
     table = evaluations.c
     source: FromClause = evaluations
@@ -177,6 +177,7 @@ def answers(
     score: ColumnElement[Any] = table.score
     rating: ColumnElement[Any] = table.rating
     believed = copied
+    run_id: ColumnElement[Any] = case((~copied, table.run_id))
     if corrected_by is not None:
         own_run, proof = runs.alias("own_run"), evaluations.alias("proof")
         own, proved = ratings.alias("own_rating"), ratings.alias("proved_rating")
@@ -190,10 +191,11 @@ def answers(
         score = func.coalesce(own.c.score, proved.c.score, score)
         rating = func.coalesce(own.c.rating, proved.c.rating, rating)
         believed = copied & own.c.run_id.is_(None) & proved.c.run_id.is_(None)
+        run_id = case((copied, func.coalesce(own_run.c.id, proof.c.run_id)), else_=table.run_id)
     run = runs.alias("answering_run")
     measured = (run.c.metrics, run.c.failure) if valued is not None else ()
     if valued is not None:
-        source = source.outerjoin(run, run.c.id == table.run_id)
+        source = source.outerjoin(run, run.c.id == run_id)
     query = (
         select(
             table.parameter_set_id,

@@ -172,20 +172,31 @@ class Released(Answer):
 
 
 class Best(Answer):
-    """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included."""
+    """The best parameter set so far. `alternatives` counts all sets whose objective is equal within 1e-9, this one included; `violation`:
+    of the constraints, in shares, above 0 only if no set keeps them all."""
 
     objective: float
     parameters: dict[str, float | str]
     scores: dict[str, Score]
     alternatives: int
+    violation: float = 0.0
 
 
 class Baseline(Answer):
-    """The parameter set that the user gave to compare with; null scores are still missing."""
+    """The parameter set that the user gave to compare with; null scores are still missing. `violation`: of the constraints, in shares."""
 
     objective: float | None
     parameters: dict[str, float | str]
     scores: dict[str, Score | None]
+    violation: float = 0.0
+
+
+class FirstObjective(Answer):
+    """The first of a campaign's objectives, whose values `best` and `baseline` have."""
+
+    name: str
+    unit: str
+    direction: Literal["maximise", "minimise"]
 
 
 class Narrowed(Answer):
@@ -229,6 +240,8 @@ class Campaign(CellsByStage):
     progress: Progress = Progress()
     scale: Scale = COMFORT
     """Scale of the scores: direction, usual range, tolerance, unit. Before a campaign starts, the scale of the comfort score."""
+    objective: FirstObjective | None = None
+    """Null: the weighted mean of the score."""
     error_rate: dict[str, ErrorRate] = {}
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""

@@ -10,10 +10,11 @@ from tests.support.scales import COST
 
 from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
 from drivecal.analysis.trust import Driven, Validated, trust
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Released
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
 BEST = Best(objective=6.0, parameters={"P1": 0.5}, scores={"S1": 6}, alternatives=1)
+LOTS = {"S1": ErrorRate(lots=3)}
 NEAR = Released(limit=0.05, lots=4, rejected=1, inspected=400, predicted=300, sampled=40, different=3)
 
 
@@ -45,7 +46,7 @@ def lights(subject: Campaign, *rows: ValidationRow, driven: Sequence[RobustnessR
 
 
 def test_a_confirmed_best_set_and_inspected_lots_are_green() -> None:
-    judged = trust(campaign(notes=[f"{CONFIRMED}: 1 set tried"], released={"S1": NEAR}))
+    judged = trust(campaign("predicted", notes=[f"{CONFIRMED}: 1 set tried"], released={"S1": NEAR}))
     assert judged.light == "green"
     assert [reason.about for reason in judged.reasons] == ["confirmation", "predictions"]
     assert "1 failed" in judged.reasons[1].text
@@ -58,7 +59,7 @@ def test_a_best_set_without_confirmation_is_red() -> None:
 
 
 def test_a_best_set_that_nobody_asked_to_confirm_is_amber_if_cells_were_reused() -> None:
-    assert lights(campaign(reduction={"confirm": 0})) == {("confirmation", None): "amber"}
+    assert lights(campaign("predicted", reduction={"confirm": 0})) == {("confirmation", None): "amber"}
     assert lights(campaign(reduction={"confirm": 0}, cells={"reused": 0})) == {("confirmation", None): "green"}
 
 
@@ -67,7 +68,8 @@ def test_a_best_set_that_nobody_asked_to_confirm_is_amber_if_cells_were_reused()
     [(0.02, 0.211, 0.15, "amber"), (1.0, 0.211, 0.15, "red"), (1.0, 0.03, 0.01, "amber"), (0.02, 0.01, 0.0, "green")],
 )
 def test_a_wrong_map_is_amber_behind_lots_and_red_without_them(max_error: float, rate: float, lower: float, light: str) -> None:
-    subject = campaign(reduction={"max_error": max_error}, notes=[f"{CONFIRMED}: 1 set tried"])
+    lots = {} if max_error == 1 else LOTS
+    subject = campaign(reduction={"max_error": max_error}, notes=[f"{CONFIRMED}: 1 set tried"], error_rate=lots)
     judged = trust(subject, [Validated("v" * 32, [validation(rate, lower)])])
     assert judged.light == light
     (about_the_map,) = (reason for reason in judged.reasons if reason.about == "map")
@@ -77,6 +79,7 @@ def test_a_wrong_map_is_amber_behind_lots_and_red_without_them(max_error: float,
 
 def test_the_newest_validation_of_a_scenario_counts() -> None:
     subject = campaign(notes=[f"{CONFIRMED}: 1 set tried"])
+    subject = subject.model_copy(update={"error_rate": LOTS})
     newest = Validated("n", [validation(0.0, 0.0, "S1")])
     older = Validated("o", [validation(0.5, 0.4, "S1"), validation(0.3, 0.2, "S2")])
     (wrong,) = (reason for reason in trust(subject, [newest, older]).reasons if reason.about == "map")
@@ -103,7 +106,13 @@ def test_audits_stops_and_contradictions_name_their_scenario() -> None:
     judged = lights(campaign(reduction={"max_error": 1}, error_rate=rates))
     expected = {"S1": "amber", "S2": "amber", "S3": "red", "S4": "amber"}
     assert {scenario: light for (about, scenario), light in judged.items() if about == "references"} == expected
-    assert ("references", "S2") not in lights(campaign(error_rate={"S2": rates["S2"]})), "lots inspect these"
+    assert ("references", "S2") not in lights(campaign(error_rate={"S2": rates["S2"], **LOTS})), "lots inspect these"
+
+
+def test_answers_of_a_release_without_lots_were_not_inspected() -> None:
+    """It had a limit by default, after which it stopped reuse."""
+    assert lights(campaign(error_rate={"S3": ErrorRate(audited=100, wrong=10)}))["references", "S3"] == "red"
+    assert lights(campaign())["map", None] == "amber"
 
 
 @pytest.mark.parametrize(("beyond", "lower", "light"), [(2, 0.0, "green"), (12, 0.04, "amber"), (30, 0.2, "red")])
@@ -125,6 +134,29 @@ def test_the_best_set_is_held_against_the_baseline(objective: float, light: str)
     assert lights(campaign(baseline=before))["baseline", None] == light
     opposite = {4.0: "amber", 6.0: "amber", 7.0: "green"}
     assert lights(campaign(baseline=before, scale=COST))["baseline", None] == opposite[objective]
+
+
+@pytest.mark.parametrize(("objective", "light"), [(4.0, "amber"), (6.0, "amber"), (7.0, "green")])
+def test_the_first_objective_says_which_direction_is_better(objective: float, light: str) -> None:
+    first = FirstObjective(name="jerk", unit="m/s^3", direction="minimise")
+    before = Baseline(objective=objective, parameters={}, scores={})
+    assert lights(campaign(baseline=before, objective=first))["baseline", None] == light
+
+
+def test_a_best_set_that_breaks_constraints_is_red() -> None:
+    broken = BEST.model_copy(update={"violation": 0.1})
+    judged = trust(campaign("exact", cells={"reused": 0}, best=broken))
+    assert (judged.light, judged.reasons[0].about) == ("red", "constraints")
+
+
+def test_a_baseline_that_breaks_constraints_is_worse_than_one_that_keeps_them() -> None:
+    before = Baseline(objective=7.0, parameters={}, scores={}, violation=0.1)
+    assert lights(campaign(baseline=before))["baseline", None] == "green"
+
+
+def test_a_search_that_ended_without_a_doubtful_set_has_a_light() -> None:
+    judged = trust(campaign("predicted"))
+    assert ("confirmation", None) in {(reason.about, reason.scenario) for reason in judged.reasons if reason.light == "green"}
 
 
 def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:

@@ -394,9 +394,9 @@ FULL = "5050a77ddf5e42199c25aff35a3b4568"
 OTHER = "5050b77ddf5e42199c25aff35a3b4568"
 
 
-def listed(*identifiers: str, **fields: str) -> Answer:
+def listed(*identifiers: str, following: str | None = None, **fields: str) -> Answer:
     items = [{"id": identifier, "name": "one", "state": "succeeded"} | fields for identifier in identifiers]
-    return 200, {"Content-Type": "application/json"}, json.dumps({"items": items, "next_cursor": None}).encode()
+    return 200, {"Content-Type": "application/json"}, json.dumps({"items": items, "next_cursor": following}).encode()
 
 
 def test_the_first_characters_of_an_id_are_enough_and_looked_up_once() -> None:
@@ -416,6 +416,15 @@ def test_the_first_characters_of_an_id_are_enough_and_looked_up_once() -> None:
 def test_an_ambiguous_beginning_of_an_id_is_refused() -> None:
     with server(listed(FULL, OTHER)) as (client, _), pytest.raises(NotFoundError):
         client.campaign("5050")
+
+
+def test_an_id_is_looked_up_among_all_campaigns() -> None:
+    """An abbreviation of an old campaign must not hit a newer one."""
+    with server(listed(OTHER, following="more"), listed(FULL)) as (client, _), pytest.raises(NotFoundError):
+        client.act("5050", "cancel")
+    with server(listed(OTHER, following="more"), listed(FULL), campaign("running")) as (client, script):
+        client.campaign("5050a")
+    assert script.requests[-1][1] == f"/api/v1/campaigns/{FULL}"
 
 
 def test_ids_in_a_submitted_campaign_may_be_abbreviated() -> None:

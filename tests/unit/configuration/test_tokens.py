@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.configuration.access import check_exposure
+from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.settings import load_settings
 from drivecal.configuration.tokens import LARGEST_FILE, TokenFile, parse
 from drivecal.domain.errors import InvalidInputError

@@ -47,5 +47,5 @@ def test_levels_of_real_networks_are_edges_beside_the_route(name: str) -> None:
     network, route = real_network(REAL[name][0]), real_corridor(name)
     levels = other_levels(network, route)
     assert not levels.keys() & {edge for edge, _ in route.places}
-    for name, (begin, end) in levels.items():
-        assert begin < end < max(lane.length for lane in network.edges[name].lanes) + 10
+    for crossing, (begin, end) in levels.items():
+        assert begin < end < max(lane.length for lane in network.edges[crossing].lanes) + 10

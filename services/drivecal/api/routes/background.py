@@ -1,6 +1,7 @@
 """Setups of a campaign, studies of its results, and the trust that it deserves."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
@@ -13,7 +14,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_document, stored_scale
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.contracts.campaign import Study, StudyPage
 from drivecal.contracts.evaluation import FailurePage
@@ -78,7 +79,8 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
         for study, document in documents
         if study.stage == StageName.ROBUSTNESS and _vehicle(study.spec) == own
     ]
-    return trust(campaign_answer(campaign, now(), silent=None), validated, driven)
+    begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
+    return trust(campaign_answer(begun, now(), silent=None), validated, driven)
 
 
 @router.get("/failures")

@@ -13,7 +13,7 @@ from fastapi import APIRouter, Header, Response
 from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 
-from drivecal.api.http.auth import HELP, PAGE
+from drivecal.api.http.authorisation import HELP, PAGE
 
 router = APIRouter(include_in_schema=False)
 

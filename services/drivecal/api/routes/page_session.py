@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request, Response
 
 from drivecal.api.http import sessions
-from drivecal.api.http.auth import ANYBODY
+from drivecal.api.http.authorisation import ANYBODY
 from drivecal.configuration.tokens import Token
 from drivecal.contracts.campaign import Answer
 

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request, Response
 
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
-from drivecal.api.http.auth import refuse_reader
+from drivecal.api.http.authorisation import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS
 from drivecal.api.routes.evaluations import number_of

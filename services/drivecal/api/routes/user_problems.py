@@ -10,7 +10,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from drivecal.api.dependencies import ArchivePlace, DatabaseDependency, Limits, LimitsDependency
-from drivecal.api.http.auth import refuse_push
+from drivecal.api.http.authorisation import refuse_push
 from drivecal.api.http.bodies import body_of, check_encoding
 from drivecal.api.http.memory import give_back
 from drivecal.api.http.queries import ProblemsQuery

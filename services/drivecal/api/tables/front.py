@@ -60,7 +60,7 @@ def front_table(database: Database, campaign: StoredCampaign, front: CampaignFro
                 rank=place + 1,
                 objectives=dict(zip(names, amounts, strict=True)),
                 weighted=worths[place],
-                violation=0.0 if solution.judgement is None or solution.violation == 0 else solution.judgement.violation,
+                violation=solution.shares_violated,
                 knee=front.knee == place,
                 best_in=[name for name, best in zip(names, front.extremes, strict=True) if best == place],
                 wins=None if winning is None else winning[place].share,

@@ -64,8 +64,8 @@ def ranking(
 ) -> CampaignRanking:
     """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another of its problem.
 
-    A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of the runs that answered.
-    Raises InvalidInputError for unusable weights and unknown scores.
+    A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
+    that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
     """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
     other = None if score is None else _other_score(database, campaign, score)
@@ -78,7 +78,7 @@ def ranking(
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
             standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued))
         else:
-            standing.add(_rated(connection, campaign, other))
+            standing.add(_rated(connection, campaign, resolved.evaluator, other))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)
 
 
@@ -92,16 +92,19 @@ def _other_score(database: Database, campaign: StoredCampaign, name: str) -> Cel
     return None if known[name].key == SCORE else known[name]
 
 
-def _rated(connection: Connection, campaign: StoredCampaign, value: CellValue) -> Iterator[CellScore]:
-    """Yields the answered cells with another score, without one if no run answered them or it lacks a measure."""
+def _rated(connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue) -> Iterator[CellScore]:
+    """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing."""
 
     def rate(measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
         score = value.of(measures, failure)
         return {} if score is None else {value.key: score}
 
-    for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, valued=rate):
+    for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
         score = cell.values.get(value.key)
-        yield replace(cell, score=None if score is None else plain(score), rating=score)
+        known = score is not None  # of a run of this very cell, or of one that it provably repeats
+        yield replace(
+            cell, score=None if score is None else plain(score), rating=score, own=known, predicted=cell.predicted and not known
+        )
 
 
 def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:

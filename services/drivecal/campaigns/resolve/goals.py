@@ -52,8 +52,13 @@ def find_goals(
 def check_reuse(
     reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics
 ) -> tuple[ReductionSpecification, tuple[str, ...]]:
-    """Returns the settings of reuse under these goals, with a note: references and predictions answer one score only."""
-    if goals is None or not goals.computed or not (reduction.predicts or reduction.uses_map):
+    """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only."""
+    if goals is None or not goals.computed:
+        return reduction, ()
+    if reduction.narrow:
+        message = "the influence map knows the campaign's score only, and would hold parameters that matter to other goals"
+        diagnostics.add("reduction.narrow", message, "leave it out, or give goals of the campaign's score alone")
+    if not (reduction.predicts or reduction.uses_map):
         return reduction, ()
     named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))
     if "mode" in reduction.model_fields_set:

@@ -64,8 +64,12 @@ def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
     fixed = fixed_from_document(resolution.get("fixed", {}))
     space = ParameterSpace(space_from_document(resolution["space"]), fixed)
     weights, setups = resolution.get("weights", {}), resolution["setups"]
-    goals = Goals.from_json(resolution["goals"]) if "goals" in resolution else None
-    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution), goals)
+    return ResolvedSpec(resolution["evaluator"], space, weights, setups, stored_scale(resolution), stored_goals(resolution))
+
+
+def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:
+    """The objectives and constraints that are stored with a campaign; None for the weighted mean of the score, and before it starts."""
+    return Goals.from_json(resolution["goals"]) if resolution is not None and "goals" in resolution else None
 
 
 def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:

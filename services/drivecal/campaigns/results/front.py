@@ -13,11 +13,16 @@ from sqlalchemy import Connection
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
+from drivecal.campaigns.resolve.resolvers import constraints_of
+from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import CellScore
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -112,6 +117,7 @@ def front_of(
     """Returns the front of a campaign's search; with `everything` also of what any campaign simulated in its setups and space. A copied
     score gives way to a later simulation of the very cell."""
     goals = goals_of(resolved)
+    constraints = _constraints(database, campaign, resolved) if everything else None
     ranking = Ranking(resolved.weights, resolved.scale.sign, goals)
     valued = goals.values if goals.computed else None
     with database.read() as connection:
@@ -120,13 +126,21 @@ def front_of(
         )
         own = list(stored)
         ranking.add(own)
-        if everything:
-            ranking.add(_of_others(connection, resolved, goals, {cell.parameter_set for cell in own}))
+        if constraints is not None:
+            ranking.add(_of_others(connection, resolved, constraints, goals, {cell.parameter_set for cell in own}))
     return CampaignFront(goals, ranking.ranking(), ranking.front())
 
 
-def _of_others(connection: Connection, resolved: ResolvedSpec, goals: Goals, known: Collection[int]) -> list[CellScore]:
-    """The stored runs of other sets that lie in the campaign's space and have a run in each of its setups."""
+def _constraints(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> Constraints:
+    """The constraints on the campaign's parameters; none if its plug-in is gone."""
+    function = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).function
+    return Constraints(resolved.space, {}) if function is None else constraints_of(function, resolved.space)
+
+
+def _of_others(
+    connection: Connection, resolved: ResolvedSpec, constraints: Constraints, goals: Goals, known: Collection[int]
+) -> list[CellScore]:
+    """The stored runs of other sets that lie in the campaign's space, keep its constraints and have a run in each of its setups."""
     ids = setups.ids(connection, list(resolved.setups.values()))
     cells = [
         CellScore(
@@ -140,13 +154,14 @@ def _of_others(connection: Connection, resolved: ResolvedSpec, goals: Goals, kno
     ]
     counts = Counter(cell.parameter_set for cell in cells)
     sets = parameter_sets.load(connection, [number for number, count in counts.items() if count == len(resolved.weights)])
-    inside = {number for number, parameters in sets.items() if _holds(resolved.space, parameters)}
+    inside = {number for number, parameters in sets.items() if _allows(constraints, parameters)}
     return [cell for cell in cells if cell.parameter_set in inside]
 
 
-def _holds(space: ParameterSpace, parameters: ParameterSet) -> bool:
+def _allows(constraints: Constraints, parameters: ParameterSet) -> bool:
     try:
-        space.indices(parameters.values)
+        constraints.space.indices(parameters.values)
+        constraints.check(parameters, "parameters")
     except InvalidInputError:
         return False
     return True

@@ -304,6 +304,7 @@ class Calibration(CampaignStage):
                 parameters=parameters.floats,
                 scores=dict(solution.scores),
                 alternatives=alternatives,
+                violation=solution.shares_violated,
             )
             gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
             goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
@@ -329,6 +330,7 @@ class Calibration(CampaignStage):
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
             scores=none_yet if solution is None else dict(solution.scores),
+            violation=0.0 if solution is None else solution.shares_violated,
         )
 
     def _tell_beginning(self, connection: Connection) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from drivecal.cli.application import JsonOption, app, exit_code
-from drivecal.configuration.access import check_exposure
+from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile
 from drivecal.domain.errors import DrivecalError

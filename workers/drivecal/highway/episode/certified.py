@@ -10,8 +10,8 @@ from drivecal.contracts.work import RecordedRun
 from drivecal.domain.evaluations import RunResult
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.certification.memory import Memory
+from drivecal.highway.certification.proofs import NotDeterministicError, Trie
 from drivecal.highway.certification.recording import packed, unpacked
-from drivecal.highway.certification.trie import NotDeterministicError, Trie
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins.ports import DrivingFunction, Evaluator, VehicleModel
 

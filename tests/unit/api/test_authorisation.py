@@ -10,7 +10,7 @@ import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from drivecal.api.http import sessions
-from drivecal.api.http.auth import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
+from drivecal.api.http.authorisation import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
 from drivecal.configuration import logs
 from drivecal.configuration.tokens import TokenFile, parse
 

@@ -16,7 +16,7 @@ from tests.support.effort import examples
 from drivecal.highway.certification.kernels import NONE, contenders
 from drivecal.highway.certification.memory import Memory
 from drivecal.highway.certification.nodes import Nodes, walk
-from drivecal.highway.certification.trie import NotDeterministicError, Trie
+from drivecal.highway.certification.proofs import NotDeterministicError, Trie
 from drivecal.plugins.ports import Floats, Observation, Planner
 
 PLANS = 8

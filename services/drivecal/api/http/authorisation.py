@@ -16,7 +16,7 @@ from drivecal.api.http import sessions
 from drivecal.api.http.problems import problem_response
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
-from drivecal.configuration.access import is_loopback
+from drivecal.configuration.exposure import is_loopback
 from drivecal.configuration.pushing import FILE, HEADER, Pushing, signed_digest
 from drivecal.configuration.tokens import Token
 
