@@ -36,7 +36,7 @@ VEHICLE_STATES: Mapping[str, Quantity] = MappingProxyType(
     {
         "x": Quantity("m", "place along the direction of the start, 0 at the start"),
         "y": Quantity("m", "place to the left of it"),
-        "heading": Quantity("rad", "heading, 0 at the start, positive to the left"),
+        "heading": Quantity("rad", "heading, 0 at the start, positive to the left; it may jump by whole turns"),
         "speed": Quantity("m/s", "speed"),
         "side_slip": Quantity("rad", "course over ground minus heading; else 0"),
         "yaw_rate": Quantity("rad/s", "yaw rate; else the change of the heading"),
