@@ -18,12 +18,19 @@ class ParameterEntry(Model):
     """A parameter: a grid (`step`), continuous (none), integer, or a choice."""
 
     lower: Number | None = None
+    """Smallest value; not for a choice."""
     upper: Number | None = None
+    """Largest value; not for a choice."""
     step: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Distance of two values; null: continuous."""
     integer: bool = False
+    """Whole numbers only; the simulation gets an integer."""
     choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
+    """The texts of a choice, in place of bounds; the simulation gets the text."""
     unit: Unit = "1"
+    """For readers; 1 is none."""
     description: Text = ""
+    """For readers."""
 
 
 class ProcessSimulator(SimulatorEntry):
@@ -34,6 +41,7 @@ class ProcessSimulator(SimulatorEntry):
 
     kind: Literal["process"]
     command: Command
+    """The program and its arguments."""
 
 
 class CommandSimulator(SimulatorEntry):
@@ -41,6 +49,7 @@ class CommandSimulator(SimulatorEntry):
 
     kind: Literal["command"]
     command: Command
+    """The program and its arguments."""
 
 
 class PythonSimulator(SimulatorEntry):
@@ -48,8 +57,11 @@ class PythonSimulator(SimulatorEntry):
 
     kind: Literal["python"]
     file: File
+    """The module."""
     function: Identifier = "evaluate"
+    """Its name in the module."""
     wheels: File | None = None
+    """A folder of wheel files that the function imports."""
 
 
 class FmuSimulator(SimulatorEntry):
@@ -60,9 +72,13 @@ class FmuSimulator(SimulatorEntry):
 
     kind: Literal["fmu"]
     file: File
+    """The FMU."""
     duration: Annotated[float, Field(gt=0, le=1e6)]
+    """Of a run, s."""
     step: Annotated[float, Field(gt=0, le=1e4)]
+    """Of the communication, s."""
     measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
+    """By name, how each is computed from an output."""
 
 
 AnySimulator = Annotated[
@@ -77,11 +93,17 @@ class ScoreEntry(Model):
     """
 
     formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    """Arithmetic over measures."""
     direction: Literal["maximise", "minimise"]
+    """Which scores are better."""
     range: Annotated[tuple[Number, Number], Field(strict=False)]
+    """Usual values, no bounds."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    """Smaller differences are no error of a reused or predicted score."""
     failed: Number | None = None
+    """Worth of a failed run; null: the worst end of the range. No run is worth less."""
     unit: Unit = "1"
+    """For readers; 1 is none."""
 
     @property
     def worst(self) -> float:
@@ -104,16 +126,27 @@ class Manifest(Model):
     """`problem.yaml`. `failures` and `series`: names of failures and units of time series that the simulator may report."""
 
     problem: Identifier
+    """Its name."""
     description: Text = ""
+    """For readers."""
     parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
+    """The searched space."""
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
+    """Comparisons that a parameter set has to keep, such as `a >= 2*b`."""
     baseline: dict[Identifier, Number | Choice] | None = None
+    """The set that results are compared with."""
     simulator: AnySimulator
+    """What runs a parameter set in a scenario."""
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
+    """Data of each, which the simulator gets as it is."""
     measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]
+    """What a run returns, with units."""
     failures: Annotated[tuple[Identifier, ...], Field(max_length=100, strict=False)] = ()
+    """Names of failures that a run may return; none listed: any."""
     series: Annotated[dict[Identifier, Unit], Field(max_length=100, default_factory=dict)]
+    """Time series that a run may return, with units."""
     scores: Annotated[dict[Identifier, ScoreEntry], Field(min_length=1, max_length=100)]
+    """Made of measures; the first is a campaign's default."""
 
     @property
     def integers(self) -> tuple[str, ...]:

@@ -25,7 +25,12 @@ class SimulatorEntry(Model):
     """
 
     timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
+    """Of a run, s of wall-clock time."""
     memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
+    """Of the processes of a run."""
     deterministic: bool = False
+    """Equal inputs give equal measures."""
     probe: Command | None = None
+    """A command that prints the version of tools outside of the folder."""
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
+    """Names of further variables that the processes get from the worker."""

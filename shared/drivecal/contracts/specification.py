@@ -52,8 +52,10 @@ class ParameterSpecification(Model):
     lower: Number | None = None
     upper: Number | None = None
     step: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Distance of two values; null or 0: continuous."""
     integer: bool = False
     choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
+    """The texts of a choice, in place of bounds."""
     unit: Annotated[str, StringConstraints(max_length=32)] = "1"
 
 
@@ -85,9 +87,13 @@ class SensitivitySpecification(Model):
     """
 
     design: Literal["lines", "paper"] = "lines"
+    """`lines` along each parameter, or the trajectories of the `paper`."""
     intervals: Annotated[int, Field(ge=1, le=1000)] = 10
+    """Into which the range of each parameter is divided."""
     samples: Annotated[int, Field(ge=2, le=10_000)] = 20
+    """Elementary effects for each interval."""
     threshold: Annotated[float, Field(gt=0, le=1e6)] | Literal["auto"] | SeparateThresholds = 0.02
+    """From which on an interval is influential."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     sequential: bool = True
 
@@ -98,9 +104,13 @@ class OptimizerSpecification(BaseModel):
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
     kind: Identifier = "genetic"
+    """Its name; `GET /api/v1/optimizers` lists the installed ones."""
     population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] = 1000
+    """Parameter sets in each iteration."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 20
+    """How often the optimizer proposes a population."""
     start: Literal["lhs", "halton"] = "lhs"
+    """Draw of the start population: Latin hypercube or Halton sequence."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
     """Sets from expert knowledge: in the start population, after the baseline."""
@@ -112,25 +122,26 @@ ReductionMode = Literal["off", "exact", "influence", "predicted", "both"]
 class ReductionSpecification(Model):
     """Cells that may be answered without a simulation.
 
-    `off`: none but in-population duplicates' own repeats is ever copied; `exact`: equal parameter sets; `influence`: Figure 6;
-    `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an analysis or a map.
-    `tolerance`: the largest error of a prediction that counts as none, in units of the score (null: 0, or the score's own
-    tolerance if it has no steps); `limit`: expected released errors at most for each prediction in a lot (AOQL), by scenario. `narrow`:
-    search only the smallest common area, where some scenario is influenced (Section III). `confirm`: at most so many sets are simulated
-    after the search, one after the other, until the best of the ranking has no score of a reference and no set is believed to be better.
-    `max_error`: expected wrong answers released at most for each reused answer in a lot (AOQL), by scenario; 1 makes no lots. `audit`:
-    share of reused and certified cells that is simulated as well.
+    `off`: only equal sets of one population share a run; `exact`: equal parameter sets; `influence`: by an influence map (the paper's
+    Figure 6); `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an
+    analysis or a map. Shares of errors are expected ones among the answers of a lot that are released (AOQL), by scenario.
     """
 
     mode: ReductionMode = "predicted"
     tolerance: Annotated[float, Field(ge=0)] | None = None
+    """Largest error of a prediction that counts as none; null: the score's own tolerance, or 0 if it has steps."""
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
+    """Largest share of errors among released predictions."""
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
+    """Share of reused and certified cells that is simulated as a check."""
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
+    """Largest share of wrong answers among released reused ones; 1 makes no lots."""
     narrow: bool = False
+    """Searches only the smallest common area, where some scenario is influenced (Section III)."""
     certified: bool = True
     """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
+    """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
 
     def tolerance_on(self, scale: Scale) -> float:
         """Returns the largest error of a prediction that counts as none."""
@@ -166,17 +177,20 @@ class Quantile(Model):
 class GoalSpecification(Model):
     """A declared score or a stored measure, over scenarios.
 
-    `weights`: of the scenarios, the campaign's if left out; `min`, `max` and quantiles are those of the values, whichever direction is
-    better. `failed`: worth of a measure of failed runs; without it, a set with a failed run has no result here.
+    `min`, `max` and quantiles are those of the values, whichever direction is better.
     """
 
     score: Identifier | None = None
+    """A score that the problem declares; this or `measure`."""
     measure: Identifier | None = None
+    """A stored measure; this or `score`."""
     name: Identifier | None = None
     """The score's or measure's own if left out."""
     scenarios: Literal["all"] | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "all"
     weights: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e6)]], Field(max_length=1000)] = {}
+    """Of the scenarios; the campaign's if left out."""
     failed: Number | None = None
+    """Worth of a measure of failed runs; null: a set with a failed run has no result here. A score has its own."""
 
     @model_validator(mode="after")
     def _names_a_value(self) -> Self:
@@ -193,20 +207,23 @@ class GoalSpecification(Model):
 
 
 class ObjectiveSpecification(GoalSpecification):
-    """An objective. Differences up to `tolerance` do not count; `reference`: the worst value of interest, from which hypervolumes are
-    measured (the worst end of a score's range if left out)."""
+    """An objective."""
 
     aggregate: Literal["mean", "min", "max"] | Quantile = "mean"
+    """Makes one value of those of the scenarios."""
     direction: Literal["maximise", "minimise"] | None = None
     """Needed for a measure; a score has its own."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    """Differences up to it do not count; a score's own tolerance is not taken over."""
     reference: Number | None = None
+    """The worst value of interest, from which hypervolumes are measured; null: the worst end of a score's range."""
 
 
 class ConstraintSpecification(GoalSpecification):
     """A constraint: without `aggregate`, it has to hold in every scenario."""
 
     aggregate: Literal["mean", "min", "max"] | Quantile | None = None
+    """Makes one value of those of the scenarios; null: it holds in each."""
     at_least: Number | None = None
     at_most: Number | None = None
 
@@ -220,10 +237,9 @@ class ConstraintSpecification(GoalSpecification):
 class RobustnessSpecification(Model):
     """Robustness of the best sets against other vehicles (Sections II-C and IV-D).
 
-    Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (Table 8), `samples` vehicles in each.
-    `condition`: `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (the paper's study); `mean`
-    over the vehicles and `per_factor` for each are relative and strict. `eta` may be a list with one number for each scenario that is
-    simulated.
+    Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (the paper's Table 8), `samples` vehicles
+    in each. `condition`: `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (as in the paper);
+    `mean` over the vehicles and `per_factor` for each are relative and strict. `eta` may be a list: one number for each simulated scenario.
     """
 
     delta: Annotated[float, Field(gt=0, le=1)] = 0.01
@@ -256,6 +272,7 @@ class ValidationSpecification(Model):
     references: Annotated[int, Field(ge=1, le=1000)] = 30
     largest: Annotated[int, Field(ge=1, le=1_000_000)] = 20_000
     of: str | None = None
+    """The id of an ended campaign whose predictions are examined."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
 
 
@@ -281,13 +298,19 @@ class ProblemSpecification(Model):
     problem: ProblemName = HIGHWAY
     """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
+    """The scenarios: a catalogue, or a list of scenario ids; of a pushed problem all by default."""
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
+    """The searched space: a named one (of a pushed problem its own), or a list."""
     fixed: Values = {}
+    """Values of parameters that are not searched."""
     baseline: Values | None = None
+    """The set that results are compared with; null: the problem's own."""
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] = {}
+    """Of the scenarios in the objective, 1 if left out; 0 leaves a scenario out."""
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
+    """What rates runs: `reference` or `learned` on the motorway, a score's name in a problem of yours (`reference`: its first one)."""
     sensitivity: MaybeSensitivity = None
     """A new analysis, a stored map, or neither."""
 
@@ -305,8 +328,11 @@ class CampaignSpecification(ProblemSpecification):
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
     """Null if only other stages are requested."""
     reduction: ReductionSpecification = Field(default=ReductionSpecification(), validate_default=True)
+    """Cells that may be answered without a simulation."""
     robustness: RobustnessSpecification | None = None
+    """A study of the best sets in other vehicles, after the search; null: none."""
     validation: ValidationSpecification | None = None
+    """A study of reuse or of predictions; null: none."""
     objectives: Annotated[list[ObjectiveSpecification], Field(min_length=1, max_length=20)] | None = None
     """Null: the weighted mean of the campaign's score."""
     constraints: Annotated[list[ConstraintSpecification], Field(max_length=100)] = []
