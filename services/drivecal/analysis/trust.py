@@ -167,7 +167,7 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
 def _lots(about: str, what: str, counts: Iterable[tuple[int, int]]) -> Iterator[Reason]:
     lots, rejected = (sum(column) for column in zip(*counts, strict=True)) if (counts := list(counts)) else (0, 0)
     if lots:
-        then = f"{rejected:,} failed and were simulated whole" if rejected else "all passed"
+        then = f"{rejected:,} had too many errors, and every cell of them was simulated" if rejected else "all passed"
         yield Reason(light="green", about=about, text=f"A sample of each of {lots:,} lots of {what} was simulated: {then}.")
 
 

@@ -50,7 +50,8 @@ def _figures(campaign: Campaign, chosen: Solution, robustness: Sequence[Robustne
     yield "objective", _number(chosen.objective)
     if campaign.baseline is not None and campaign.baseline.objective is not None:
         yield "objective of the baseline", _number(campaign.baseline.objective)
-    yield "score", f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)} {scale.unit}"
+    unit = "" if scale.unit == "1" else f" {scale.unit}"
+    yield "score", f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)}{unit}"
     yield "rank", str(chosen.rank)
     for scenario, score in chosen.scores.items():
         taken = " (taken from a reference)" if scenario in chosen.reused else ""

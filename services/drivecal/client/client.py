@@ -288,7 +288,7 @@ class Client(Transport):
         return self._rows_of(identifier, "comparison", ComparedRun)
 
     def compared_groups(self, identifier: str) -> list[ComparedGroup]:
-        """Returns the runs of a comparison by optimizer, population and reduction: Table 5."""
+        """Returns the runs of a comparison by optimizer, population and reduction."""
         return self._rows_of(identifier, "comparison-groups", ComparedGroup)
 
     def compared_pairs(self, identifier: str) -> list[ComparedPair]:

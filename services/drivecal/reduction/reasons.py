@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Proof, Reference
 from drivecal.domain.evaluations import AuditCount
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import COMFORT, Scale, told
 
 _SAME = "it takes equal parameter sets, and runs that a certificate proves to be the same, only"
 
@@ -86,7 +86,7 @@ def _predicted(explanation: Explanation) -> str:
     if prediction is None or prediction.lot is None:
         return "its prediction is in no lot."
     lot = prediction.lot
-    said = f"{lot.known:,} known answers said {prediction.score} with a confidence of {prediction.confidence:.0%}"
+    said = f"{lot.known:,} known answers said {told(prediction.score)} with a confidence of {prediction.confidence:.0%}"
     if lot.errors is None:
         return f"{said}; the sample of its lot ({lot.sample} of {lot.size}) is awaited."
     sample = f"of its lot of {lot.size}, {lot.sample} were simulated and {lot.errors} differed, at most {lot.acceptance} may"
@@ -103,7 +103,7 @@ def _proven(proof: Proof, explanation: Explanation, tolerated: str) -> str:
         return f"{text}."
     if proof.agrees:
         return f"{text}, with the same score."
-    return f"{text}, with score {proof.score}: reuse is {'wrong here' if proof.wrong else f'off by no more than {tolerated}'}."
+    return f"{text}, with score {told(proof.score)}: reuse is {'wrong here' if proof.wrong else f'off by no more than {tolerated}'}."
 
 
 def _copied(done: str, explanation: Explanation) -> str:
@@ -112,7 +112,7 @@ def _copied(done: str, explanation: Explanation) -> str:
 
 
 def _where(reference: Reference, campaign: str) -> str:
-    place = f"{reference.stage} iteration {reference.iteration}, individual {reference.individual}"
+    place = f"{reference.stage} iteration {reference.iteration + 1}, individual {reference.individual}"
     owner = "" if reference.campaign == campaign else f" of campaign {reference.campaign}"
     return f"evaluation {reference.evaluation} ({place}{owner})"
 
@@ -160,7 +160,7 @@ def _verdict(explanation: Explanation, tolerated: str) -> str:
     audit = explanation.audit
     if audit is None or audit.agrees is None or audit.score is None:
         return "The two cannot be compared: one of them has no result." if explanation.outcome else "Its answer is awaited."
-    scores = f"the simulation gave {audit.score}, the reference {audit.reference_score}"
+    scores = f"the simulation gave {told(audit.score)}, the reference {told(audit.reference_score)}"
     if audit.agrees:
         return f"They agree: {scores}."
     return f"Reuse would have been wrong: {scores}." if audit.wrong else f"They differ by no more than {tolerated}: {scores}."

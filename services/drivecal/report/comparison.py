@@ -29,7 +29,7 @@ BELIEVED = (
     "each score was simulated for itself, a lower bound."
 )
 CONVERGED = (
-    "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones (Table 5); means "
+    "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones; means "
     "are over the runs that have. As good as any: runs that found the best objective of the whole comparison."
 )
 
@@ -160,7 +160,7 @@ def _plain(value: object) -> str:
 def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
     header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
-    caption = "Table 5: final optima over the seeds, by population size, and what they took"
+    caption = "As the paper's Table 5: final optima over the seeds, by population size, and what they took"
     return table(header, compared_groups(groups, with_reduction=several), caption, wrap_header=True)
 
 

@@ -45,7 +45,7 @@ def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
 def errors_text(what: str, count: int, different: int, wrong: int, scale: Scale = COMFORT) -> str:
     """Returns a sentence about `count` compared answers, whose plural is `what`.
 
-    Wrong answers are off by more than the tolerance (Eq. 8): R_err alone does not say how many are off by less.
+    Wrong answers are off by more than the tolerance: R_err alone does not say how many are off by less.
     """
     differ = f"{different:,} had another score ({different / count:.2%})"
     tolerated = scale.amount(scale.tolerance)

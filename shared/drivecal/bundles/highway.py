@@ -77,7 +77,7 @@ AnyController = Annotated[PythonController | ProcessController | FmuController |
 
 
 class VehicleValues(Model):
-    """Values of the single-track model, by default those of Table 8."""
+    """Values of the single-track model, by default those of the paper."""
 
     mass: Annotated[float, Field(ge=300, le=60_000)] | None = None
     cornering_stiffness_front: Annotated[float, Field(ge=1e4, le=1e7)] | None = None
@@ -93,7 +93,7 @@ class VehicleValues(Model):
 
 
 class VehicleEntry(VehicleValues):
-    """The controlled vehicle: the single-track model, with other values than those of Table 8."""
+    """The controlled vehicle: the single-track model, with other values than those of the paper."""
 
     model: Literal["single_track"] = "single_track"
 

@@ -43,7 +43,7 @@ class ScenarioAccount(Answer):
     `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `predictor_seconds`: CPU time of
     the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
     nothing. `proved`: of the reused cells, those of which a worker happened to know by a certificate what a simulation would have given;
-    `proved_different`: their score is another one, `proved_wrong`: by more than the tolerance (Eq. 8). Two equal campaigns need not know
+    `proved_different`: their score is another one, `proved_wrong`: by more than the tolerance. Two equal campaigns need not know
     the same."""
 
     scenario: str

@@ -132,7 +132,7 @@ class CellsByStage(Answer):
 
 
 class ErrorRate(Answer):
-    """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance (Eq. 8); `upper_95`: the upper
+    """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance; `upper_95`: the upper
     end of the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit; `contradictions`: reference keys under which
     simulated results have different scores, among the campaign's own and the references of their keys. Of the inspected `lots` of reused
     answers so many were `rejected` and simulated whole. `stopped`: an earlier release stopped reuse here for good."""

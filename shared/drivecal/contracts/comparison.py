@@ -88,8 +88,8 @@ class ComparedRun(Answer):
     `simulations`: cells of its calibration that had no answer among the run's own earlier cells or its predictions, simulated by any
     campaign: the simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate
     its best set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for
-    at least 10 further iterations (Table 5), null if it did not; `alternatives_converged_at`: after which the number of alternatives
-    stayed for more than 5 (Table 7). `success`: no run of the comparison found better.
+    at least 10 further iterations, null if it did not; `alternatives_converged_at`: after which the number of alternatives
+    stayed for more than 5. `success`: no run of the comparison found better.
     """
 
     run: str
@@ -124,7 +124,7 @@ class ComparedRun(Answer):
 
 
 class ComparedGroup(Answer):
-    """The runs of one optimizer, population size and reduction: Table 5.
+    """The runs of one optimizer, population size and reduction.
 
     `best`, `mean`, `minimum`: over the final optima (`ComparedRun.simulated_best`) of its `seeds` runs that have one; the means of
     iterations and simulations to convergence are over the `converged` ones.

@@ -68,7 +68,7 @@ class Reference(Answer):
 
 class Audit(Answer):
     """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
-    `wrong`: they differ by more than the tolerance (Eq. 8). Null where one of the two has no result."""
+    `wrong`: they differ by more than the tolerance. Null where one of the two has no result."""
 
     score: Score | None
     reference_score: Score | None
@@ -80,7 +80,7 @@ class Proof(Answer):
     """Certificate of a cell with another answer: its run would repeat that of evaluation `reference`, bit for bit.
 
     Of a reused cell: `score` is what a simulation would have given, `agrees` whether the reference's is the same, `wrong`: they differ by
-    more than the tolerance (Eq. 8). Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
+    more than the tolerance. Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
     """
 
     reference: Reference

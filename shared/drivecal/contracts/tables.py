@@ -309,11 +309,11 @@ class RobustnessRow(Answer):
 
 
 class ValidationRow(Answer):
-    """A scenario of the validation (Tables 1 and 2, Figure 14).
+    """A scenario of the validation (Tables 1 and 2 and Figure 14 of the paper).
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
     `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
-    `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared (Eq. 8); `different`: any change.
+    `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared; `different`: any change.
     `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
     how many variants differ from their base by how many times `histogram_step`; the outermost numbers hold all beyond the scale's span.
 

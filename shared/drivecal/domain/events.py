@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Any
 
+from drivecal.domain.scales import told
+
 
 class EventKind(StrEnum):
     """Kind of an event. Names are stored and sent to clients: add names, never rename them.
@@ -118,5 +120,5 @@ def _word(name: str, value: Any) -> Any:
     if name == "influential":
         return "; ".join(f"{scenario} {' '.join(names) or '-'}" for scenario, names in value.items())
     if name == "scores":
-        return "  ".join(f"{scenario} {score}" for scenario, score in value.items())
+        return "  ".join(f"{scenario} {told(score)}" for scenario, score in value.items())
     return value

@@ -105,6 +105,14 @@ class Scale:
         return cls(**(document | {"direction": Direction(document["direction"])}))
 
 
+def told(score: float | None) -> str:
+    """Returns a score for readers: whole ones with all digits, others with at most six significant ones; a dash without one."""
+    if score is None:
+        return "-"
+    known = plain(score)
+    return str(known) if isinstance(known, int) else f"{known:.6g}"
+
+
 def plain(score: float) -> float:
     """Returns whole scores as integers: 6 and not 6.0, whatever stored or computed them."""
     return int(score) if float(score).is_integer() and abs(score) < LARGEST_EXACT else float(score)

@@ -49,7 +49,7 @@ def test_a_confirmed_best_set_and_inspected_lots_are_green() -> None:
     judged = trust(campaign("predicted", notes=[f"{CONFIRMED}: 1 set tried"], released={"S1": NEAR}))
     assert judged.light == "green"
     assert [reason.about for reason in judged.reasons] == ["confirmation", "predictions"]
-    assert "1 failed" in judged.reasons[1].text
+    assert "1 had too many errors" in judged.reasons[1].text
 
 
 def test_a_best_set_without_confirmation_is_red() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from tests.support.scales import COST
 
-from drivecal.domain.scales import COMFORT, Scale, plain
+from drivecal.domain.scales import COMFORT, Scale, plain, told
 
 
 @pytest.mark.parametrize("scale", [COMFORT, COST])
@@ -55,3 +55,11 @@ def test_bars_are_no_narrower_than_a_hundredth_of_the_span() -> None:
 
 def test_amounts_have_their_unit() -> None:
     assert [COMFORT.amount(COMFORT.tolerance), COMFORT.amount(7), COST.amount(2)] == ["1 point", "7 points", "2"]
+
+
+@pytest.mark.parametrize(
+    ("score", "text"),
+    [(6.0, "6"), (1234567.0, "1234567"), (59.740123456789, "59.7401"), (0.0000123456789, "1.23457e-05"), (None, "-")],
+)
+def test_readers_get_whole_scores_whole_and_others_with_six_digits(score: float | None, text: str) -> None:
+    assert told(score) == text

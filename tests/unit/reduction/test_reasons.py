@@ -50,7 +50,7 @@ def _explanation(reason: Any, **changes: Any) -> Explanation:
 )
 def test_a_difference_is_told_with_its_regions(difference: Difference, words: str) -> None:
     told = sentence(_explanation("reused", outcome="reused", differences=[difference]))
-    assert "evaluation 17 (calibration iteration 2, individual 5)" in told
+    assert "evaluation 17 (calibration iteration 3, individual 5)" in told
     assert f"P1 is 0.1 here and 0.25 there ({words})" in told
 
 
@@ -60,7 +60,7 @@ def test_a_difference_is_told_with_its_regions(difference: Difference, words: st
         (
             "reused",
             {"agrees": True, "wrong": False},
-            "would have repeated evaluation 17 (calibration iteration 2, individual 5), with the",
+            "would have repeated evaluation 17 (calibration iteration 3, individual 5), with the",
         ),
         ("reused", {"agrees": False, "wrong": False}, "with score 4: reuse is off by no more than 1"),
         ("reused", {"agrees": False, "wrong": True}, "with score 4: reuse is wrong here."),
@@ -112,5 +112,5 @@ def test_references_of_other_campaigns_and_answers_still_awaited_are_told_as_suc
     foreign = DONOR.model_copy(update={"campaign": "another"})
     told = sentence(_explanation("repeated", outcome=None, reference=foreign))
     assert told.startswith(
-        "Repeated (its answer is awaited): evaluation 17 (calibration iteration 2, individual 5 of campaign another)"
+        "Repeated (its answer is awaited): evaluation 17 (calibration iteration 3, individual 5 of campaign another)"
     )

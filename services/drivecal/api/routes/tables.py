@@ -137,7 +137,7 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
 
 @router.get("/validation", responses=page_or_file(ValidationRow))
 def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """Share of answers that differ although the influence map excludes it, by scenario (Tables 1 and 2, Figure 14). None before the
+    """Share of answers that differ although the influence map excludes it, by scenario. None before the
     validation stage."""
     campaign = _campaign(database, campaign_id)
     pages = _study(database, campaign, StageName.VALIDATION, ValidationRow)

@@ -65,7 +65,7 @@ def note_of(database: Database, view: View) -> str | None:
         standing = ratings.standing(connection, setup_ids, bench.evaluator_id, view.watermark)
     parts = []
     if standing.anew:
-        parts.append(f"{standing.anew:,} are rated by what is stored of them, without a simulation")
+        parts.append(f"{standing.anew:,} are rated from what is stored, without a simulation")
     if standing.again:
         parts.append(f"{standing.again:,} were simulated again for it by earlier campaigns")
     if standing.missing:
@@ -80,4 +80,6 @@ def note_of(database: Database, view: View) -> str | None:
         return None
     every = standing.anew + standing.again + standing.missing
     count = "1 stored run" if every == 1 else f"{every:,} stored runs"
-    return f"all campaigns together left {count} of these setups that {bench.evaluator_id} did not rate at first: {'; '.join(parts)}"
+    verb = "was" if every == 1 else "were"
+    beginning = f"{count} of these setups, of all campaigns, {verb} first rated by another score than {bench.evaluator_id}"
+    return f"{beginning}: {'; '.join(parts)}"

@@ -73,4 +73,4 @@ def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:
     rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
     if not rejected:
         return None
-    return f"lots of reused answers were rejected, and simulated whole, for too many of their samples were wrong: {', '.join(rejected)}"
+    return f"lots of reused answers had too many wrong samples, so every cell of them was simulated: {', '.join(rejected)}"

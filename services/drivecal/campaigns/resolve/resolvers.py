@@ -251,7 +251,7 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
     choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
     if choices and optimization.plugin.name in ORDERING:
         notes.append(
-            f"{optimization.plugin.name} gives the choices of {', '.join(choices)} the order of their list; optuna does not"
+            f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed; optuna does not"
         )
     return tuple(notes)
 

@@ -8,6 +8,7 @@ from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, ap
 from drivecal.cli.views.output import print_answer, print_columns
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.domain.errors import NotFoundError
+from drivecal.domain.scales import told
 
 
 @app.command()
@@ -33,7 +34,7 @@ def print_explanation(explanation: Explanation) -> None:
     where = f"{explanation.stage}, iteration {explanation.iteration + 1}, individual {explanation.individual}, {explanation.scenario}"
     result = explanation.outcome or "pending"
     if explanation.score is not None:
-        result += f", score {explanation.score}"
+        result += f", score {told(explanation.score)}"
     if explanation.failure:
         result += f" ({explanation.failure})"
     typer.echo(f"evaluation {explanation.evaluation}: {where}\n{result}\n\n{explanation.sentence}")
@@ -41,7 +42,7 @@ def print_explanation(explanation: Explanation) -> None:
         typer.echo(explanation.detail)
     if explanation.reference is not None:
         reference = explanation.reference
-        score = "no score yet" if reference.score is None else f"score {reference.score}"
+        score = "no score yet" if reference.score is None else f"score {told(reference.score)}"
         at = f"{reference.stage}, iteration {reference.iteration + 1}, individual {reference.individual}"
         typer.echo(f"\nstored set: evaluation {reference.evaluation} of campaign {reference.campaign} ({at}), {score}")
     if explanation.prediction is not None:
@@ -61,7 +62,7 @@ def print_explanation(explanation: Explanation) -> None:
 
 def _print_prediction(prediction: Prediction) -> None:
     typer.echo(
-        f"\nprediction: score {prediction.score}, confidence {prediction.confidence:.1%}; stored answers with most weight:"
+        f"\nprediction: score {told(prediction.score)}, confidence {prediction.confidence:.1%}; stored answers with most weight:"
     )
     print_columns(
         ["evaluation", "stage", "iteration", "individual", "score", "weight"],

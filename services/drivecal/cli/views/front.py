@@ -13,7 +13,8 @@ from drivecal.contracts.tables import FrontRow
 def print_front(rows: Sequence[FrontRow], summary: FrontSummary) -> None:
     """Prints the sets of a front under what is known of the whole."""
     for objective in summary.objectives:
-        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g} {objective.unit} on the front"
+        unit = "" if objective.unit == "1" else f" {objective.unit}"
+        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g}{unit} on the front"
         typer.echo(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     for constraint in summary.constraints:
         typer.echo(f"subject to {constraint}")

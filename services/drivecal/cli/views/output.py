@@ -13,6 +13,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
+from drivecal.domain.scales import told
 from drivecal.report.rows import OUTCOMES, totals
 from drivecal.report.sections.commands import evaluation
 
@@ -76,7 +77,7 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.best:
         best = campaign.best
         lines.append(("best", _set_text(best)))
-        lines.append(("scores", "  ".join(f"{name} {score}" for name, score in best.scores.items())))
+        lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
     if self_check := self_check_text(campaign):
@@ -102,7 +103,7 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
     rows = [
         [
             *(solution.rank, f"{solution.objective:.4f}", f"{solution.rating:.3f}"),
-            *(f"{score}*" if scenario in solution.reused else score for scenario, score in solution.scores.items()),
+            *(f"{told(score)}*" if scenario in solution.reused else score for scenario, score in solution.scores.items()),
             *solution.parameters.values(),
         ]
         for solution in solutions

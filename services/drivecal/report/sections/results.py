@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from drivecal.contracts.campaign import Baseline, Best, Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
+from drivecal.domain.scales import told
 from drivecal.report.data import ReportData
 from drivecal.report.markup import bullets, paragraph, table
 from drivecal.report.rows import Number, errors_text, fixed, range_text, totals
@@ -116,7 +117,7 @@ def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow])
         [
             *(solution.rank, fixed(solution.objective, 4), fixed(solution.rating, 3)),
             known[solution.rank].region if solution.rank in known else None,
-            *(Number(f"{score}*" if name in solution.reused else f"{score}") for name, score in solution.scores.items()),
+            *(Number(f"{told(score)}*" if name in solution.reused else told(score)) for name, score in solution.scores.items()),
             *solution.parameters.values(),
         ]
         for solution in shown

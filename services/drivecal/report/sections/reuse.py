@@ -38,7 +38,7 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     header = ["scenario", "audited", "different", "wrong", "R_err", "95 % bound", "contradictions", "lots", "rejected", "reuse"]
     tolerated = campaign.scale.amount(campaign.scale.tolerance)
     wrong = f"wrong: the scores differ by more than {tolerated}"
-    lots = "a lot of references with too many wrong samples was rejected and simulated whole"
+    lots = "a lot of references with too many wrong samples was rejected, and every cell of it simulated"
     caption = f"Self-check: reusable cells that were simulated all the same; {wrong}; {lots}"
     rows = error_rates(campaign.error_rate)
     content = [table(header, rows, caption)] if rows else []
@@ -63,7 +63,7 @@ def lots_table(campaign: Campaign) -> list[str]:
         "95 % bound",
     ]
     caption = (
-        "Predicted answers: a sample of each lot was simulated, and the lot released or simulated whole. Different: by more than the "
+        "Predicted answers: a sample of each lot was simulated, then it was released or all of it simulated. Different: by more than the "
         "tolerance; limit: of the expected errors released, for each prediction in a lot. A set with a predicted score is not ranked"
     )
     note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []

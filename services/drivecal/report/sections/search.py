@@ -19,11 +19,11 @@ def convergence(generations: Sequence[Generation]) -> list[str]:
         return []
     best = [generation.best for generation in answered]
     counts = [generation.alternatives for generation in answered]
-    as_in_table_5 = f"for at least {UNCHANGED_BEST} iterations (Table 5)"
-    as_in_table_7 = f"for more than {UNCHANGED_ALTERNATIVES} iterations (Table 7)"
+    for_the_best = f"for at least {UNCHANGED_BEST} iterations"
+    for_the_alternatives = f"for more than {UNCHANGED_ALTERNATIVES} iterations"
     return [
-        _sentence("best objective", best, best_at(best), as_in_table_5),
-        _sentence("number of alternative optima", counts, alternatives_at(counts), as_in_table_7),
+        _sentence("best objective", best, best_at(best), for_the_best),
+        _sentence("number of alternative optima", counts, alternatives_at(counts), for_the_alternatives),
     ]
 
 

@@ -181,7 +181,7 @@ def _rates(rows: Sequence[ValidationRow]) -> str:
         for row in rows
     ]
     header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
-    caption = "Table 2. Share of wrong answers (Eq. 8) with its 95 % interval"
+    caption = "Table 2. Share of wrong answers with its 95 % interval"
     return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)
 
 
