@@ -70,6 +70,9 @@ def front(
     between: Annotated[
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
     ] = None,
+    limit: Annotated[
+        int, typer.Option(min=1, help="How many to print, with the knee and the best of each objective; --json lists all.")
+    ] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -85,7 +88,7 @@ def front(
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
-        print_front(rows, summary)
+        print_front(rows, summary, limit)
 
 
 def _ranks(text: str) -> tuple[int, int]:
