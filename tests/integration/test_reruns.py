@@ -19,12 +19,13 @@ from tests.support.values import numbers
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
+from drivecal.api.tables.ranking import earlier_best, ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import basis_of, map_from_document
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.resolve.resolved_spec import problem_of, resolved_spec
 from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
@@ -342,3 +343,18 @@ def test_a_rerun_on_another_push_analyses_again_if_the_map_does_not_hold(
         assert rerun.influence_map_id is None
     else:
         assert rerun.influence_map_id == first.influence_map_id
+
+
+@pytest.mark.usefixtures("strict")
+def test_the_best_set_of_the_first_campaign_is_known_under_the_weights_of_its_rerun(database: Database) -> None:
+    first = _run(database)
+    again = _rerun(database, first, weights={"S2": 4}, optimizer={"iterations": 1, "population": 4})
+    known = earlier_best(database, again, first)
+    assert known is not None
+    assert (known.campaign, known.weights["S2"], set(known.weights)) == (first.id, 4, set(resolved_spec(first).weights))
+    weights = ",".join(f"{name}={weight:g}" for name, weight in known.weights.items())
+    listed = ranking(database, first, resolved_spec(first), weights).solutions(0, 1)
+    assert known.objective == listed[0].objective
+    other = ComputedBackend(answer=strict_answer)
+    assert earlier_best(database, _rerun(database, first, other, evaluator="strict"), first) is None
+    assert earlier_best(database, replace(again, state=CampaignState.RUNNING), first) is None

@@ -5,12 +5,13 @@ may have missed better ones, or something was not examined. Green: nothing that 
 end, unless it is red already, and none for a campaign without a search.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
@@ -41,8 +42,27 @@ class Driven:
     rows: Sequence[RobustnessRow]
 
 
-def trust(campaign: Campaign, validated: Sequence[Validated] = (), driven: Sequence[Driven] = ()) -> TrustAnswer:
-    """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first."""
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
+
+    `reused`: scenarios whose score is a reference's.
+    """
+
+    campaign: str
+    objective: float
+    weights: Mapping[str, float]
+    reused: Sequence[str] = ()
+
+
+def trust(
+    campaign: Campaign,
+    validated: Sequence[Validated] = (),
+    driven: Sequence[Driven] = (),
+    earlier: Earlier | None = None,
+) -> TrustAnswer:
+    """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
+    reruns, if both have the same problem and score."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
         return TrustAnswer(light=None, reasons=[])
     reasons = [
@@ -50,6 +70,7 @@ def trust(campaign: Campaign, validated: Sequence[Validated] = (), driven: Seque
         *_constraints(campaign),
         *_confirmation(campaign),
         *_baseline(campaign),
+        *_earlier(campaign, earlier),
         *_map(campaign, _newest(validated, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(validated, of_predictions=True)),
@@ -107,6 +128,20 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
         yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
     else:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
+
+
+def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
+    if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
+        return
+    if (earlier.objective - campaign.best.objective) * campaign.scale.sign <= EQUAL:
+        return
+    copied = f" (a reference's score in {', '.join(earlier.reused)})" if earlier.reused else ""
+    weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
+    text = (
+        f"The earlier campaign holds a better set under these weights: {earlier.objective:.4f}{copied} beside "
+        f"{campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} --weights {weights}` lists it."
+    )
+    yield Reason(light="amber", about="earlier", text=text)
 
 
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:

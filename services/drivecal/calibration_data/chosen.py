@@ -1,11 +1,23 @@
 """Values of a campaign's chosen set in a calibration file, and how sure they are."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import FrontObjective
 from drivecal.contracts.setup import CampaignSetup, SearchedParameter
-from drivecal.contracts.tables import RobustnessRow, Solution
+from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+
+
+@dataclass(frozen=True, slots=True)
+class RankedBy:
+    """Ranking that a set was chosen from, if it is not the campaign's own: another `score`, other `weights`, and the objective that the
+    campaign's baseline has under them, None if it has none."""
+
+    score: str | None
+    weights: Mapping[str, float] | None
+    baseline: float | None
 
 
 def characteristics_of(
@@ -27,7 +39,9 @@ def characteristics_of(
     ]
 
 
-def quality_of(campaign: Campaign, setup: CampaignSetup, chosen: Solution, robustness: Sequence[RobustnessRow]) -> Quality:
+def quality_of(
+    campaign: Campaign, setup: CampaignSetup, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]]
+) -> Quality:
     """Returns the quality data of a chosen set. It is preliminary while a score is a reference's or the campaign has not succeeded."""
     sure = campaign.state == "succeeded" and not chosen.reused
     time = campaign.ended_at or campaign.created_at
@@ -41,21 +55,76 @@ def quality_of(campaign: Campaign, setup: CampaignSetup, chosen: Solution, robus
         test_object=", ".join(simulators) or str(campaign.spec.get("driving_function", problem)),
         campaign=campaign.id,
         data=next((scenario.files for scenario in setup.scenarios if scenario.files), ""),
-        figures=tuple(_figures(campaign, chosen, robustness)),
+        figures=tuple(figures),
     )
 
 
-def _figures(campaign: Campaign, chosen: Solution, robustness: Sequence[RobustnessRow]) -> Iterator[tuple[str, str]]:
-    scale = campaign.scale
+def solution_figures(
+    campaign: Campaign, setup: CampaignSetup, chosen: Solution, robustness: Sequence[RobustnessRow], ranked_by: RankedBy | None
+) -> Iterator[tuple[str, str]]:
+    """Yields what is known of a set of the solutions. Under another score, the bounds of the campaign's own score are left out."""
+    own = campaign.baseline.objective if campaign.baseline is not None else None
+    baseline = own if ranked_by is None else ranked_by.baseline
     yield "objective", _number(chosen.objective)
-    if campaign.baseline is not None and campaign.baseline.objective is not None:
-        yield "objective of the baseline", _number(campaign.baseline.objective)
-    unit = "" if scale.unit == "1" else f" {scale.unit}"
-    yield "score", f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)}{unit}"
+    if baseline is not None:
+        yield "objective of the baseline", _number(baseline)
+    score = None if ranked_by is None or ranked_by.score == campaign.scale.name else ranked_by.score
+    yield "score", score or _scale(campaign)
+    if ranked_by is None and campaign.objective is not None:
+        first = campaign.objective
+        yield "ranked by", f"{first.name}, {first.direction}, {first.unit}"
+    else:
+        given = None if ranked_by is None else ranked_by.weights
+        weights = {scenario.scenario: scenario.weight for scenario in setup.scenarios} if given is None else given
+        yield "weights", _weights({name: weights.get(name, 1.0) for name in chosen.scores})
     yield "rank", str(chosen.rank)
+    yield from _scores(chosen)
+    if score is None:
+        yield from _bounds(campaign, chosen, robustness)
+
+
+def front_figures(
+    campaign: Campaign,
+    chosen: FrontRow,
+    objectives: Sequence[FrontObjective],
+    robustness: Sequence[RobustnessRow],
+    weights: Mapping[str, float] | None,
+) -> Iterator[tuple[str, str]]:
+    """Yields what is known of a set of the front. `weights`: those of the objectives that rank, None if the first objective does."""
+    for name, amount in chosen.objectives.items():
+        yield f"objective {name}", _number(amount)
+    if campaign.baseline is not None and campaign.baseline.objective is not None and campaign.objective is not None:
+        yield f"objective {campaign.objective.name} of the baseline", _number(campaign.baseline.objective)
+    for objective in objectives:
+        yield f"scale of objective {objective.name}", f"{objective.direction}, {objective.aggregate}, {objective.unit}"
+    if weights is not None and chosen.weighted is not None:
+        yield "weights of the objectives", _weights({name: weights.get(name, 1.0) for name in chosen.objectives})
+        yield "weighted objectives", _number(chosen.weighted)
+    yield "rank on the front", str(chosen.rank)
+    if chosen.violation > 0:
+        yield "violation of constraints", _number(chosen.violation)
+    yield "score", _scale(campaign)
+    yield from _scores(chosen)
+    yield from _bounds(campaign, chosen, robustness)
+
+
+def _scale(campaign: Campaign) -> str:
+    scale = campaign.scale
+    unit = "" if scale.unit == "1" else f" {scale.unit}"
+    return f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)}{unit}"
+
+
+def _weights(weights: Mapping[str, float]) -> str:
+    return ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
+
+
+def _scores(chosen: Solution | FrontRow) -> Iterator[tuple[str, str]]:
     for scenario, score in chosen.scores.items():
         taken = " (taken from a reference)" if scenario in chosen.reused else ""
         yield f"score {scenario}", f"{_number(score)}{taken}"
+
+
+def _bounds(campaign: Campaign, chosen: Solution | FrontRow, robustness: Sequence[RobustnessRow]) -> Iterator[tuple[str, str]]:
     row = next((row for row in robustness if row.parameters == chosen.parameters), None)
     if row is not None:
         yield "degree of robustness", f"{'at least ' if row.at_least else ''}{row.degree}"

@@ -20,11 +20,13 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 
 @dataclass(slots=True)
 class Sections:
-    """`parameters` and `baseline`, ready for `problem.yaml`. `guessed`: parameters whose range is only a span around their value."""
+    """`parameters` and `baseline`, ready for `problem.yaml`. `guessed`: parameters whose range is only a span around their value.
+    `left_out`: texts whose choices no file has, e.g. those of a DCM without its A2L."""
 
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     baseline: dict[str, float | str] = field(default_factory=dict)
     guessed: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
 
 
 def joined(files: Iterable[Sequence[Characteristic]]) -> list[Characteristic]:
@@ -76,7 +78,9 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
     result, problems = Sections(), []
     for characteristic in characteristics:
         name = names.get(characteristic.name, characteristic.name)
-        if not _NAME.fullmatch(name):
+        if isinstance(characteristic.value, str) and not characteristic.choices:
+            result.left_out.append(characteristic.name)
+        elif not _NAME.fullmatch(name):
             message = f"{shown(name)} cannot be the name of a parameter"
             problems.append(Problem(shown(characteristic.name), message, "bind it to another name by --names"))
         elif name in result.parameters:
@@ -88,6 +92,9 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
                     result.baseline[name] = _value(characteristic, name)
             except InvalidInputError as error:
                 problems += error.problems
+    if result.left_out and not result.parameters and not problems:
+        message = "there are only texts, and no file says what others there are"
+        problems.append(Problem(", ".join(map(shown, result.left_out)), message, "give an A2L with their enumerations, too"))
     if problems:
         raise InvalidInputError(*problems)
     return result
@@ -113,8 +120,8 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
     entry: dict[str, Any] = {}
     if characteristic.choices or isinstance(characteristic.value, str):
         if len(characteristic.choices) < 2:
-            message = "it is a text, and no file says what others there are"
-            raise InvalidInputError(Problem(name, message, "give an A2L with its enumeration, or leave it out by --match"))
+            message = "its enumeration has fewer than two texts"
+            raise InvalidInputError(Problem(name, message, "give an A2L with all its texts, or leave it out by --match"))
         entry["choices"] = list(characteristic.choices)
     else:
         lower, upper = characteristic.lower, characteristic.upper

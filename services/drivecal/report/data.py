@@ -9,9 +9,9 @@ from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, Study, StudyName
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import TrustAnswer
+from drivecal.contracts.results import FrontSummary, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.tables import Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
+from drivecal.contracts.tables import FrontRow, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
 
 RANKED = 1000
 """Number of best sets in a report; all of them are in the table."""
@@ -55,6 +55,9 @@ class ReportData:
     """Validations of released predictions."""
     trust: TrustAnswer | None = None
     """None from a server of an earlier release."""
+    front: Sequence[FrontRow] = ()
+    front_summary: FrontSummary | None = None
+    """None without objectives."""
 
     @property
     def recommended(self) -> RobustnessRow | None:
@@ -67,6 +70,7 @@ def collect(client: Client, identifier: str) -> ReportData:
     campaign = client.campaign(identifier)
     used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
+    compromises = bool(campaign.spec.get("objectives")) and campaign.best is not None
     own = (campaign.spec.get("vehicle") or {}).get("model")
     studies = sorted(client.studies(identifier).items, key=lambda study: study.vehicle != own)
     return ReportData(
@@ -80,6 +84,8 @@ def collect(client: Client, identifier: str) -> ReportData:
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
         accounting=client.accounting(identifier) if answered else None,
         trust=client.trust(identifier) if "trust" in campaign.links else None,
+        front=client.front(identifier) if compromises else (),
+        front_summary=client.front_summary(identifier) if compromises else None,
         failures=client.failures(identifier).items if answered else (),
         robustness=_studied(studies, "robustness", client.robustness),
         validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),

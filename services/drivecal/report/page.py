@@ -7,7 +7,7 @@ from drivecal.report.data import ReportData
 from drivecal.report.figures import cells
 from drivecal.report.markup import bullets, document, files, paragraph, verbatim
 from drivecal.report.rows import by_scenario
-from drivecal.report.sections import influence, optima, problem, results, reuse, robustness, search, validation
+from drivecal.report.sections import front, influence, optima, problem, results, reuse, robustness, search, validation
 
 
 def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
@@ -21,6 +21,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         "Search": _search(findings, drawn),
         "Reuse": _reuse(findings, drawn),
         "Best sets": _best(findings, drawn),
+        "Front": front.parts(findings.front, findings.front_summary, campaign.id),
         "Robustness": _robustness(findings, drawn),
         "Validation": _validation(findings, drawn),
         "Cost": reuse.accounting(findings.accounting),
@@ -48,7 +49,7 @@ def _searched(campaign: Campaign) -> bool:
 def _influence(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.influence and not _searched(findings.campaign):
         return []
-    return influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-"))
+    return influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-"), findings.campaign.cells)
 
 
 def _search(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:

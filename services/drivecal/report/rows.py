@@ -7,7 +7,8 @@ from typing import Literal
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.tables import InfluenceRow, ValidationRow
+from drivecal.contracts.results import FrontSummary
+from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
@@ -210,3 +211,32 @@ def segment(row: InfluenceRow) -> tuple[float, float] | None:
     lower = 0.0 if row.lower is None else (row.lower - row.space_lower) / size
     upper = 1.0 if row.upper is None else (row.upper - row.space_lower) / size
     return lower, upper
+
+
+def front_lines(summary: FrontSummary) -> list[str]:
+    """Returns what is known of a whole front: a line for each objective and constraint, and the numbers of sets."""
+    lines = []
+    for objective in summary.objectives:
+        unit = "" if objective.unit == "1" else f" {objective.unit}"
+        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g}{unit} on the front"
+        lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
+    lines += [f"subject to {constraint}" for constraint in summary.constraints]
+    volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"
+    sets = f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}"
+    return [*lines, sets]
+
+
+def first_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:
+    """Returns `limit` sets of a front in their order: the first ones, and in place of the last of them the knee and the best of each
+    objective, which are kept even beyond the limit."""
+    marked = {place for place, row in enumerate(rows) if row.knee or row.best_in}
+    others = [place for place in range(len(rows)) if place not in marked]
+    return [rows[place] for place in sorted({*marked, *others[: max(0, limit - len(marked))]})]
+
+
+def front_marks(row: FrontRow) -> str:
+    """Returns what is special about a set of a front; a star: it has a score of a reference."""
+    marks = [*(["knee"] if row.knee else []), *(f"best {name}" for name in row.best_in), *(["*"] if row.reused else [])]
+    if row.violation > 0:
+        marks.append(f"breaks constraints by {row.violation:.3g}")
+    return ", ".join(marks)

@@ -9,7 +9,7 @@ import pytest
 from tests.support.scales import COST
 
 from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
-from drivecal.analysis.trust import Driven, Validated, trust
+from drivecal.analysis.trust import Driven, Earlier, Validated, trust
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
@@ -181,3 +181,22 @@ def test_the_end_of_a_campaign_decides_first(state: str, best: Best | None, ligh
 def test_what_searches_nothing_has_no_light() -> None:
     assert trust(campaign().model_copy(update={"spec": {"optimizer": None}})).light is None
     assert trust(campaign().model_copy(update={"kind": "comparison"})).reasons == []
+
+
+@pytest.mark.parametrize(
+    ("objective", "given", "is_told"),
+    [
+        (6.5, {}, True),
+        (6.0, {}, False),
+        (5.5, {}, False),
+        (5.5, {"scale": COST}, True),
+        (6.5, {"scale": COST}, False),
+        (6.5, {"state": "running"}, False),
+        (6.5, {"best": None}, False),
+    ],
+)
+def test_a_better_set_of_the_campaign_that_is_rerun_is_told(objective: float, given: dict[str, Any], is_told: bool) -> None:
+    judged = trust(campaign(**given), earlier=Earlier("e" * 32, objective, {"S1": 4.0, "S2": 1.0}))
+    reasons = [reason for reason in judged.reasons if reason.about == "earlier"]
+    assert [reason.light for reason in reasons] == ["amber"] * is_told
+    assert all("solutions eeeeeeee --weights S1=4,S2=1" in reason.text for reason in reasons)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from drivecal.bundles.manifest import ParameterEntry
+from drivecal.calibration_data import dcm
 from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.calibration_data.files import labels_of
 from drivecal.calibration_data.sections import chosen_by, joined, sections_of
@@ -65,8 +66,20 @@ def test_labels_that_are_no_names_are_bound_by_a_map_or_refused() -> None:
     given = [Characteristic("_gap[0]", 1.0), Characteristic("v0", 1.0)]
     assert list(sections_of(given, {"_gap[0]": "gap"}, 0.5).parameters) == ["gap", "v0"]
     with pytest.raises(InvalidInputError) as refused:
-        sections_of([*given, Characteristic("text", "eco"), Characteristic("none")], {"v0": "text"}, 0.5)
+        sections_of([*given, Characteristic("text", 2.0), Characteristic("none")], {"v0": "text"}, 0.5)
     assert [problem.field for problem in refused.value.problems] == ["_gap[0]", "text", "none"]
+
+
+def test_texts_whose_choices_no_file_has_are_left_out() -> None:
+    mode, gap = Characteristic("mode", "sport", choices=("eco", "sport")), Characteristic("gap", 1.5, lower=1.0, upper=2.0)
+    exported = dcm.read(dcm.write([mode, gap]), "best.dcm").characteristics
+    sections = sections_of(exported, {}, 0.5)
+    assert (list(sections.parameters), sections.baseline, sections.left_out) == (["gap"], {"gap": 1.5}, ["mode"])
+    known = sections_of(joined([[mode], exported]), {}, 0.5)
+    assert (known.parameters["mode"], known.baseline["mode"]) == ({"choices": ["eco", "sport"]}, "sport")
+    assert known.left_out == []
+    with pytest.raises(InvalidInputError):
+        sections_of(exported[:1], {}, 0.5)
 
 
 def test_characteristics_are_chosen_by_their_names() -> None:

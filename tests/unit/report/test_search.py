@@ -22,6 +22,14 @@ def test_the_criteria_of_tables_5_and_7_are_stated_with_what_was_found() -> None
     assert alternatives.startswith("Not converged by its number of alternative optima: it last changed in iteration 6 of 9")
 
 
+def test_a_number_of_alternatives_is_not_older_than_the_best_objective_that_has_it() -> None:
+    late = [generation(number, best=4.0 if number < 6 else 6.0, alternatives=1) for number in range(15)]
+    best, alternatives = search.convergence(late)
+    assert best.startswith("Not converged by its best objective: it last changed in iteration 7 of 15")
+    assert alternatives.startswith("Converged by its number of alternative optima: found in iteration 7 of 15")
+    assert search.convergence(late[:10])[1].startswith("Not converged by its number of alternative optima")
+
+
 def test_a_search_that_was_too_short_is_not_called_converged() -> None:
     found = search.convergence([generation(0, best=6.0), generation(1, best=6.0)])
     assert found[0].startswith("The best objective never changed in 2 iterations, too few")

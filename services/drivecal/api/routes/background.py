@@ -12,6 +12,7 @@ from drivecal.analysis.trust import Driven, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
+from drivecal.api.tables.ranking import earlier_best
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_document, stored_scale
@@ -66,6 +67,7 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
     """A light for the campaign's result, green, amber or red, and the reasons in words, the gravest first."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which needs no light")
+        first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of)
         made = [study for study in _about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
         documents = [(study, studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}) for study in made]
     validated = [
@@ -80,7 +82,8 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
         if study.stage == StageName.ROBUSTNESS and _vehicle(study.spec) == own
     ]
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
-    return trust(campaign_answer(begun, now(), silent=None), validated, driven)
+    earlier = None if first is None else earlier_best(database, campaign, first)
+    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier)
 
 
 @router.get("/failures")

@@ -8,9 +8,10 @@ from sqlalchemy import Connection
 from drivecal.analysis.goals import SCORE, CellValue
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.trust import Earlier
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.strict_json import shown
@@ -80,6 +81,22 @@ def ranking(
         else:
             standing.add(_rated(connection, campaign, resolved.evaluator, other))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)
+
+
+def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
+    """Returns the best set of the `earlier` campaign under the weights of its rerun; None if there is none, before the end of the rerun,
+    with objectives or constraints, and if setups, space or score differ. Reads the answers of the earlier campaign anew."""
+    if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
+        return None
+    ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
+    alike = (ours.evaluator, ours.space, ours.scale) == (theirs.evaluator, theirs.space, theirs.scale)
+    driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())
+    if not alike or not driven or ours.goals is not None or theirs.goals is not None:
+        return None
+    given: Mapping[str, float] = campaign.spec["weights"]
+    weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
+    ranked = ranking(database, earlier, replace(theirs, weights=weights), None).ranked
+    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused) if ranked else None
 
 
 def _other_score(database: Database, campaign: StoredCampaign, name: str) -> CellValue | None:

@@ -49,6 +49,8 @@ def parameters(
             tell(f"{source}: {len(content.skipped):,} curves, maps and other arrays are left out")
     if sections.guessed:
         tell(f"no file has a range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
+    if sections.left_out:
+        tell(f"no file has the choices of {', '.join(sections.left_out)}: left out; give an A2L with the enumeration, too")
     missing = sections.parameters.keys() - sections.baseline.keys()
     if missing and sections.baseline:
         tell(f"no file has a value of {', '.join(sorted(missing))}: complete the baseline, or remove it")

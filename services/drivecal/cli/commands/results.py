@@ -3,14 +3,14 @@
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, cast, get_args
+from typing import Annotated, Any, BinaryIO, Literal, TypeVar, cast, get_args
 
 import typer
 
-from drivecal.calibration_data.chosen import characteristics_of, quality_of
+from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
@@ -19,9 +19,11 @@ from drivecal.cli.views.output import dumped, print_answer, print_json, print_so
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.tables import TableName
+from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
+Ranked = TypeVar("Ranked", Solution, FrontRow)
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
 ScoreOption = Annotated[
     str | None, typer.Option(help="Rank by another score of the problem instead, from stored measures; simulates nothing.")
@@ -68,6 +70,9 @@ def front(
     between: Annotated[
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
     ] = None,
+    limit: Annotated[
+        int, typer.Option(min=1, help="How many to print, with the knee and the best of each objective; --json lists all.")
+    ] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -83,7 +88,7 @@ def front(
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
-        print_front(rows, summary)
+        print_front(rows, summary, limit)
 
 
 def _ranks(text: str) -> tuple[int, int]:
@@ -101,7 +106,9 @@ def export(
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     row: Annotated[
         int | None,
-        typer.Option(min=1, max=1000, metavar="N", help="One set for calibration tools: that of rank N of the solutions."),
+        typer.Option(
+            min=1, max=1000, metavar="N", help="One set for calibration tools: that of rank N of the solutions or the front."
+        ),
     ] = None,
     names: NamesOption = None,
     where: Annotated[
@@ -157,29 +164,44 @@ def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
     """Returns the set of a rank as a calibration file."""
-    if table != "solutions":
-        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions"))
+    if table not in {"solutions", "front"}:
+        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if form not in get_args(CalibrationFormat):
         raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
     if "where" in query:
         raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
     setup = client.setup(identifier)
     labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
-    chosen = next(
-        (
-            item
-            for item in client.solutions(identifier, query.get("weights"), row, query.get("score")).items
-            if item.rank == row
-        ),
-        None,
-    )
-    if chosen is None:
-        raise InvalidInputError(
-            Problem("--row", f"the campaign has no set of rank {row}", "see drivecal solutions for those it has")
-        )
-    quality = quality_of(client.campaign(identifier), setup, chosen, client.robustness(identifier))
+    weights, score = query.get("weights"), query.get("score")
+    given = None if weights is None else assignments(weights.split(","), "--weights")
+    campaign, robustness = client.campaign(identifier), client.robustness(identifier)
+    chosen: Solution | FrontRow
+    if table == "front":
+        chosen = _of_rank(client.front(identifier, weights), row, table)
+        figures = front_figures(campaign, chosen, client.front_summary(identifier).objectives, robustness, given)
+    else:
+        chosen = _of_rank(client.solutions(identifier, weights, row, score).items, row, table)
+        own = weights is None and score is None
+        ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))
+        figures = solution_figures(campaign, setup, chosen, robustness, ranked_by)
     characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
-    return write(cast("CalibrationFormat", form), characteristics, quality)
+    return write(cast("CalibrationFormat", form), characteristics, quality_of(campaign, setup, chosen, figures))
+
+
+def _of_rank(rows: Sequence[Ranked], rank: int, table: TableName) -> Ranked:
+    for row in rows:
+        if row.rank == rank:
+            return row
+    remedy = f"see drivecal {table} for those it has"
+    raise InvalidInputError(Problem("--row", f"the campaign has no set of rank {rank}", remedy))
+
+
+def _baseline(client: Client, campaign: Campaign, weights: str | None, score: str | None) -> float | None:
+    """Returns the baseline's objective in another ranking than the campaign's, None if it has none there."""
+    if campaign.baseline is None:
+        return None
+    ranked = client.rows(campaign.id, "solutions", weights=weights, score=score)
+    return next((row["objective"] for row in ranked if row["parameters"] == campaign.baseline.parameters), None)
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:

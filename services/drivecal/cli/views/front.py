@@ -4,25 +4,21 @@ from collections.abc import Sequence
 
 import typer
 
+from drivecal.cli.application import tell
 from drivecal.cli.views.output import print_columns
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.results import FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow
+from drivecal.report.rows import first_of_front, front_lines, front_marks
 
 
-def print_front(rows: Sequence[FrontRow], summary: FrontSummary) -> None:
-    """Prints the sets of a front under what is known of the whole."""
-    for objective in summary.objectives:
-        unit = "" if objective.unit == "1" else f" {objective.unit}"
-        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g}{unit} on the front"
-        typer.echo(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
-    for constraint in summary.constraints:
-        typer.echo(f"subject to {constraint}")
-    volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"
-    typer.echo(f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}")
+def print_front(rows: Sequence[FrontRow], summary: FrontSummary, limit: int) -> None:
+    """Prints the first sets of a front, knee and extremes among them, under what is known of the whole."""
+    for line in front_lines(summary):
+        typer.echo(line)
     if not rows:
         return
-    first = rows[0]
+    first, kept = rows[0], first_of_front(rows, limit)
     weighted = ["weighted"] if first.weighted is not None else []
     typer.echo()
     print_columns(
@@ -34,14 +30,16 @@ def print_front(rows: Sequence[FrontRow], summary: FrontSummary) -> None:
                 *([] if row.weighted is None else [f"{row.weighted:.4f}"]),
                 None if row.wins is None else f"{row.wins:.1%}",
                 row.alternatives,
-                _marks(row),
+                front_marks(row),
                 *row.parameters.values(),
             ]
-            for row in rows
+            for row in kept
         ],
     )
-    if any(row.reused for row in rows):
+    if any(row.reused for row in kept):
         typer.echo("* has a score of a reference")
+    if len(kept) < len(rows):
+        tell(f"{len(kept):,} of {len(rows):,} sets, with the knee and the best of each objective; see more with --limit")
 
 
 def print_trade_off(answer: TradeOff) -> None:
@@ -57,10 +55,3 @@ def print_trade_off(answer: TradeOff) -> None:
 def _values(difference: ValuePair) -> list[str]:
     values = (difference.first, difference.second)
     return [difference.name, *("-" if value is None else value_text(value) for value in values)]
-
-
-def _marks(row: FrontRow) -> str:
-    marks = [*(["knee"] if row.knee else []), *(f"best {name}" for name in row.best_in), *(["*"] if row.reused else [])]
-    if row.violation > 0:
-        marks.append(f"breaks constraints by {row.violation:.3g}")
-    return ", ".join(marks)

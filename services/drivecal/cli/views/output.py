@@ -80,6 +80,8 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("scores", "  ".join(f"{name} {told(score)}" for name, score in best.scores.items())))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))
+        if campaign.spec.get("objectives"):
+            lines.append(("front", f"drivecal front {campaign.id} lists the compromises between the objectives"))
     if self_check := self_check_text(campaign):
         lines.append(("self-check", self_check))
     if lots := lots_text(campaign):

@@ -4,22 +4,33 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.markup import paragraph, table
 from drivecal.report.rows import Emphasized, by_scenario
 from drivecal.sensitivity.settings import caveats
 
 
-def parts(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str]) -> list[str]:
-    """Returns the section: the basis of the map, Figure 9, and the bounds as a table."""
+def parts(
+    rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None, drawings: Sequence[str], counts: CellCounts
+) -> list[str]:
+    """Returns the section: the basis of the map, Figure 9, and the bounds as a table. `counts`: of the search."""
     if not rows:
-        return [paragraph("No influence map is in use, so only equal parameter sets are answered without a simulation.")]
+        return [paragraph(_without(counts))]
     scenarios = by_scenario(rows)
     cells = {(row.scenario, row.parameter): _bounds(row) for row in rows}
     names = list(dict.fromkeys(row.parameter for row in rows))
     lines = [[name, *(cells.get((scenario, name)) for scenario in scenarios)] for name in names]
     caption = "Figure 9 in numbers: influential bounds in parameter units, inclusive; a dash where nothing is influential"
     return [paragraph(_origin(basis)), *drawings, table(["parameter", *scenarios], lines, caption)]
+
+
+def _without(counts: CellCounts) -> str:
+    ways = {"predictions": counts.predicted, "references": counts.reused, "certificates": counts.certified}
+    used = [name for name, count in ways.items() if count]
+    if not used:
+        return "No influence map is in use, so only equal parameter sets are answered without a simulation."
+    return f"No influence map is in use; equal parameter sets and {' and '.join(used)} answer cells without a simulation."
 
 
 def _origin(basis: Mapping[str, Any] | None) -> str:

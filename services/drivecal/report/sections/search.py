@@ -1,6 +1,7 @@
 """Convergence of the search by the criteria of the paper's Tables 5 and 7, and the iterations as a table."""
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate, pairwise
 
 from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
 from drivecal.contracts.campaign import Campaign
@@ -13,12 +14,14 @@ MOST_LINES = 13
 
 
 def convergence(generations: Sequence[Generation]) -> list[str]:
-    """Returns a sentence for each criterion, without unanswered iterations."""
+    """Returns a sentence for each criterion, without unanswered iterations. A number of alternatives is that of one best objective: if
+    this changes, so has the number, whatever it is."""
     answered = [generation for generation in generations if generation.best is not None]
     if not answered:
         return []
     best = [generation.best for generation in answered]
-    counts = [generation.alternatives for generation in answered]
+    states = [(generation.best, generation.alternatives) for generation in answered]
+    counts = list(accumulate((before != after for before, after in pairwise(states)), initial=0))
     for_the_best = f"for at least {UNCHANGED_BEST} iterations"
     for_the_alternatives = f"for more than {UNCHANGED_ALTERNATIVES} iterations"
     return [

@@ -1,0 +1,37 @@
+"""The front of a campaign with objectives: its summary and its first sets."""
+
+from collections.abc import Sequence
+
+from drivecal.contracts.results import FrontSummary
+from drivecal.contracts.tables import FrontRow
+from drivecal.report.markup import bullets, paragraph, table, verbatim
+from drivecal.report.rows import Number, first_of_front, front_lines, front_marks
+
+SHOWN = 20
+"""Sets that the page shows, if no more are marked."""
+
+
+def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: str) -> list[str]:
+    """Returns the section; nothing without objectives."""
+    if summary is None:
+        return []
+    lines = [f"{line[0].upper()}{line[1:]}." for line in front_lines(summary)]
+    if not rows:
+        return [bullets(lines)]
+    kept = first_of_front(rows, SHOWN)
+    caption = "The front: no other set is better in one objective without being worse in another"
+    if len(kept) < len(rows):
+        caption += f"; {len(kept)} of {len(rows):,} sets, with the knee and the best of each objective"
+    if any(row.reused for row in kept):
+        caption += ". A star: a score is that of a reference"
+    header = ["rank", *rows[0].objectives, "", *rows[0].parameters]
+    cells = [
+        [row.rank, *(Number(f"{amount:.6g}") for amount in row.objectives.values()), front_marks(row), *row.parameters.values()]
+        for row in kept
+    ]
+    return [
+        bullets(lines),
+        table(header, cells, caption),
+        paragraph("All sets, and what one gains and costs against another:"),
+        verbatim(f"drivecal front {identifier}"),
+    ]

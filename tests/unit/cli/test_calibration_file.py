@@ -1,0 +1,231 @@
+"""Calibration files of a campaign's sets: their quality data belong to the ranking that was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Self
+
+import pytest
+from typer.testing import CliRunner
+
+from drivecal.calibration_data import cdfx, dcm
+from drivecal.cli.commands import results
+from drivecal.cli.main import app
+from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page
+from drivecal.contracts.results import FrontObjective, FrontSummary
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+from drivecal.domain.scales import Direction, Scale
+
+DISCOMFORT = Scale("discomfort", Direction.MINIMISE, lower=0.0, upper=20.0, tolerance=0.5, failed=20.0)
+BASELINE = {"P1": 1.0, "mode": "eco"}
+BEST = {"P1": 2.0, "mode": "sport"}
+SCORES = {  # of the best set and the baseline, under each score
+    None: ({"follow": 2.0, "brake": 4.0}, {"follow": 6.0, "brake": 11.0}),
+    "following": ({"follow": 0.25, "brake": 0.75}, {"follow": 0.5, "brake": 1.5}),
+}
+
+
+class Campaigns:
+    """A client of one campaign; `baseline_ranked`: whether its baseline has a value of every score."""
+
+    def __init__(self, objective: FirstObjective | None = None, *, baseline_ranked: bool = True) -> None:
+        self.objective, self.baseline_ranked = objective, baseline_ranked
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def full_id(self, identifier: str) -> str:
+        return identifier
+
+    def campaign(self, identifier: str) -> Campaign:
+        return Campaign(
+            id=identifier,
+            name="acc",
+            state="succeeded",
+            scale=DISCOMFORT,
+            objective=self.objective,
+            baseline=Baseline(objective=8.5, parameters=BASELINE, scores=SCORES[None][1]),
+            error_rate={"brake": ErrorRate(upper_95=0.01)},
+            spec={"problem": "acc"},
+        )
+
+    def setup(self, _: str) -> CampaignSetup:
+        mode = {"kind": "choice", "choices": ["eco", "sport"]}
+        return CampaignSetup(
+            evaluator="acc 1",
+            server="1",
+            parameters=[
+                SearchedParameter(name="P1", unit="s", lower=0.0, upper=3.0, n_values=4, fixed=None),
+                SearchedParameter(name="mode", unit="1", lower=0.0, upper=1.0, n_values=2, fixed=None, **mode),
+            ],
+            scenarios=[ScenarioSetup(scenario=name, weight=0.5, fingerprint="f") for name in ("follow", "brake")],
+        )
+
+    def robustness(self, _: str) -> list[RobustnessRow]:
+        best = SCORES[None][0]
+        row: dict[str, Any] = {
+            "objective": 3.0,
+            "rating": 3.0,
+            "region": 1,
+            "to_worse": None,
+            "radius": 0.1,
+            "at_least": False,
+            "trials": [],
+        }
+        return [RobustnessRow(rank=1, degree=7, recommended=True, reason="", scores=best, parameters=BEST, **row)]
+
+    def solutions(self, _: str, weights: str | None = None, limit: int = 20, score: str | None = None) -> Page[Solution]:
+        return Page[Solution](items=self._ranked(weights, score)[:limit])
+
+    def rows(self, _: str, table: str, **query: Any) -> Iterator[dict[str, Any]]:
+        assert table == "solutions"
+        ranked = self._ranked(query.get("weights"), query.get("score"))
+        yield from (solution.model_dump() for solution in ranked[: 2 if self.baseline_ranked else 1])
+
+    def _ranked(self, weights: str | None, score: str | None) -> list[Solution]:
+        shares = {"follow": 0.5, "brake": 0.5} if weights is None else {"follow": 0.2, "brake": 0.8}
+        return [
+            Solution(
+                rank=rank,
+                objective=sum(share * scores[name] for name, share in shares.items()),
+                rating=1.0,
+                scores=scores,
+                parameters=parameters,
+                iteration=0,
+                individual=rank,
+            )
+            for rank, (scores, parameters) in enumerate(
+                zip(SCORES[None if score == "discomfort" else score], (BEST, BASELINE), strict=True), 1
+            )
+        ]
+
+    def front(self, _: str, weights: str | None = None) -> list[FrontRow]:
+        return [
+            FrontRow(
+                rank=1,
+                objectives={"discomfort": 3.0, "jerk": 0.5},
+                weighted=None if weights is None else 0.75,
+                violation=0.0,
+                knee=True,
+                best_in=["discomfort"],
+                wins=0.6,
+                weights=None,
+                alternatives=1,
+                degree=7,
+                scores=SCORES[None][0],
+                reused=[],
+                parameters=BEST,
+                iteration=0,
+                individual=0,
+            )
+        ]
+
+    def front_summary(self, _: str) -> FrontSummary:
+        common = {"scenarios": {"follow": 0.5, "brake": 0.5}, "tolerance": 0.0, "reference": 20.0, "best": 1.0, "worst": 2.0}
+        return FrontSummary(
+            objectives=[
+                FrontObjective(name="discomfort", unit="1", direction="minimise", aggregate="mean", **common),
+                FrontObjective(name="jerk", unit="m/s3", direction="minimise", aggregate="max", **common),
+            ],
+            constraints=[],
+            evaluated=2,
+            feasible=2,
+            size=1,
+            copied=0,
+            knee=1,
+            hypervolume=None,
+            growth=[],
+        )
+
+
+def exported(monkeypatch: pytest.MonkeyPatch, client: Campaigns, *options: str, table: str = "solutions") -> dict[str, str]:
+    """Returns the quality data of a DCM file, after a look at the CDFX."""
+    monkeypatch.setattr(results, "connect", lambda _: client)
+    written = []
+    for form in ("dcm", "cdfx"):
+        result = CliRunner().invoke(app, ["export", "0" * 32, "--table", table, "--row", "1", "--format", form, *options])
+        assert result.exit_code == 0, result.output
+        written.append(result.stdout_bytes)
+    values = [{value.name: value.value for value in read.characteristics} for read in map(_read, written, ("dcm", "cdfx"))]
+    assert values == [BEST, BEST]
+    lines = (line[2:].partition(": ") for line in written[0].decode().splitlines() if line.startswith("* "))
+    facts = {name: text for name, _, text in lines}
+    known = {"encoding", "state", "date", "problem", "campaign", "test object"}
+    figures = {name: text for name, text in facts.items() if name not in known and not name.startswith("encoding")}
+    assert all(f'<SD GID="{name}">{text}</SD>' in written[1].decode() for name, text in figures.items())
+    return figures
+
+
+def _read(content: bytes, form: str) -> Any:
+    return (dcm if form == "dcm" else cdfx).read(content, f"set.{form}")
+
+
+def test_the_campaigns_own_ranking_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert exported(monkeypatch, Campaigns()) == {
+        "objective": "3",
+        "objective of the baseline": "8.5",
+        "score": "discomfort, minimise, 0 to 20",
+        "weights": "follow=0.5,brake=0.5",
+        "rank": "1",
+        "score follow": "2",
+        "score brake": "4",
+        "degree of robustness": "7",
+        "share of wrong reused scores brake": "at most 0.01 (95 %)",
+    }
+
+
+def test_another_score_is_named_and_the_baseline_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = {
+        "objective": "0.5",
+        "objective of the baseline": "1",
+        "score": "following",
+        "weights": "follow=0.5,brake=0.5",
+        "rank": "1",
+        "score follow": "0.25",
+        "score brake": "0.75",
+    }
+    assert exported(monkeypatch, Campaigns(), "--score", "following") == expected
+    without = exported(monkeypatch, Campaigns(baseline_ranked=False), "--score", "following")
+    assert without == {name: text for name, text in expected.items() if name != "objective of the baseline"}
+
+
+def test_other_weights_are_named_and_hold_for_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = exported(monkeypatch, Campaigns(), "--weights", "brake=4")
+    assert (figures["objective"], figures["objective of the baseline"]) == ("3.6", "10")
+    assert figures["weights"] == "follow=1,brake=4"
+    assert figures["score"].startswith("discomfort, minimise")
+
+
+def test_the_first_objective_is_named_if_it_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Campaigns(FirstObjective(name="jerk", unit="m/s3", direction="minimise"))
+    figures = exported(monkeypatch, client)
+    assert figures["ranked by"] == "jerk, minimise, m/s3"
+    assert "weights" not in figures
+    figures = exported(monkeypatch, client, "--score", "discomfort")
+    assert "ranked by" not in figures
+    assert (figures["weights"], figures["objective of the baseline"]) == ("follow=0.5,brake=0.5", "8.5")
+
+
+def test_a_set_of_the_front_has_all_its_objectives(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Campaigns(FirstObjective(name="discomfort", unit="1", direction="minimise"))
+    figures = exported(monkeypatch, client, table="front")
+    assert (figures["objective discomfort"], figures["objective jerk"]) == ("3", "0.5")
+    assert figures["scale of objective jerk"] == "minimise, max, m/s3"
+    assert (figures["objective discomfort of the baseline"], figures["rank on the front"]) == ("8.5", "1")
+    assert (figures["score follow"], figures["degree of robustness"]) == ("2", "7")
+    assert "weights of the objectives" not in figures
+    weighted = exported(monkeypatch, client, "--weights", "jerk=2", table="front")
+    assert (weighted["weights of the objectives"], weighted["weighted objectives"]) == ("discomfort=1,jerk=2", "0.75")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [("--table", "optima"), ("--table", "front", "--row", "2"), ("--table", "solutions", "--row", "3"), ("--where", "rank=1")],
+)
+def test_sets_that_are_not_there_are_refused(options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(results, "connect", lambda _: Campaigns())
+    assert CliRunner().invoke(app, ["export", "0" * 32, "--format", "dcm", *options]).exit_code == 2

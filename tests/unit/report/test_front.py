@@ -1,0 +1,76 @@
+"""Fronts in the report and on the command line."""
+
+from __future__ import annotations
+
+import pytest
+from tests.unit.report.rows import findings
+
+from drivecal.cli.views.front import print_front
+from drivecal.cli.views.output import print_campaign
+from drivecal.contracts.campaign import CellCounts
+from drivecal.contracts.results import FrontObjective, FrontSummary
+from drivecal.contracts.tables import FrontRow
+from drivecal.report.page import page
+from drivecal.report.rows import first_of_front
+from drivecal.report.sections import front, influence
+
+SIZE, KNEE = 30, 25
+
+
+def row(rank: int) -> FrontRow:
+    ends = {1: ["comfort"], SIZE: ["jerk"]}
+    return FrontRow(
+        rank=rank, objectives={"comfort": 7 - rank / 10, "jerk": 9 - rank / 10}, violation=0, knee=rank == KNEE,
+        best_in=ends.get(rank, []), wins=None, weights=None, alternatives=1, degree=None, scores={"S1": 5}, reused=[],
+        parameters={"P1": rank}, iteration=0, individual=rank,
+    )  # fmt: skip
+
+
+ROWS = [row(rank) for rank in range(1, SIZE + 1)]
+SUMMARY = FrontSummary(
+    objectives=[
+        FrontObjective(
+            name="jerk", unit="m/s3", direction="minimise", aggregate="max", scenarios={"S1": 1}, tolerance=0, reference=20, best=6,
+            worst=8.9,
+        )
+    ],
+    constraints=[], evaluated=400, feasible=390, size=SIZE, copied=0, knee=KNEE, hypervolume=None, growth=[],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("limit", "ranks"), [(5, [1, 2, 3, KNEE, SIZE]), (1, [1, KNEE, SIZE]), (99, list(range(1, SIZE + 1)))])
+def test_knee_and_extremes_are_among_the_first_sets(limit: int, ranks: list[int]) -> None:
+    assert [kept.rank for kept in first_of_front(ROWS, limit)] == ranks
+
+
+def test_the_command_line_prints_as_many_sets_as_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    print_front(ROWS, SUMMARY, 5)
+    printed = capsys.readouterr().out.splitlines()
+    assert [int(line.split()[0]) for line in printed[-5:]] == [1, 2, 3, KNEE, SIZE]
+
+
+def test_a_report_with_objectives_has_a_section_about_the_front() -> None:
+    (_, listed, _, command) = front.parts(ROWS, SUMMARY, "c")
+    assert listed.count("<tr") == front.SHOWN + 1
+    assert "knee" in listed
+    assert "best jerk" in listed
+    assert "drivecal front c" in command
+    assert 'id="section-front"' in page(findings(front=ROWS, front_summary=SUMMARY), {}, [], "0")
+    assert 'id="section-front"' not in page(findings(), {}, [], "0")
+
+
+@pytest.mark.parametrize("objectives", [None, [{"score": "comfort"}]])
+def test_a_campaign_with_objectives_names_the_command_for_its_front(
+    objectives: list[object] | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign = findings().campaign.model_copy(update={"spec": {"objectives": objectives}})
+    print_campaign(campaign)
+    assert (f"drivecal front {campaign.id}" in capsys.readouterr().out) is (objectives is not None)
+
+
+def test_without_a_map_predictions_answer_too() -> None:
+    (equal,) = influence.parts([], None, [], CellCounts(requested=9, simulated=9))
+    assert "only equal parameter sets" in equal
+    (predicted,) = influence.parts([], None, [], CellCounts(requested=9, simulated=5, predicted=4))
+    assert "only equal" not in predicted
+    assert "predictions" in predicted
