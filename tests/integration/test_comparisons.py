@@ -226,7 +226,7 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     assert rate.lots == sum(one.error_rate["S1"].lots for one in inspected)
     assert rate.upper_95 is not None
     assert not rate.stopped
-    assert len(ended.notes) == sum("were rejected" in note for one in inspected for note in one.notes) > 0
+    assert len(ended.notes) == sum("lots of reused answers" in note for one in inspected for note in one.notes) > 0
     assert all(note.startswith("genetic, population 9, seed ") for note in ended.notes)
     with database.read() as connection:
         figures, _ = generations.page(connection, exact[0].sequence, limit=10)
