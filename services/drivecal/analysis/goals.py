@@ -26,7 +26,7 @@ class CellValue:
     none without it."""
 
     scale: Scale | None = None
-    """Of a score."""
+    """The scale of a score; None for a measure."""
     formula: str | None = None
     measure: str | None = None
     failed: float | None = None

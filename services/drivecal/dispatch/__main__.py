@@ -42,7 +42,7 @@ def main() -> int:
         logs.configure("dispatcher", settings)
         serve(settings, stop)
     except BackendLostError as error:
-        log.error("%s; a new process replaces this one", error)  # noqa: TRY400  # as below
+        log.error("%s; a new process replaces this one", error)  # noqa: TRY400  # the sentence says it all
         os._exit(1)  # Ray's own farewell, even that of the interpreter's end, would wait a minute for an answer
     except DrivecalError as error:
         log.error("%s", error)  # noqa: TRY400  # the sentence says it all; a traceback would bury it

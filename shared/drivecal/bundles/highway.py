@@ -239,7 +239,7 @@ class FlowEntry(Driver):
 
 
 class Surroundings(Model):
-    """What surrounds the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others."""
+    """The surroundings of the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others."""
 
     routes: File | None = None
     traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]

@@ -30,7 +30,7 @@ COMMANDS: Mapping[str, Quantity] = MappingProxyType(
         ),
     }
 )
-"""What a controller may output: acceleration, and curvature or steering; or a trajectory alone."""
+"""Outputs of a controller: acceleration, and curvature or steering; or a trajectory alone."""
 VEHICLE_INPUTS = ("steering", "acceleration")
 VEHICLE_STATES: Mapping[str, Quantity] = MappingProxyType(
     {
@@ -45,7 +45,7 @@ VEHICLE_STATES: Mapping[str, Quantity] = MappingProxyType(
         "steering_angle": Quantity("rad", "angle of the front wheels; else the commanded one"),
     }
 )
-"""What a vehicle of the user's may give after a step, and what counts if it does not; the first four are needed."""
+"""States that a user's vehicle gives after a step, with their values if it leaves them out; the first four are needed."""
 PLANNER_PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
 """Parameters of the built-in planner."""
 

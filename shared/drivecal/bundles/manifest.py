@@ -74,9 +74,9 @@ class FmuSimulator(SimulatorEntry):
     file: File
     """The FMU."""
     duration: Annotated[float, Field(gt=0, le=1e6)]
-    """Of a run, s."""
+    """Duration of a run, s."""
     step: Annotated[float, Field(gt=0, le=1e4)]
-    """Of the communication, s."""
+    """Step of the communication, s."""
     measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
     """By name, how each is computed from an output."""
 
@@ -136,11 +136,11 @@ class Manifest(Model):
     baseline: dict[Identifier, Number | Choice] | None = None
     """The set that results are compared with."""
     simulator: AnySimulator
-    """What runs a parameter set in a scenario."""
+    """The program that runs a parameter set in a scenario."""
     scenarios: Annotated[dict[Identifier, dict[str, Any]], Field(min_length=1, max_length=1000)]
     """Data of each, which the simulator gets as it is."""
     measures: Annotated[dict[Identifier, Unit], Field(min_length=1, max_length=1000)]
-    """What a run returns, with units."""
+    """Results of a run, with units."""
     failures: Annotated[tuple[Identifier, ...], Field(max_length=100, strict=False)] = ()
     """Names of failures that a run may return; none listed: any."""
     series: Annotated[dict[Identifier, Unit], Field(max_length=100, default_factory=dict)]

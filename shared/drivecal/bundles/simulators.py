@@ -25,7 +25,7 @@ class SimulatorEntry(Model):
     """
 
     timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
-    """Of a run, s of wall-clock time."""
+    """Longest run, s of wall-clock time."""
     memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
     """Of the processes of a run."""
     deterministic: bool = False

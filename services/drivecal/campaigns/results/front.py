@@ -43,7 +43,7 @@ class CampaignFront:
 
     @cached_property
     def points(self) -> Floats:
-        """What dominance compares, shape (n, m); higher is better."""
+        """Values that dominance compares, shape (n, m); higher is better."""
         return self._compared([member.solution for member in self.members])
 
     @cached_property
@@ -63,7 +63,7 @@ class CampaignFront:
 
     @cached_property
     def winning(self) -> list[WinningWeights] | None:
-        """Where each set wins; None if that is not computed."""
+        """Weights under which each set wins; None if they are not computed."""
         return winning_weights(self.points) if self.members else []
 
     @cached_property

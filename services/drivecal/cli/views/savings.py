@@ -1,4 +1,4 @@
-"""What follows a campaign in `show` and `watch`: trust in its result, the self-check by scenario, and the balance of reuse."""
+"""The lines below a campaign in `show` and `watch`: trust in its result, the self-check by scenario, and the balance of reuse."""
 
 from collections.abc import Mapping, Sequence
 

@@ -129,7 +129,7 @@ class ReferencePlanner:
     def desired_at(self, s: float) -> float:
         return float(np.interp(s, self.line[:, 0], self.desired))
 
-    @cache  # noqa: B019  # as above
+    @cache  # noqa: B019  # a planner lives as long as a test
     def curvature_at(self, s: float) -> float:
         return float(np.interp(s, self.line[:, 0], self.line[:, 4], left=0.0, right=0.0))
 
