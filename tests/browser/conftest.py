@@ -51,7 +51,8 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def opening(browser: Browser) -> Iterator[Opening]:
     """Opens pages, each in a context of its own that has never been used; at the end nothing may have been complained about, and nobody
-    asked but the server whose page it is. `expected`: parts of complaints that belong to the test."""
+    asked but the server whose page it is. `expected`: parts of complaints that belong to the test. A test that ends its server closes its
+    page before, which complains about a lost connection otherwise."""
     contexts: list[BrowserContext] = []
     complaints: list[str] = []
     strangers: list[str] = []

@@ -150,6 +150,7 @@ def test_an_evaluation_without_declared_series_is_not_simulated_again(
         page = opening(f"{api.url}/#/evaluations/1")
         expect(page.get_by_text("declares no time series")).to_be_visible()
         assert api.http.get("/api/v1/campaigns").json()["items"][0]["kind"] == "calibration"
+        page.close()
 
 
 def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, opening: Opening) -> None:

@@ -77,6 +77,7 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
         expect(page.get_by_text("Finished.")).to_be_visible()
         requested = get(api.database, campaign).cells.requested
         expect(page.get_by_role("img", name=f"{requested} requested")).to_be_visible()
+        page.close()
 
 
 @pytest.mark.parametrize("small", [False, True], ids=["desktop", "dark-phone"])
@@ -141,6 +142,7 @@ def test_a_study_is_started_from_the_page(tmp_path: Path, opening: Opening) -> N
         rows = page.get_by_role("table").get_by_role("row")
         expect(rows.nth(2)).to_contain_text("test (validation)")
         expect(rows.nth(1)).to_contain_text(campaign.id[:8])
+        page.close()
 
 
 def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, opening: Opening) -> None:
@@ -356,6 +358,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_label("Token")).to_be_visible()
         page.reload()
         expect(page.get_by_label("Token")).to_be_visible()
+        page.close()
 
 
 def test_every_view_comes_back_with_the_server(tmp_path: Path, opening: Opening) -> None:

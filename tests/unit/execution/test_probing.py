@@ -125,14 +125,20 @@ def test_cells_go_to_the_workers_that_agree(odd: int) -> None:
     assert any("2.0" in (trouble or "") and "1.0" in (trouble or "") for trouble in troubles)
 
 
-def test_a_campaign_without_an_agreeing_worker_is_hopeless_after_a_while() -> None:
-    backend = FakeBackend(tools={1: "2.0", 2: "2.0"})
-    pool = pool_on(backend)
-    submit(pool, "1.0")
+def hopeless_in_time(backend: FakeBackend, pool: WorkPool) -> str:
+    """Works until campaign a is hopeless; returns the reason."""
     while (reason := pool.hopeless("a")) is None:
         assert backend.now < 3 * PATIENCE_WITH_ANSWERS
         pool.poll(1.0)
     assert backend.now >= PATIENCE_WITH_ANSWERS
+    return reason
+
+
+def test_a_campaign_without_an_agreeing_worker_is_hopeless_after_a_while() -> None:
+    backend = FakeBackend(tools={1: "2.0", 2: "2.0"})
+    pool = pool_on(backend)
+    submit(pool, "1.0")
+    reason = hopeless_in_time(backend, pool)
     assert "1.0" in reason
     assert "2.0" in reason
     assert any(fault is None for _, fault in backend.replaced), "a new process may see another version"
@@ -158,10 +164,7 @@ def test_workers_whose_probe_breaks_do_not_agree() -> None:
     backend = FakeBackend(tools={1: "2.0"}, refusing={2: "the probe ended with exit code 3"})
     pool = pool_on(backend)
     submit(pool, "1.0")
-    while (reason := pool.hopeless("a")) is None:
-        assert backend.now < 3 * PATIENCE_WITH_ANSWERS
-        pool.poll(1.0)
-    assert backend.now >= PATIENCE_WITH_ANSWERS
+    reason = hopeless_in_time(backend, pool)
     assert "2.0" in reason
     assert "exit code 3" in reason
 
