@@ -62,11 +62,17 @@ class LocalEvaluation:
         return sum(scores) / len(scores) if len(scores) == len(self.cells) else None
 
     def _repr_html_(self) -> str:
-        """Returns a table with a row per scenario."""
+        """Returns a table with a row per scenario; failures and errors have columns if there are any."""
         cells = self.cells.values()
+        reasons = [name for name in ("failure", "error") if any(getattr(cell, name) is not None for cell in cells)]
         return html_table(
             [
-                {"scenario": cell.scenario, "score": cell.score, "failure": cell.failure, **cell.metrics, "error": cell.error}
+                {
+                    "scenario": cell.scenario,
+                    "score": cell.score,
+                    **cell.metrics,
+                    **{name: getattr(cell, name) for name in reasons},
+                }
                 for cell in cells
             ]
         )
