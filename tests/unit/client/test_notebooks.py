@@ -68,7 +68,17 @@ def test_a_running_campaign_has_a_bar_and_an_ended_one_has_none() -> None:
 
 def test_rows_are_a_list_and_a_table() -> None:
     solutions = [
-        Solution.model_construct(rank=rank, objective=0.5, parameters={"P1": 2.0}, scores={"S1": 7}) for rank in range(1, 31)
+        Solution(
+            rank=rank,
+            objective=0.5,
+            rating=0.4,
+            reused=[],
+            parameters={"P1": 2.0},
+            scores={"S1": 7},
+            iteration=0,
+            individual=rank,
+        )
+        for rank in range(1, 31)
     ]
     rows = Rows(solutions)
     assert rows == solutions
@@ -79,7 +89,7 @@ def test_rows_are_a_list_and_a_table() -> None:
 
 
 def test_a_map_is_shown_with_its_rows() -> None:
-    row = InfluenceRow.model_construct(scenario="S1", parameter="P<1>", influential=True)
+    row = InfluenceRow(scenario="S1", parameter="P<1>", influential=True, lower=0.0, upper=1.0)
     shown = InfluenceMapAnswer(id="a" * 32, name="mine", source="expert", driving_function="frenet", rows=[row])._repr_html_()
     assert "P&lt;1&gt;" in shown
     assert "expert" in shown
