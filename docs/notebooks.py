@@ -22,9 +22,14 @@ SECONDS = 600
 _ID = re.compile(r"\b[0-9a-f]{32}\b")
 
 
+def stored(path: Path) -> Any:
+    """Returns a notebook as it is in its file."""
+    return nbformat.read(path, as_version=4)  # type: ignore[no-untyped-call]  # not all of nbformat has types
+
+
 def executed(path: Path, folder: Path) -> Any:
     """Returns a notebook with the outputs that its cells have now, run in `folder`. Raises CellExecutionError if a cell fails."""
-    notebook = nbformat.read(path, as_version=4)
+    notebook = stored(path)
     NotebookClient(notebook, timeout=SECONDS, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
     for cell in notebook.cells:
         cell.metadata.clear()  # times of its run
@@ -59,7 +64,8 @@ def main() -> None:
             os.environ["DRIVECAL_URL"] = client.url
             for path in NOTEBOOKS:
                 (folder / path.stem).mkdir()
-                nbformat.write(executed(path, folder / path.stem), path)
+                notebook = executed(path, folder / path.stem)
+                nbformat.write(notebook, path)  # type: ignore[no-untyped-call]  # not all of nbformat has types
                 print(f"{path.name}: its outputs are stored")
 
 

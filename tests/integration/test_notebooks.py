@@ -32,7 +32,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.mark.parametrize("path", notebooks.NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.usefixtures("server")
 def test_a_notebook_gives_what_it_shows(path: Path, tmp_path: Path) -> None:
-    stored = nbformat.read(path, as_version=4)
+    stored = notebooks.stored(path)
     nbformat.validate(stored)
     assert notebooks.shown(notebooks.executed(path, tmp_path)) == notebooks.shown(stored), "type: python docs/notebooks.py"
 
@@ -41,7 +41,5 @@ def test_both_notebooks_are_there_with_tables_and_charts() -> None:
     assert [path.stem for path in notebooks.NOTEBOOKS] == ["first-campaign", "own-function"]
     assert notebooks.NOTEBOOKS[0].is_relative_to(DOCS)
     for path in notebooks.NOTEBOOKS:
-        kinds = {
-            kind for outputs in notebooks.shown(nbformat.read(path, as_version=4)) for output in outputs for kind in output
-        }
+        kinds = {kind for outputs in notebooks.shown(notebooks.stored(path)) for output in outputs for kind in output}
         assert {"text/html", "image/png"} <= kinds

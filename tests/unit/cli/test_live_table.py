@@ -92,7 +92,12 @@ def test_programs_get_the_same_as_json() -> None:
 def test_the_live_table_outlives_a_restart_of_the_server_and_ends_with_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
     monkeypatch.setattr(time, "sleep", waits.append)
-    answers = [[RUNNING], UnavailableError("it is away"), [FAILED], KeyboardInterrupt()]
+    answers: list[list[SearchedCampaign] | BaseException] = [
+        [RUNNING],
+        UnavailableError("it is away"),
+        [FAILED],
+        KeyboardInterrupt(),
+    ]
 
     def read() -> list[SearchedCampaign]:
         answer = answers.pop(0)

@@ -15,7 +15,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.local.problems import run_problem
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
-BRAKE = {"trigger_ttc": 1.6, "deceleration": 7, "jerk": 30, "confirmations": 2, "warning": "sound"}
+BRAKE: dict[str, float | str] = {"trigger_ttc": 1.6, "deceleration": 7, "jerk": 30, "confirmations": 2, "warning": "sound"}
 GOLDEN = Path(__file__).parents[2] / "golden" / "cells.json"
 VALUES = [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87]
 HASTY = {f"P{number}": value for number, value in enumerate(VALUES, start=1)}
@@ -96,6 +96,7 @@ def test_a_changed_file_is_another_simulation(tmp_path: Path, monkeypatch: pytes
     ],
 )
 def test_wrong_arguments_of_a_problem_are_refused_by_their_field(arguments: dict[str, Any], field: str) -> None:
+    given: dict[str, Any] = {"parameters": BRAKE, "problem": EXAMPLE}
     with pytest.raises(InvalidInputError) as refused:
-        local.evaluate(**({"parameters": BRAKE, "problem": EXAMPLE} | arguments))
+        local.evaluate(**(given | arguments))
     assert any(problem.field.startswith(field) for problem in refused.value.problems)
