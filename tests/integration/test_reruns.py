@@ -34,7 +34,7 @@ from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
@@ -54,8 +54,8 @@ class Strict:
     name: str = "strict"
     version: str = "7"
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        del manoeuvre
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
+        del rated_as
         rating = max(0.0, metrics["comfort"] - 1)
         return Rating(rating, round(rating))
 
