@@ -123,7 +123,11 @@ def test_a_score_that_no_push_declares_for_these_measures_is_refused(
 
 def test_a_rerun_under_another_formula_names_better_stored_sets(asked: Asked, database: Database) -> None:
     digest = store(database, MANIFEST | {"scores": PUSHED_LATER})
-    changes = {"weights": {}, "problem": "mine", "optimizer": {"kind": "random", "population": 2, "iterations": 1, "seed": 5}}
+    changes: dict[str, Any] = {
+        "weights": {},
+        "problem": "mine",
+        "optimizer": {"kind": "random", "population": 2, "iterations": 1, "seed": 5},
+    }
     accepted = asked.http.post(f"{asked.first}/rerun", json=changes).raise_for_status().json()
     path = f"/api/v1/campaigns/{accepted['id']}"
     with database.read() as connection:

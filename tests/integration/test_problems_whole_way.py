@@ -14,7 +14,7 @@ from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
 
-OPTIMIZER = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
+OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
 """Few cells and many iterations, so that a kill hits the middle."""
 FORMULA = "2*{0} + 1"
 
