@@ -101,7 +101,7 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
         return None
     score = None
     if (ours.evaluator, ours.scale) != (theirs.evaluator, theirs.scale):
-        if campaign.spec["problem"] == HIGHWAY or not _constrained_alike(database, campaign, earlier):
+        if campaign.spec.get("problem", HIGHWAY) == HIGHWAY or not _constrained_alike(database, campaign, earlier):
             return None
         score = f"{campaign.spec['evaluator']}@{campaign.spec['problem']}"
     given: Mapping[str, float] = campaign.spec["weights"]
