@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -13,6 +13,10 @@ from tests.support.serve import Server, serving, until
 from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
+
+OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
+"""Few cells and many iterations, so that a kill hits the middle."""
+FORMULA = "2*{0} + 1"
 
 pytestmark = pytest.mark.slow
 
@@ -26,46 +30,104 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="module")  # the last test kills it
-def server(home: Path) -> Iterator[Server]:
-    with started(home) as running:
-        yield running
+class Machine:
+    """A user's machine, on which the server runs with its workers until it is killed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.server = self._started()
+
+    def _started(self) -> Server:
+        cache = str(self._folder / "cache")
+        return Server(self._folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache)
+
+    def client(self) -> Client:
+        return Client(self.server.url)
+
+    def kill(self) -> None:
+        """Ends the server and everything it started by SIGKILL."""
+        family = self.server.family()
+        self.server.process.kill()
+        for process in family:
+            process.kill()
+        self.server.process.wait()
+
+    def restart(self) -> None:
+        self.server = self._started()
+
+    def stored_state(self, campaign: str) -> str:
+        """State of a campaign in the database, whether the server runs or not."""
+        with sqlite3.connect(self._folder / "home" / "drivecal.db") as connection:
+            [state] = connection.execute("SELECT state FROM campaigns WHERE id = ?", (campaign,)).fetchone()
+        return str(state)
 
 
-def started(folder: Path) -> AbstractContextManager[Server]:
-    return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
+@pytest.fixture(scope="module")
+def machine(home: Path) -> Iterator[Machine]:
+    machine = Machine(home)
+    yield machine
+    machine.kill()
+
+
+def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
+    """Changes the manifest of a problem; returns it."""
+    manifest: dict[str, Any] = yaml.safe_load((folder / "problem.yaml").read_text()) | changes
+    (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    return manifest
 
 
 @pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
-def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str, server: Server, tmp_path: Path) -> None:
+def test_an_example_is_killed_resumed_and_rated_anew(name: str, machine: Machine, tmp_path: Path) -> None:
     folder = problem(name, tmp_path)
-    with Client(server.url) as client:
+    manifest = rewritten(folder)
+    spec = {**SPEC, "problem": name, "optimizer": OPTIMIZER, "reduction": {"mode": "off"}}
+    with machine.client() as client:
         pushed = client.push_problem(folder)
-        first = client.wait(client.submit({**SPEC, "problem": name}).id)
-        assert (first.state, first.error, first.cells.failed) == ("succeeded", None, 0)
-        assert first.spec["problem"] == pushed.digest
-        assert first.cells.simulated > 50
-        assert first.best is not None
-        manifest = yaml.safe_load((folder / "problem.yaml").read_text())
-        assert set(first.best.parameters) == set(manifest["parameters"])
+        whole = client.wait(client.submit(spec).id)
+        assert (whole.state, whole.error, whole.cells.failed) == ("succeeded", None, 0)
+        assert whole.best is not None
+        assert set(whole.best.parameters) == set(manifest["parameters"])
+        begun = client.submit(spec).id
+        until(lambda: (client.campaign(begun).iteration or 0) >= 2, "a third iteration")
+    machine.kill()
+    assert machine.stored_state(begun) == "running"
+    machine.restart()
 
-        manifest["scores"] = {
-            "anew": {"formula": f"2*{next(iter(manifest['measures']))}", "direction": "minimise", "range": [0, 50]}
-        }
-        (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    measure = next(iter(manifest["measures"]))
+    with machine.client() as client:
+        resumed = client.wait(begun)
+        assert (resumed.state, resumed.best, resumed.cells) == ("succeeded", whole.best, whole.cells)
+        assert rows(client, begun) == rows(client, whole.id)
+
+        anew = {"formula": FORMULA.format(measure), "direction": "minimise", "range": [0, 50], "failed": 99}
+        rewritten(folder, scores={"anew": anew})
         again = client.push_problem(folder)
         assert again.digest != pushed.digest
-        sets = [row.parameters for row in client.solutions(first.id, limit=20).items]
-        rated = client.wait(
-            client.submit({**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "iterations": 1, "start_sets": sets}}).id
-        )
+        changes = {"problem": name, "weights": {}, "optimizer": OPTIMIZER | {"iterations": 1}, "reduction": {"mode": "exact"}}
+        rated = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
         assert rated.spec["problem"] == again.digest
-        assert rated.cells.repeated >= len(sets) * len(manifest["scenarios"])
+        assert (rated.cells.simulated, rated.cells.repeated) == (0, OPTIMIZER["population"] * len(manifest["scenarios"]))
+        before = by_cell(client, whole.id)
+        for cell, row in by_cell(client, rated.id).items():
+            assert row[f"measure_{measure}"] == before[cell][f"measure_{measure}"]
+            assert row["score"] == (2 * row[f"measure_{measure}"] + 1 if row["failure"] is None else 99)
 
         (folder / "extra.txt").write_text("one byte more")
         client.push_problem(folder)
-        other = client.wait(client.submit({**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "iterations": 1}}).id)
-        assert other.cells.repeated == 0
+        other = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
+        assert (other.cells.repeated, other.cells.simulated) == (0, rated.cells.repeated)
+
+
+def by_cell(client: Client, campaign: str) -> dict[tuple[int, str], dict[str, Any]]:
+    """The first generation of a campaign with its measures, by individual and scenario."""
+    table = client.evaluations(campaign, measures="true", where=["iteration=0"]).to_arrow().to_pylist()
+    return {(row["individual"], row["scenario"]): row for row in table}
+
+
+@pytest.fixture(scope="module")
+def server(home: Path) -> Iterator[Server]:
+    with serving(home, workers=2, DRIVECAL_BUNDLE_CACHE=str(home / "cache")) as running:
+        yield running
 
 
 def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server, tmp_path: Path) -> None:
@@ -85,30 +147,3 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
             simulated.append(ended.cells.simulated)
     assert simulated[0] == simulated[2] > 0
     assert simulated[1] == simulated[3] == 0
-
-
-def simulates(client: Client, campaign: str) -> bool:
-    """Whether a campaign is in the middle of its search."""
-    return client.campaign(campaign).cells.simulated > 30
-
-
-def test_a_killed_server_resumes_problems_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
-    expected, begun = {}, {}
-    with Client(server.url) as client:
-        for name in ("python-function", "acc-highway"):
-            client.push_problem(problem(name, tmp_path))
-            spec = {**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
-            ended = client.wait(client.submit(spec).id)
-            expected[name] = ended.best, rows(client, ended.id)
-            begun[name] = client.submit(spec).id
-            until(partial(simulates, client, begun[name]), "some cells are simulated")
-    family = server.family()
-    server.process.kill()
-    for process in family:
-        process.kill()
-    server.process.wait()
-    with started(home) as resumed, Client(resumed.url) as client:
-        for name, campaign in begun.items():
-            ended = client.wait(campaign)
-            assert ended.state == "succeeded"
-            assert (ended.best, rows(client, campaign)) == expected[name]

@@ -1,4 +1,4 @@
-"""A simulator that mostly waits, as one of 90 s does, scaled down: real children, real clocks, and the account of a campaign."""
+"""A simulator that mostly waits, of 90 s in the long form: real children, real clocks, and the account of a campaign."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support.effort import LONG
 from tests.support.serve import serving
 
 from drivecal.client import Client
 
-SECONDS = 0.4
+SECONDS, POPULATION = (90.0, 2) if LONG else (0.4, 8)
 MODEL = f"import time\n\ndef evaluate(parameters, scenario):\n    time.sleep({SECONDS})\n    return {{'y': parameters['x']}}\n"
 MANIFEST: dict[str, Any] = {
     "problem": "sleeping",
     "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.1}},
-    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "timeout": 60, "deterministic": True},
+    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "timeout": 600, "deterministic": True},
     "scenarios": {"city": {}},
     "measures": {"y": "1"},
     "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
@@ -24,12 +25,12 @@ MANIFEST: dict[str, Any] = {
 SPEC: dict[str, Any] = {
     "problem": "sleeping",
     "sensitivity": None,
-    "optimizer": {"kind": "random", "population": 8, "iterations": 1, "seed": 1},
+    "optimizer": {"kind": "random", "population": POPULATION, "iterations": 1, "seed": 1},
     "reduction": {"mode": "exact"},
 }
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(1200)
 def test_cpu_time_wall_time_and_savings_of_a_simulator_that_sleeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     folder = tmp_path / "sleeping"

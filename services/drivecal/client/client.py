@@ -197,8 +197,8 @@ class Client(Transport):
         limit: int | None = None,
         score: str | None = None,
     ) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its score
-        or another of its problem."""
+        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its
+        score, another of its problem, or `NAME@PUSH`: one that another push declares."""
         return self._get(
             SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
         )

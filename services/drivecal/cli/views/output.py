@@ -218,7 +218,8 @@ def when(moment: datetime | None) -> str:
 
 def _set_text(shown: Best | Baseline) -> str:
     objective = "no result yet" if shown.objective is None else f"{shown.objective:.4f}"
-    return f"{objective}  {parameters_text(shown.parameters)}"
+    broken = f"  breaks the constraints on results by {shown.violation:.1%}" if shown.violation > 0 else ""
+    return f"{objective}{broken}  {parameters_text(shown.parameters)}"
 
 
 def _text(value: object) -> str:
