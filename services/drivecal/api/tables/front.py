@@ -16,7 +16,7 @@ from drivecal.contracts.tables import FrontRow
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.scales import Direction, plain
+from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -133,9 +133,8 @@ def trade_off(table: FrontTable, resolved: ResolvedSpec, first: int, second: int
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:
-    unit = "" if goal.unit == "1" else f" {goal.unit}"
     gain = difference.gain or 0.0
-    values = f"{difference.first:.6g} to {difference.second:.6g}{unit}"
+    values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
     return f"{goal.name} {'stays as it is' if gain == 0 else 'gets better' if gain > 0 else 'gets worse'}: {values}"
 
 
