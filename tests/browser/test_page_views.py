@@ -240,7 +240,7 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     page.get_by_role("button", name="+ start sets").click()
     sets = page.get_by_label("start sets")
     sets.fill('[{"P1": 3')
-    expect(page.get_by_role("alert")).to_contain_text("optimizer.start_sets: this is no valid JSON")
+    expect(page.get_by_role("alert")).to_contain_text("optimizer.start_sets: this is not valid JSON")
     sets.fill(json.dumps([{"S" * 63: 1}]))
     expect(page.get_by_role("alert")).to_contain_text("S" * 63)
     assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")

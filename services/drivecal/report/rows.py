@@ -70,7 +70,7 @@ def interval_text(rows: Sequence[ValidationRow]) -> str:
         )
     return (
         "These 95 % intervals (Clopper-Pearson) are too narrow: an earlier version of drivecal took the variants of one base set as "
-        "independent. `drivecal validate ID --again` makes the study anew."
+        "independent. `drivecal validate ID --again` repeats the study."
     )
 
 

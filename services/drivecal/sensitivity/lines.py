@@ -1,7 +1,7 @@
 """Designs along the parameters' axes: many boxes of one parameter share the same base points.
 
 An analysis of one parameter in one box needs two runs per effect that differ in that parameter alone. A radial design gives the effects
-of all parameters, of which complexity reduction uses one. Here every base point has, for each parameter and box, two points inside the
+of all parameters; complexity reduction uses one of them. Here every base point has, for each parameter and box, two points inside the
 box, with the base point's values of all others and with the step law of the radial design.
 """
 

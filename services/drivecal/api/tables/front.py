@@ -185,7 +185,7 @@ def _weights(text: str, names: Sequence[str]) -> dict[str, float]:
         if name not in names
     ]
     problems += [
-        Problem(f"weights.{name}", f"{weight:g} is no weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}")
+        Problem(f"weights.{name}", f"{weight:g} is not a weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}")
         for name, weight in given.items()
         if not 0 <= weight <= LARGEST_WEIGHT
     ]

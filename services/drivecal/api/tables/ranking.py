@@ -85,7 +85,7 @@ def ranking(
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
     """Returns the best set of the `earlier` campaign under the weights of its rerun; None if there is none, before the end of the rerun,
-    with objectives or constraints, and if setups, space or score differ. Reads the answers of the earlier campaign anew."""
+    with objectives or constraints, and if setups, space or score differ. Reads all answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
@@ -133,7 +133,7 @@ def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
         if name not in simulated:
             problems.append(Problem(where, "the campaign did not simulate this scenario", f"one of {', '.join(simulated)}"))
         elif not 0 <= weight <= LARGEST_WEIGHT:
-            problems.append(Problem(where, f"{weight:g} is no weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
+            problems.append(Problem(where, f"{weight:g} is not a weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
     weights = {name: given.get(name, 1.0) for name in simulated}
     if not problems and not any(weights.values()):
         problems.append(Problem("weights", "all weights are 0", "give at least one scenario a positive weight"))

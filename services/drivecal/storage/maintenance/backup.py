@@ -62,7 +62,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
 def restore(file: Path, database: Database, progress: Progress) -> Copied:
     """Fills an empty database from a backup and brings it to this drivecal's revision. The caller holds the server's lock.
 
-    Raises DatabaseError if the file is no backup or the database has rows, and UnavailableError; the database is then as it was.
+    Raises DatabaseError if the file is not a backup or the database has rows, and UnavailableError; the database is then as it was.
     """
     if not file.is_file():
         raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")

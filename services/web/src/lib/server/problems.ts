@@ -1,8 +1,8 @@
-/** What is wrong with a form: what the API says of its fields, and JSON that is none. */
+/** What is wrong with a form: what the API says of its fields, and invalid JSON. */
 
 import type { FieldProblem } from "./types";
 
-/** What stands in a field that ought to be JSON and cannot be read; it is never sent. */
+/** Invalid JSON in a field; it is never sent. */
 export class Broken {
   constructor(
     readonly text: string,
@@ -31,7 +31,7 @@ export function at(problems: readonly FieldProblem[], path: string, fields = fal
 
 /** The fields of a form in which no JSON stands where there ought to be. */
 export function brokenIn(value: unknown, path = ""): FieldProblem[] {
-  if (value instanceof Broken) return [{ field: path, message: `this is no valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
+  if (value instanceof Broken) return [{ field: path, message: `this is not valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
   if (Array.isArray(value)) return value.flatMap((entry, place) => brokenIn(entry, `${path}[${place}]`));
   if (typeof value !== "object" || value === null) return [];
   return Object.entries(value).flatMap(([name, entry]) => brokenIn(entry, path === "" ? name : `${path}.${name}`));
