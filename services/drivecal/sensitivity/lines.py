@@ -73,7 +73,7 @@ def regions_design(
 ) -> Design:
     """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
 
-    Where a base point lies inside a region it is the first of the two, so that regions share these runs; what is asked twice is
+    A base point inside a region is the first of the two, so that regions share these runs; what is asked twice is
     answered by the reference table. Equal regions have equal points, whatever else is in the list.
     """
     base = base_points(n_values, samples, seed, tag)

@@ -125,7 +125,7 @@ class _PostgresLock(_Releasing):
 
     def release(self) -> None:
         if not self._connection.closed:
-            self._connection.invalidate()  # ends the session, even where it is broken
+            self._connection.invalidate()  # ends the session, even a broken one
             self._connection.close()
 
     def _alive(self) -> bool:

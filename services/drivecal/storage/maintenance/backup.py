@@ -160,7 +160,7 @@ def _opened(file: Path) -> Iterator[Database]:
 
 def _check_file(partial: Path, rows: dict[str, int]) -> None:
     with translated(str(partial)), closing(sqlite3.connect(partial)) as plain:
-        plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read where nothing can be written too
+        plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read from read-only media too
     with _opened(partial) as opened, opened.read() as connection:
         _refuse_damaged(connection, partial)
         _compare(connection, rows, "the backup")

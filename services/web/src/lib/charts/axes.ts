@@ -72,7 +72,7 @@ export function colouring(name: string, scale: Scale, range: readonly [number, n
   return isMinimised(scale) ? { name, worst: high, best: low } : { name, worst: low, best: high };
 }
 
-/** The values of a column along its axis: texts by their place among the choices, NaN where there is none. */
+/** The values of a column along its axis: texts by their place among the choices, NaN if there is none. */
 export function positions(table: Table, axis: Pick<Axis, "name" | "choices">): Float64Array {
   const column = table.columns[axis.name];
   if (column === undefined) return new Float64Array(0);

@@ -58,7 +58,7 @@ export function follow(campaign: string, follower: Follower): () => void {
   };
 }
 
-/** Tries at once, where it waits to try again: after logging in, for example. */
+/** Retries at once instead of waiting: after logging in, for example. */
 export function reconnect(): void {
   wait = FIRST_WAIT;
   clearTimeout(timer);

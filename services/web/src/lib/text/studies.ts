@@ -12,7 +12,7 @@ const BOXES = ["delta", "steps", "samples", "eta", "condition", "refinements", "
 
 type Known = Pick<Campaign, "kind" | "spec">;
 
-/** Whether it searches for parameters. In a list, long specifications are left out: then it is taken to. */
+/** Whether it searches for parameters; assumed if a list leaves out a long specification. */
 export function calibrates(campaign: Known): boolean {
   return campaign.kind !== "calibration" || campaign.spec.optimizer !== null;
 }
