@@ -68,7 +68,7 @@ def ranking(
     A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
     that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
     """
-    used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
+    used = resolved.weights if weights is None else given_weights(weights, list(resolved.weights), "scenario")
     other = None if score is None else _other_score(database, campaign, score)
     scale = resolved.scale if other is None or other.scale is None else other.scale
     goals = resolved.goals if weights is None and score is None else None
@@ -124,19 +124,19 @@ def _rated(connection: Connection, campaign: StoredCampaign, evaluator: str, val
         )
 
 
-def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
-    """Returns weights by scenario in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
+def given_weights(text: str, names: Sequence[str], kind: str) -> Mapping[str, float]:
+    """Returns weights by scenario or objective in the campaign's order; those that are not named have weight 1, as in a campaign file."""
     given = assignments(text.split(","), "weights")
     problems: list[Problem] = []
     for name, weight in given.items():
         where = f"weights.{name}"
-        if name not in simulated:
-            problems.append(Problem(where, "the campaign did not simulate this scenario", f"one of {', '.join(simulated)}"))
+        if name not in names:
+            problems.append(Problem(where, f"the campaign did not examine this {kind}", f"one of {', '.join(names)}"))
         elif not 0 <= weight <= LARGEST_WEIGHT:
             problems.append(Problem(where, f"{weight:g} is not a weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
-    weights = {name: given.get(name, 1.0) for name in simulated}
+    weights = {name: given.get(name, 1.0) for name in names}
     if not problems and not any(weights.values()):
-        problems.append(Problem("weights", "all weights are 0", "give at least one scenario a positive weight"))
+        problems.append(Problem("weights", "all weights are 0", f"give at least one {kind} a positive weight"))
     if problems:
         raise InvalidInputError(*problems)
     return weights

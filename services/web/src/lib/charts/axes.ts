@@ -32,6 +32,12 @@ export function parameterOf<T extends { name: string }>(column: string, paramete
   return parameters.find(({ name }) => name === column) ?? parameters.find(({ name }) => `parameter_${name}` === column);
 }
 
+/** The parameter of a column with its unit and meaning; the column's name for others. */
+export function meaningOf(column: string, parameters: readonly Ranged[]): string {
+  const known = parameterOf(column, parameters);
+  return known ? [titled(known.name, known.unit), known.description].filter(Boolean).join(": ") : column;
+}
+
 /** An axis for each column of a parameter. Texts stand in the order of the parameter's choices, then of the alphabet. */
 export function parameterAxes(table: Table, columns: readonly string[], parameters: readonly Ranged[]): Axis[] {
   return columns.flatMap((name): Axis[] => {
