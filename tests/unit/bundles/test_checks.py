@@ -18,7 +18,6 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.scales import Direction
-from drivecal.plugins.simulators import VERSIONS
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
 VALID: dict[str, Any] = {
@@ -297,7 +296,7 @@ def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only(monkeypat
     ):
         assert setup(path, value) != same
     assert setup("problem", "other", "g") != same
-    monkeypatch.setitem(VERSIONS, "process", "of another adapter")
+    monkeypatch.setattr("drivecal.bundles.fingerprints.VERSIONS", {"process": "of another adapter"})
     assert setup_document(checked(VALID), "city", "f") != same
 
 
