@@ -69,6 +69,11 @@ def test_a_module_can_be_read_in_one_sitting(path: Path) -> None:
     assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
 
 
+def test_a_module_of_tests_can_be_read_in_one_sitting() -> None:
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (PROJECT / "tests").rglob("*.py")}
+    assert [shown(path) for path, count in lines.items() if count > LONGEST] == []
+
+
 @every_module
 def test_whatever_is_public_is_documented(path: Path) -> None:
     tree = parsed(path)
@@ -125,6 +130,7 @@ def test_undocumented_things_would_be_found() -> None:
 
 @pytest.mark.parametrize("folder", sorted({path.parent for path in modules()}), ids=shown)
 def test_a_folder_can_be_overlooked(folder: Path) -> None:
+    """At most 16 modules beside the `__init__.py`, which says what the folder is for and exports its names."""
     assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_MODULES
 
 

@@ -11,11 +11,9 @@ _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 
-def setup_document(
-    manifest: Manifest, scenario: str, files: str, adapter: str | None = None, tools: str | None = None
-) -> dict[str, Any]:
-    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed;
-    `tools`: what the probe answers on the workers.
+def setup_document(manifest: Manifest, scenario: str, files: str, tools: str | None = None) -> dict[str, Any]:
+    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `tools`: what the
+    probe answers on the workers.
 
     The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do the names of
     variables, whose values on workers are not known here.
@@ -23,7 +21,7 @@ def setup_document(
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
     return {
         "simulator": section,
-        "adapter": VERSIONS[manifest.simulator.kind] if adapter is None else adapter,
+        "adapter": VERSIONS[manifest.simulator.kind],
         "scenario": scenario,
         "data": manifest.scenarios[scenario],
         "files": files,

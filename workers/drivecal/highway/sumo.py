@@ -71,7 +71,7 @@ def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
 
 
 def load(arguments: Sequence[str]) -> None:
-    """Starts SUMO, or loads it anew if it runs already. Raises one of `SUMO_ERRORS` if it refuses its files."""
+    """Starts SUMO, or loads it again if it runs already. Raises one of `SUMO_ERRORS` if it refuses its files."""
     if libsumo.isLoaded():
         libsumo.load(list(arguments))
     else:

@@ -119,7 +119,7 @@ class Map:
 
     def _road(self, element: Element, name: str | None = None) -> FileRoad:
         if self.file is None:
-            raise element.fault("the network is no OpenDRIVE file, so that roads are not known", "give a WorldPosition")
+            raise element.fault("the network is not an OpenDRIVE file, so that roads are not known", "give a WorldPosition")
         name = element.text("roadId") if name is None else name
         if name not in self.file.roads:
             roads = ", ".join(shown(road, 30) for road in list(self.file.roads)[:10])

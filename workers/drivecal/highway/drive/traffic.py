@@ -1,7 +1,7 @@
 """SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
 
 libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
-between runs if nothing is random; else SUMO loads everything anew, with the same seed.
+between runs if nothing is random; else SUMO loads everything again, with the same seed.
 """
 
 from dataclasses import replace

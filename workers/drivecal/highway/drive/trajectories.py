@@ -73,7 +73,7 @@ def checked_points(answer: Any, needed: float, time: float) -> Floats:
         points = np.zeros(0)
     fault = ""
     if points.ndim != 2 or points.shape[1:] != (3,) or not 2 <= len(points) <= MOST_POINTS:
-        fault = f"is no list of 2 to {MOST_POINTS:,} points of time, position and offset"
+        fault = f"is not a list of 2 to {MOST_POINTS:,} points of time, position and offset"
     elif not np.all(np.isfinite(points)) or np.max(np.abs(points)) > 1e7:
         fault = "has a number that is not finite, or beyond 1e7"
     elif np.any(np.diff(points[:, 0]) <= 1e-6):
