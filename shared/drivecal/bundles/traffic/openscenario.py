@@ -107,13 +107,7 @@ class ScenarioFile:
             for name, entity in present.items()
             if name != ego.name
         ]
-        edges = roads.network.edges
-        opposite = {(edges[edge].end, edges[edge].begin) for edge in route if edge in edges}
         for name, entity in entities.items():
-            if name in starts and (edges[starts[name].place.edge].begin, edges[starts[name].place.edge].end) in opposite:
-                self._notes.add(
-                    entity.element, "drives against the route: gaps and collisions are those of one that drives along it"
-                )
             if name not in starts:
                 self._notes.add(entity.element, "left out: it has no place in <Init>")
         self.notes = self._notes.texts(self._root)

@@ -301,12 +301,10 @@ def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:
     assert "duration" in refused(with_events(stop=never))
 
 
-def test_vehicles_behind_the_ego_vehicle_s_edge_lengthen_the_route() -> None:
+def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:
     found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20))))
     assert found.scenario.route == ["-7"]
     assert found.scenario.traffic[0].route == ["7"]
-    assert [note for note in found.notes if "ScenarioObject" in note and "against the route" in note]
-    assert not [note for note in of_file(scenario(CARS, EGO + OTHER)).notes if "against the route" in note]
 
 
 PEDESTRIAN = (

@@ -130,7 +130,7 @@ def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_
     d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
     lanes = lanes_of(d)
     x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
-    raw, others, outlines = np.array([[x, y, 30.0]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    raw, others, outlines = np.array([[x, y, 30.0, np.nan]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
     geometry.locate(LINE, raw, others, outlines, 0.0)
     signals = observed(others, 300.0, d, lanes, speed=30.0)
     assert signals["leader_speed"] == pytest.approx(30.0)
@@ -139,6 +139,42 @@ def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_
     seen = np.zeros(geometry.SIGNALS)
     geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
     assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+
+
+@pytest.mark.parametrize("turn", [math.pi, -math.pi, 3 * math.pi + 0.1])
+def test_a_vehicle_against_the_route_has_its_own_heading_and_speed(turn: float) -> None:
+    """Its front is before its centre as it drives, and its speed changes by its own acceleration."""
+    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    for step, s, speed in ((0.0, 340.0, 30.0), (0.1, 337.0, 29.8)):
+        x, y, heading = to_cartesian(LINE[:, :5], s, 7.0)
+        heading += turn
+        raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), speed, heading]])
+        geometry.locate(LINE, raw, others, outlines, step)
+        assert others[0, :2] == pytest.approx((s, 7.0), abs=1e-6)
+        assert others[0, 2] == -speed
+        assert outlines[0] == pytest.approx((x, y, heading, 2.5, 1.0, speed))
+    assert others[0, 3] == pytest.approx(2.0)
+    seen = observed(others, 300.0, 0.0)
+    assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is beside the lanes
+
+
+def test_a_vehicle_on_a_ramp_has_its_own_heading() -> None:
+    x, y, heading = to_cartesian(LINE[:, :5], 100.0, -4.0)
+    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    heading += 0.3
+    raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 20.0, heading]])
+    geometry.locate(LINE, raw, others, outlines, 0.0)
+    assert others[0, :3] == pytest.approx((100.0, -4.0, 20.0), abs=1e-6)
+    assert outlines[0, :3] == pytest.approx((x, y, heading))
+
+
+def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_follows_nobody() -> None:
+    wrong_way, behind = [160.0, 0.0, -20.0, 0.5, 5.0, 2.0], [60.0, 0.0, -20.0, 0.5, 5.0, 2.0]
+    signals = observed([wrong_way, behind])
+    assert signals["gap"] == pytest.approx(60 - 2.5 - 2.5)
+    assert (signals["leader_speed"], signals["leader_acceleration"]) == (-20, 0.5)
+    assert (signals["rear_gap"], signals["follower_speed"]) == (1000, 20)
+    assert observed([[160.0, 6.7, -20.0, 0.0, 5.0, 2.0]])["left_gap"] == 1000
 
 
 def test_a_vehicle_between_two_lanes_is_in_both() -> None:
