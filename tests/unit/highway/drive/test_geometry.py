@@ -41,7 +41,7 @@ def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.nda
 
 
 LANES = lanes_of(0.0, 3.5)
-ENDS = np.array([600.0, 600.0])
+ENDS = np.full(3, 600.0)
 
 
 def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarray:
@@ -95,6 +95,28 @@ def test_a_vehicle_is_placed_in_its_lane() -> None:
 @pytest.mark.parametrize(("d", "on_road"), [(-1.2, True), (-1.3, False), (4.7, True), (4.8, False)])
 def test_the_road_ends_half_a_metre_beyond_its_outermost_lanes(d: float, on_road: bool) -> None:
     assert placed(100.0, d)[0] is on_road
+
+
+def test_a_marking_lies_between_lanes_of_unequal_width() -> None:
+    lanes = lanes_of(0.0, 3.375)
+    lanes[:, 0, 1], lanes[:, 1, 1] = 2.85, 3.9  # the marking is at 1.425
+    for d, track in ((1.42, 0), (1.43, 1), (1.6, 1)):
+        _, place, _ = placed(100.0, d, lanes)
+        assert (place[geometry.TRACK], place[geometry.WIDTH]) == (track, (2.85, 3.9)[track])
+        assert abs(place[geometry.OFFSET]) <= 0.5 * place[geometry.WIDTH]
+
+
+def test_a_ramp_is_a_road_of_its_own_until_its_lanes_come_close() -> None:
+    ramp = lanes_of(-12.0, 0.0, 3.5)
+    for d, on_road in ((-12.0, True), (-10.8, True), (-10.6, False), (-6.0, False), (-1.3, False), (-1.2, True), (3.5, True)):
+        assert placed(100.0, d, ramp)[0] is on_road
+    for d, left, right in ((-12.0, 0, 0), (0.0, 1, 0), (3.5, 0, 1)):
+        signals = observed([[150.0, -12.0, 20.0, 0.0, 4.0, 2.0]], 100.0, d, ramp)
+        assert (signals["left_lane_exists"], signals["right_lane_exists"]) == (left, right)
+        assert signals["right_gap"] == 1000
+    opening = lanes_of(-7.0, 0.0)  # a lane opens between them
+    assert placed(100.0, -3.5, opening)[0]
+    assert observed([], 100.0, 0.0, opening)["right_lane_exists"] == 1
 
 
 def test_a_lane_that_ends_is_no_road_any_more() -> None:

@@ -25,7 +25,9 @@ FARTHEST = 25.0
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 VERGE = 0.5
-"""Distance (m) beyond the outermost lanes at which a vehicle is off the road."""
+"""Distance (m) beyond a road's lanes at which a vehicle is off it."""
+GORE = 4.0
+"""Largest distance (m) between two lanes of one road, between which another one may open. Ramps farther apart are roads of their own."""
 FAR = 1000.0
 """Gap without a vehicle; `highway_catalogue.FAR`."""
 OWN, BESIDE = 20, 7
@@ -80,14 +82,33 @@ def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> flo
 
 @compiled
 def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
-    """Returns the track whose centre is closest to d, -1 if there is none."""
+    """Returns the track that holds d, or whose side is closest to it, -1 if there is none."""
     row, share = _row(line, s)
     best, least = -1, inf
     for track in range(lanes.shape[1]):
-        distance = abs(d - _lane(lanes, row, share, track, 0))
+        distance = abs(d - _lane(lanes, row, share, track, 0)) - 0.5 * _lane(lanes, row, 0.0, track, 1)
         if distance < least:
             best, least = track, distance
     return best
+
+
+@compiled
+def _borders(lanes: Floats, row: int, share: float, track: int) -> tuple[float, float]:
+    """Returns d of the right and the left border of the road of a track: of all lanes that follow each other without a gap."""
+    centre, half = _lane(lanes, row, share, track, 0), 0.5 * _lane(lanes, row, 0.0, track, 1)
+    right, left = centre - half, centre + half
+    grows = True
+    while grows:
+        grows = False
+        for other in range(lanes.shape[1]):
+            centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
+            if not (centre - half <= left + GORE and centre + half >= right - GORE):
+                continue
+            if centre - half < right:
+                right, grows = centre - half, True
+            if centre + half > left:
+                left, grows = centre + half, True
+    return right, left
 
 
 @compiled
@@ -116,13 +137,7 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     motion[LIMIT], motion[WIDTH] = _lane(lanes, row, 0.0, track, 2), _lane(lanes, row, 0.0, track, 1)
     row_ahead, share_ahead = _row(line, s + size[0] / stretch)
     motion[ALONG] = _lane(lanes, row_ahead, share_ahead, track, 4)
-    right, left = inf, -inf
-    for other in range(lanes.shape[1]):
-        centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
-        if centre - half < right:
-            right = centre - half
-        if centre + half > left:
-            left = centre + half
+    right, left = _borders(lanes, row, share, track)
     reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
     return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
 
@@ -252,13 +267,13 @@ def observe(
     for i, seconds in enumerate((0.0, 1.0, 2.0, 4.0)):
         signals[16 + i] = _curvature(line, lanes, track, min(s + seconds * speed, line[-1, 0]))
     row, share = _row(line, s)
-    own = _lane(lanes, row, share, track, 0)
+    own, half_width = _lane(lanes, row, share, track, 0), 0.5 * motion[WIDTH]
     left, right, above, below = -1, -1, inf, -inf
     for other in range(lanes.shape[1]):
-        centre = _lane(lanes, row, share, other, 0)
-        if own + 0.5 < centre < above:
+        centre, reach = _lane(lanes, row, share, other, 0), half_width + 0.5 * _lane(lanes, row, 0.0, other, 1) + GORE
+        if own + 0.5 < centre < min(above, own + reach):
             left, above = other, centre
-        if own - 0.5 > centre > below:
+        if own - 0.5 > centre > max(below, own - reach):
             right, below = other, centre
     _neighbours(line, lanes, others, track, motion, half, speed, lead, signals[OWN : OWN + 6])
     first = OWN + 6
