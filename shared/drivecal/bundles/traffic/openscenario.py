@@ -11,11 +11,12 @@ from typing import Any
 from drivecal.bundles.highway import OpenScenario
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
+from drivecal.bundles.traffic.coordinates import FilePlace
 from drivecal.bundles.traffic.elements import Element, Notes, read_tree
 from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.parameters import declare, substituted
-from drivecal.bundles.traffic.places import FilePlace, Map
+from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.routes import along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.contracts.input_errors import nearest
@@ -25,7 +26,8 @@ from drivecal.roads.corridor import Corridor
 
 MOST_ENTITIES = 200
 BEHIND = 2_000.0
-"""Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there."""
+"""Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there; also the length of
+the roads that places by coordinates prefer until a route is known."""
 SPARE = 1.5
 """A route that the file does not give is longer by this factor than the way at start speed, and at least `SHORTEST`."""
 SHORTEST = 1_000.0
@@ -91,7 +93,7 @@ class ScenarioFile:
 
         def reached(position: Element) -> float:
             corridor: Corridor = corridor_of(route)
-            place = roads.place(position, {name: start.place for name, start in starts.items()})
+            place = roads.place(position, {name: start.place for name, start in starts.items()}, route)
             try:
                 return corridor.position(place.edge, place.index, place.position)[0]
             except InvalidInputError as error:
@@ -152,8 +154,13 @@ class ScenarioFile:
             if name not in entities:
                 raise section.fault(f"there is no entity {shown(name)}", nearest(name, list(entities)))
             kinds = [action.only(*_INIT) for action in section.every("PrivateAction")]
+            # A distance in seconds is that at the start speed, whichever action comes first.
+            kinds.sort(key=lambda kind: any(child.element == "LongitudinalDistanceAction" for child in kind.children))
             for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
-                places[name] = roads.place(kind.only("Position"), places)
+                drive = self._scenario.route or [
+                    edge for place in places.values() for edge in along(roads.network, place.edge, BEHIND)
+                ]
+                places[name] = roads.place(kind.only("Position"), places, drive)
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
             for kind in kinds:
                 self._init(kind, name, entities, starts, roads)
