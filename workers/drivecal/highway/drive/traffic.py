@@ -160,7 +160,7 @@ class Traffic:
         """Lets SUMO move the ego vehicle's front to its place at the end of the step.
 
         Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
-        by name; by coordinates if SUMO has it elsewhere, and inside of junctions into which it changed lanes.
+        by name; by coordinates if SUMO has it elsewhere, and if its way in this step began inside of a junction or on another edge.
         """
         track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
         if track == self._track and index % CHECKED_STEPS:
@@ -170,13 +170,12 @@ class Traffic:
             return
         edge, lane, position = self._road.sumo.place(track, along)
         self._track = track
-        if edge.startswith(":"):
+        if edge.startswith(":") or position < speed * self._step:
             self._track = -1
             MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
             return
-        begin = max(position - speed * self._step, 0.0)
-        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
-        SET_SPEED(EGO, (position - begin) / self._step)
+        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", position - speed * self._step)
+        SET_SPEED(EGO, speed)
         self._placed = along
 
     def _enlist(self, names: list[str]) -> None:
