@@ -81,6 +81,7 @@ class Ground:
         If several roads without a common junction hold the coordinates, that of the heading counts, then that of the route. Raises
         InvalidInputError if none does, or that decides nothing.
         """
+        route = [edge for edge in route if edge in self._network.edges]  # others are refused with the route itself
         near = list(_candidates(self._around(x, y, FARTHEST), x, y, heading, element))
         drive = [candidate for candidate in near if not route or self._belongs(candidate, x, y, route)]
         if near and not drive:
@@ -138,7 +139,7 @@ class Ground:
     def _directions(self, edges: Collection[str]) -> frozenset[str]:
         """Returns edges with those of the other direction."""
         known = self._network.edges
-        turned = {(known[edge].end, known[edge].begin) for edge in edges if edge in known}
+        turned = {(known[edge].end, known[edge].begin) for edge in edges}
         return frozenset(edges) | {
             lane.edge for lane in self._lanes if (known[lane.edge].begin, known[lane.edge].end) in turned
         }

@@ -27,7 +27,7 @@ from drivecal.roads.corridor import Corridor
 MOST_ENTITIES = 200
 BEHIND = 2_000.0
 """Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there; also the length of
-the roads that places by coordinates prefer until a route is known."""
+the road ahead of it, or of the first vehicle, that is the drive until a route is known."""
 SPARE = 1.5
 """A route that the file does not give is longer by this factor than the way at start speed, and at least `SHORTEST`."""
 SHORTEST = 1_000.0
@@ -146,6 +146,7 @@ class ScenarioFile:
         """Returns the starts of the entities that have one, in the order of <Init>."""
         starts: dict[str, _Start] = {}
         places: dict[str, FilePlace] = {}
+        ego = self._ego(entities).name
         sections = init.only("Actions")
         for section in sections.every("GlobalAction"):
             ignore_global(section, self._notes)
@@ -157,9 +158,8 @@ class ScenarioFile:
             # A distance in seconds is that at the start speed, whichever action comes first.
             kinds.sort(key=lambda kind: any(child.element == "LongitudinalDistanceAction" for child in kind.children))
             for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
-                drive = self._scenario.route or [
-                    edge for place in places.values() for edge in along(roads.network, place.edge, BEHIND)
-                ]
+                known = places.get(ego, next(iter(places.values()), None))
+                drive = self._scenario.route or (along(roads.network, known.edge, BEHIND) if known is not None else [])
                 places[name] = roads.place(kind.only("Position"), places, drive)
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
             for kind in kinds:
