@@ -28,8 +28,11 @@ def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
     folder = problem("planner-highway", tmp_path)
     manifest, _ = read_bundle(folder)
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
-    settings = {"DRIVECAL_BACKEND": "processes", "DRIVECAL_BUNDLE_CACHE": str(tmp_path / "cache")}
-    with serving(tmp_path, workers=2, **settings) as server, Client(server.url) as client:
+    cache = str(tmp_path / "cache")
+    with (
+        serving(tmp_path, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache) as server,
+        Client(server.url) as client,
+    ):
         client.push_problem(folder)
         ended = client.wait(client.submit(SPEC).id)
         rows = client.evaluations(ended.id, measures=True).to_pandas().to_dict("records")

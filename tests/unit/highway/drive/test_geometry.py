@@ -106,6 +106,13 @@ def test_a_marking_lies_between_lanes_of_unequal_width() -> None:
         assert abs(place[geometry.OFFSET]) <= 0.5 * place[geometry.WIDTH]
 
 
+def test_of_lanes_that_overlap_the_closer_centre_counts() -> None:
+    merging = lanes_of(0.0, 0.3)
+    merging[:, 1, 1] = 4.5
+    for d, track in ((0.0, 0), (0.14, 0), (0.16, 1), (2.0, 1)):
+        assert placed(100.0, d, merging)[1][geometry.TRACK] == track
+
+
 def test_a_ramp_is_a_road_of_its_own_until_its_lanes_come_close() -> None:
     ramp = lanes_of(-12.0, 0.0, 3.5)
     for d, on_road in ((-12.0, True), (-10.8, True), (-10.6, False), (-6.0, False), (-1.3, False), (-1.2, True), (3.5, True)):

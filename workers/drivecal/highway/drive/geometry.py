@@ -82,11 +82,13 @@ def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> flo
 
 @compiled
 def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
-    """Returns the track that holds d, or whose side is closest to it, -1 if there is none."""
+    """Returns the track that holds d, of several the one with the closest centre; else the one whose side is closest; -1 without any."""
     row, share = _row(line, s)
     best, least = -1, inf
     for track in range(lanes.shape[1]):
-        distance = abs(d - _lane(lanes, row, share, track, 0)) - 0.5 * _lane(lanes, row, 0.0, track, 1)
+        distance, half = abs(d - _lane(lanes, row, share, track, 0)), 0.5 * _lane(lanes, row, 0.0, track, 1)
+        if distance > half:
+            distance += FARTHEST - half
         if distance < least:
             best, least = track, distance
     return best
