@@ -197,7 +197,7 @@ def test_a_vehicle_on_a_ramp_has_its_own_heading() -> None:
     assert outlines[0, :3] == pytest.approx((x, y, heading))
 
 
-def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_follows_nobody() -> None:
+def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_is_no_follower() -> None:
     wrong_way, behind = [160.0, 0.0, -20.0, 0.5, 5.0, 2.0], [60.0, 0.0, -20.0, 0.5, 5.0, 2.0]
     signals = observed([wrong_way, behind])
     assert signals["gap"] == pytest.approx(60 - 2.5 - 2.5)

@@ -39,7 +39,7 @@ def at(speeds: Floats, s: float) -> float:
         [150.0, 0.0, 28.0, 0.0, 5.0, 2.0],  # as fast
     ],
 )
-def test_who_is_in_nobody_s_way_changes_nothing(neighbour: list[float]) -> None:
+def test_a_vehicle_out_of_the_way_changes_nothing(neighbour: list[float]) -> None:
     speeds, changes = lowered(neighbour)
     assert np.array_equal(speeds, WANTED)
     assert not changes.any()

@@ -205,7 +205,7 @@ def _neighbours(
 ) -> None:
     """Writes gap, speed and acceleration of the leader and of the follower in a track to `seen`, shape (6,).
 
-    `lead`: seconds since `others` were read, for which they are moved on. A vehicle against the route follows nobody.
+    `lead`: seconds since `others` were read, for which they are moved on. A vehicle against the route is no follower.
     """
     seen[0], seen[1], seen[2] = FAR, speed, 0.0
     seen[3], seen[4], seen[5] = FAR, speed, 0.0
