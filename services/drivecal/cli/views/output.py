@@ -19,6 +19,9 @@ from drivecal.report.sections.commands import evaluation
 
 Shown = TypeVar("Shown", bound=BaseModel)
 
+OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
+"""Colours on terminals, those of the page on a dark ground."""
+
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     """Returns rows of a table, JSON-ready."""
