@@ -95,14 +95,15 @@ def test_lanes_beside_a_vehicle_of_the_other_direction_are_counted_as_in_the_fil
     assert road is not None
     (point,) = road.roads["7"].centre(0, 2, np.array([500.0]))[0]
     world = f'<Position><WorldPosition x="{point[0]}" y="{point[1]}"/></Position>'
-    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30"/></Position>'
+    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30" offset="0.5"/></Position>'
     cars = CARS | {"Third": vehicle()}
     found = []
     for position in (world, lane(2, 500)):
         content = scenario(cars, EGO + start("Other", position, absolute(20)) + start("Third", beside, absolute(20)))
-        found.append([(entry.lane, entry.s) for entry in of_file(content).scenario.traffic])
-    assert [[index for index, _ in places] for places in found] == [[1, 0], [1, 0]]
-    assert [s for _, s in found[0]] == pytest.approx([s for _, s in found[1]], abs=1.0)
+        found.append([(entry.lane, entry.s, entry.offset) for entry in of_file(content).scenario.traffic])
+    assert [[index for index, *_ in places] for places in found] == [[1, 0], [1, 0]]
+    assert [s for _, s, _ in found[0]] == pytest.approx([s for _, s, _ in found[1]], abs=1.0)
+    assert [places[1][2] for places in found] == pytest.approx([-0.5, -0.5], abs=0.05)
 
 
 def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
@@ -244,6 +245,22 @@ def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
     assert found.traffic[0].s - found.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
 
 
+@pytest.mark.parametrize("is_last", [False, True])
+def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(is_last: bool) -> None:
+    keep = (
+        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="trailingReferencedEntity" '
+        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction>'
+    )
+    other = start("Other", lane(-3, 200), absolute(25))
+    other = (
+        other.replace("</Private>", f"{keep}</Private>")
+        if is_last
+        else other.replace("<PrivateAction>", f"{keep}<PrivateAction>", 1)
+    )
+    found = of_file(scenario(CARS, EGO + other)).scenario
+    assert found.ego.s - found.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
+
+
 def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
     reference = '<CatalogReference catalogName="cars" entryName="long"/>'
     locations = (
@@ -282,9 +299,7 @@ def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:
     assert "duration" in refused(with_events(stop=never))
 
 
-def test_vehicles_behind_the_ego_vehicle_s_edge_lengthen_the_route() -> None:
+def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:
     found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20))))
     assert found.scenario.route == ["-7"]
     assert found.scenario.traffic[0].route == ["7"]
-    assert [note for note in found.notes if "ScenarioObject" in note and "against the route" in note]
-    assert not [note for note in of_file(scenario(CARS, EGO + OTHER)).notes if "against the route" in note]
