@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -30,6 +31,10 @@ hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# Collecting makes objects by the million that stay to the end: looking through them for garbage takes longer than many tests.
+gc.disable()
 
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
@@ -64,6 +69,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in deselected]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected as usual, among what the tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)
