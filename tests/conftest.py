@@ -10,8 +10,9 @@ from collections.abc import Generator, Iterator
 import hypothesis
 import psycopg
 import pytest
-from sqlalchemy import make_url
+from sqlalchemy import Pool, event, make_url
 from tests.support import effort
+from tests.support.databases import leave_it_to_the_system
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 from tests.support.tree import PROJECT
@@ -28,6 +29,9 @@ from drivecal.execution.supervised import WorkerLimits
 hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
 hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
+
+# Servers in processes of their own wait for the disk, as users' servers do.
+event.listen(Pool, "checkout", leave_it_to_the_system)
 
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
