@@ -6,15 +6,18 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from tests.support.serve import Server, serving, until
-from tests.support.user_problems import SPEC, problem, rows
+from tests.support.user_problems import SPEC, ZDT1, ZDT1_LARGEST, ZDT1_MODEL, ZDT1_SPEC, of_python, problem, rows
 
 from drivecal.client import Client
 
 pytestmark = pytest.mark.slow
+FEW = SPEC | {"optimizer": SPEC["optimizer"] | {"population": 12}}
+"""Enough where a campaign need not be in its middle when something happens to it."""
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +31,12 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")  # the last test kills it
 def server(home: Path) -> Iterator[Server]:
-    with started(home) as running:
+    with started(home, "ray") as running:
         yield running
 
 
-def started(folder: Path) -> AbstractContextManager[Server]:
-    return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
+def started(folder: Path, backend: str) -> AbstractContextManager[Server]:
+    return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"), DRIVECAL_BACKEND=backend)
 
 
 @pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
@@ -41,10 +44,10 @@ def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str,
     folder = problem(name, tmp_path)
     with Client(server.url) as client:
         pushed = client.push_problem(folder)
-        first = client.wait(client.submit({**SPEC, "problem": name}).id)
+        first = client.wait(client.submit({**FEW, "problem": name}).id)
         assert (first.state, first.error, first.cells.failed) == ("succeeded", None, 0)
         assert first.spec["problem"] == pushed.digest
-        assert first.cells.simulated > 50
+        assert first.cells.simulated > 25
         assert first.best is not None
         manifest = yaml.safe_load((folder / "problem.yaml").read_text())
         assert set(first.best.parameters) == set(manifest["parameters"])
@@ -55,16 +58,16 @@ def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str,
         (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
         again = client.push_problem(folder)
         assert again.digest != pushed.digest
-        sets = [row.parameters for row in client.solutions(first.id, limit=20).items]
+        sets = [row.parameters for row in client.solutions(first.id, limit=10).items]
         rated = client.wait(
-            client.submit({**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "iterations": 1, "start_sets": sets}}).id
+            client.submit({**FEW, "problem": name, "optimizer": {**FEW["optimizer"], "iterations": 1, "start_sets": sets}}).id
         )
         assert rated.spec["problem"] == again.digest
         assert rated.cells.repeated >= len(sets) * len(manifest["scenarios"])
 
         (folder / "extra.txt").write_text("one byte more")
         client.push_problem(folder)
-        other = client.wait(client.submit({**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "iterations": 1}}).id)
+        other = client.wait(client.submit({**FEW, "problem": name, "optimizer": {**FEW["optimizer"], "iterations": 1}}).id)
         assert other.cells.repeated == 0
 
 
@@ -73,7 +76,7 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
     manifest = yaml.safe_load((folder / "problem.yaml").read_text())
     manifest["problem"], manifest["simulator"]["probe"] = "probed", ["cat", str(version)]
     (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
-    spec = {**SPEC, "problem": "probed", "optimizer": {**SPEC["optimizer"], "iterations": 1}}
+    spec = {**FEW, "problem": "probed", "optimizer": {**FEW["optimizer"], "iterations": 1}}
     simulated = []
     with Client(server.url) as client:
         client.push_problem(folder)
@@ -87,28 +90,70 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
     assert simulated[1] == simulated[3] == 0
 
 
+SECONDS = 0.4
+SLEEPING_MODEL = (
+    f"import time\n\ndef evaluate(parameters, scenario):\n    time.sleep({SECONDS})\n    return {{'y': parameters['x']}}\n"
+)
+SLEEPING: dict[str, Any] = {
+    "problem": "sleeping",
+    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.1}},
+    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "timeout": 60, "deterministic": True},
+    "scenarios": {"city": {}},
+    "measures": {"y": "1"},
+    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
+}
+"""A simulator that mostly waits, as one of 90 s does, scaled down: real children, real clocks."""
+
+
+def test_cpu_time_wall_time_and_savings_of_a_simulator_that_sleeps(server: Server, tmp_path: Path) -> None:
+    spec = SPEC | {"problem": "sleeping", "optimizer": {"kind": "random", "population": 8, "iterations": 1, "seed": 1}}
+    with Client(server.url) as client:
+        client.push_problem(of_python(SLEEPING, SLEEPING_MODEL, tmp_path))
+        first, again = (client.wait(client.submit(spec).id) for _ in range(2))
+        accounts = [client.accounting(campaign.id) for campaign in (first, again)]
+    assert (first.state, first.cells.failed, first.cells.repeated) == ("succeeded", 0, 0)
+    assert (again.cells.simulated, again.cells.repeated) == (0, first.cells.simulated)
+    waited = SECONDS * first.cells.simulated
+    assert first.seconds.simulating < 0.25 * waited, "CPU time"
+    assert first.seconds.wall >= waited / 2, "two workers"
+    assert [account.clock for account in accounts] == ["wall", "wall"]
+    assert accounts[0].simulated_seconds == pytest.approx(waited, rel=0.5)
+    assert accounts[1].repeated_saved_seconds == pytest.approx(waited, rel=0.5)
+
+
 def simulates(client: Client, campaign: str) -> bool:
     """Whether a campaign is in the middle of its search."""
     return client.campaign(campaign).cells.simulated > 30
 
 
-def test_a_killed_server_resumes_problems_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
+def test_a_killed_server_resumes_searches_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
+    """Of one score, and of two with the front of an uninterrupted search. The next server has workers without Ray."""
+    specs = {
+        "acc-highway": {**SPEC, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}},
+        "zdt1": ZDT1_SPEC,
+        "python-function": {**SPEC, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}},
+    }
     expected, begun = {}, {}
     with Client(server.url) as client:
-        for name in ("python-function", "acc-highway"):
-            client.push_problem(problem(name, tmp_path))
-            spec = {**SPEC, "problem": name, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}}
-            ended = client.wait(client.submit(spec).id)
+        for name, spec in specs.items():
+            client.push_problem(of_python(ZDT1, ZDT1_MODEL, tmp_path) if name == "zdt1" else problem(name, tmp_path))
+            ended = client.wait(client.submit({**spec, "problem": name}).id)
+            assert (ended.state, ended.error) == ("succeeded", None)
             expected[name] = ended.best, rows(client, ended.id)
-            begun[name] = client.submit(spec).id
+            if name == "zdt1":
+                front = client.front(ended.id), client.front_summary(ended.id)
+                assert 0.93 * ZDT1_LARGEST < (front[1].hypervolume or 0) <= ZDT1_LARGEST
+        for name, spec in specs.items():  # the slowest first, so that they are in their middle together
+            begun[name] = client.submit({**spec, "problem": name}).id
             until(partial(simulates, client, begun[name]), "some cells are simulated")
     family = server.family()
     server.process.kill()
     for process in family:
         process.kill()
     server.process.wait()
-    with started(home) as resumed, Client(resumed.url) as client:
+    with started(home, "processes") as resumed, Client(resumed.url) as client:
         for name, campaign in begun.items():
             ended = client.wait(campaign)
             assert ended.state == "succeeded"
             assert (ended.best, rows(client, campaign)) == expected[name]
+        assert (client.front(begun["zdt1"]), client.front_summary(begun["zdt1"])) == front
