@@ -17,6 +17,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from schemathesis.checks import CheckFunction, not_a_server_error
 from schemathesis.config import SchemathesisConfig
+from schemathesis.core.result import Ok
 from schemathesis.pytest.lazy import get_all_tests
 from schemathesis.schemas import BaseSchema
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
@@ -127,6 +128,7 @@ def derive(schema: BaseSchema, judge: Callable[[schemathesis.Case[Any]], None], 
     """Has `judge` look at requests for each operation. They are derived here: at collection, every process of the tests would do it."""
     operations = 0
     for result in get_all_tests(schema=schema, test_func=judge, settings=often, given_kwargs={}):
+        assert isinstance(result, Ok), result
         operation, test = result.ok()
         operations += 1
         with subtests.test(operation.label):
