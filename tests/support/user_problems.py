@@ -84,7 +84,7 @@ def problem(name: str, folder: Path) -> Path:
 
 def of_python(manifest: Mapping[str, Any], model: str, folder: Path) -> Path:
     """The folder of a problem that is a Python function."""
-    copy = folder / manifest["problem"]
+    copy = folder / str(manifest["problem"])
     copy.mkdir()
     (copy / "problem.yaml").write_text(yaml.safe_dump(dict(manifest), sort_keys=False))
     (copy / "model.py").write_text(model)
