@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -186,6 +187,8 @@ BEGIN = {
     "ray-worker": ("cluster.__main__", "runtime.__main__", "adapters.kinds", "adapters.fmu_driver", "highway.drive.driver"),
 }
 """Modules at which the programs of each role begin, those included that are named in command lines only."""
+COMMAND_LINE = {"api": ("cli.main", "cli.commands.db")}
+"""Modules that `drivecal db` loads at once; what other commands import late is not needed."""
 
 
 def source(module: str) -> Path | None:
@@ -199,16 +202,17 @@ def source(module: str) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def imported(role: str) -> set[str]:
-    """The packages of others that the programs of a role import, also late and in functions."""
-    waiting, seen, others = [f"drivecal.{module}" for module in BEGIN[role]], set(), set()
+def imported(begin: Sequence[str], *, late: bool) -> set[str]:
+    """The packages of others that are imported from these modules on, if `late` also in functions."""
+    waiting, seen, others = [f"drivecal.{module}" for module in begin], set(), set()
     while waiting:
         module = waiting.pop()
         file = source(module)
         if module in seen or file is None:
             continue
         seen.add(module)
-        for node in ast.walk(ast.parse(file.read_text())):
+        tree = ast.parse(file.read_text())
+        for node in ast.walk(tree) if late else tree.body:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module is not None:
                 names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
@@ -221,7 +225,8 @@ def imported(role: str) -> set[str]:
 def test_an_image_holds_what_its_programs_import(role: str) -> None:
     mine = {plain(name.partition("==")[0].split("[")[0]) for name in locked(IMAGES / f"{role}.lock")}
     owners = packages_distributions()
-    assert {name for name in imported(role) if not set(map(plain, owners.get(name, []))) & mine} == set()
+    needed = imported(BEGIN[role], late=True) | imported(COMMAND_LINE.get(role, ()), late=False)
+    assert {name for name in needed if not set(map(plain, owners.get(name, []))) & mine} == set()
 
 
 def plain(name: str) -> str:

@@ -6,7 +6,7 @@ being normalised to their bounds (Table 8). The degree of robustness is the larg
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -101,6 +101,20 @@ def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
 def undetected_share(samples: int) -> float:
     """Returns the share of failing vehicles that `samples` independent vehicles without a failure leave possible (95 %)."""
     return float(1.0 - (1.0 - 0.95) ** (1.0 / samples))
+
+
+def vehicles_text(settings: Mapping[str, Any]) -> str:
+    """A sentence about what a box that holds says of vehicles that were not simulated."""
+    samples = settings["samples"]
+    if settings["condition"] == "mean":
+        return (
+            f"A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
+            "a single vehicle may change more."
+        )
+    return (
+        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
+        "vehicles in the box may still break it (95 % confidence)."
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from tests.unit.report.rows import (
     validated,
 )
 
+from drivecal.analysis.robustness import vehicles_text
 from drivecal.contracts.tables import ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures import optima_coordinates, robustness_degrees
@@ -134,11 +135,9 @@ def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_con
 
 @pytest.mark.parametrize(("samples", "share"), [(1, "95.0%"), (30, "9.5%"), (300, "1.0%")])
 def test_a_box_that_holds_says_what_its_vehicles_do_not_exclude(samples: int, share: str) -> None:
-    assert share in robustness.vehicles_text({"samples": samples, "condition": "max"})
-    assert "%" not in robustness.vehicles_text({"samples": samples, "condition": "mean"})
-    assert robustness.vehicles_text(study().settings) in "".join(
-        robustness.parts([Studied(study(), ROBUST)], OPTIMA, "0" * 32, "")
-    )
+    assert share in vehicles_text({"samples": samples, "condition": "max"})
+    assert "%" not in vehicles_text({"samples": samples, "condition": "mean"})
+    assert vehicles_text(study().settings) in "".join(robustness.parts([Studied(study(), ROBUST)], OPTIMA, "0" * 32, ""))
 
 
 def test_the_file_of_boxes_holds_every_deviation() -> None:

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.studies import BENCH, Wanted, known, make, specification, wanted_of
 from drivecal.cli.views import robustness_differences
@@ -15,7 +16,6 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
 from drivecal.report.rows import fixed
-from drivecal.report.sections.robustness import vehicles_text
 
 
 @app.command()

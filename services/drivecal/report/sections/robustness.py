@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-from drivecal.analysis.robustness import undetected_share
+from drivecal.analysis.robustness import vehicles_text
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import paragraph, table
@@ -43,20 +43,6 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
         return away is None or (away > bounds[name] if settings["condition"] == "max" else away >= bounds[name])
 
     return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
-
-
-def vehicles_text(settings: Mapping[str, Any]) -> str:
-    """A sentence about what a box that holds says of vehicles that were not simulated."""
-    samples = settings["samples"]
-    if settings["condition"] == "mean":
-        return (
-            f"A box holds if the mean over the vehicles simulated in it ({samples:,}) holds in every scenario; "
-            "a single vehicle may change more."
-        )
-    return (
-        f"A box holds if the condition holds in every vehicle simulated in it ({samples:,}): up to {undetected_share(samples):.1%} of all "
-        "vehicles in the box may still break it (95 % confidence)."
-    )
 
 
 def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
