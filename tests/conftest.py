@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -9,8 +10,9 @@ from collections.abc import Generator, Iterator
 import hypothesis
 import psycopg
 import pytest
-from sqlalchemy import make_url
+from sqlalchemy import Pool, event, make_url
 from tests.support import effort
+from tests.support.databases import leave_it_to_the_system
 from tests.support.misbehaviour import FOLDER
 from tests.support.postgres import running_postgres
 from tests.support.tree import PROJECT
@@ -28,8 +30,15 @@ hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True
 hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
 hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 
+# Servers in processes of their own wait for the disk, as users' servers do.
+event.listen(Pool, "checkout", leave_it_to_the_system)
+
 # A shell that runs the tests in the background has SIGINT ignored, and every process that a test starts would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+# Collecting makes objects by the million that stay to the end: looking through them for garbage takes longer than many tests.
+gc.disable()
 
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
@@ -64,6 +73,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in deselected]
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected as usual, among what the tests make."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(wrapper=True)

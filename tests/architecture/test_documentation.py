@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,12 @@ def shown_commands() -> Iterator[tuple[Path, list[str]]]:
                     yield page, [Path(words[0]).name, *words[1:end]]
 
 
+@cache
+def drivecal() -> Any:
+    """The command with all its subcommands."""
+    return typer.main.get_command(app)
+
+
 def parse(command: Any, name: str, words: list[str], parent: Any = None) -> None:
     """Raises where the command line does not take these words. Runs nothing."""
     context = command.make_context(name, list(words), parent=parent)
@@ -70,7 +77,7 @@ def test_every_command_shown_in_the_documentation_can_be_typed(page: Path, words
         targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
         assert {word for word in words[1:] if not word.startswith("-")} <= targets
     else:
-        parse(typer.main.get_command(app), "drivecal", words[1:])
+        parse(drivecal(), "drivecal", words[1:])
 
 
 @pytest.mark.parametrize(
@@ -78,7 +85,7 @@ def test_every_command_shown_in_the_documentation_can_be_typed(page: Path, words
 )
 def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> None:
     with pytest.raises(Exception, match=r"(?i)no such|missing|not one of"):
-        parse(typer.main.get_command(app), "drivecal", words)
+        parse(drivecal(), "drivecal", words)
 
 
 def example(name: str) -> Bundle:

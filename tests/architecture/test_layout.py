@@ -23,8 +23,8 @@ HOOKS = {"pause_reading", "process_bind_param", "process_result_value", "resume_
 """Methods that a library calls and documents."""
 BUILT = {"build", "dist"}
 """What tools make and git ignores."""
+FOLDERS = sorted({path.parent for path in modules()})
 
-every_module = pytest.mark.parametrize("path", modules(), ids=shown)
 every_package = pytest.mark.parametrize("name", sorted(name for root in ROOTS for name in packages(root)))
 
 
@@ -59,14 +59,13 @@ def test_a_package_is_imported_from_this_tree(name: str) -> None:
     assert Path(folder).parent in ROOTS
 
 
-@every_module
-def test_a_folder_of_modules_is_a_package(path: Path) -> None:
-    assert (path.parent / "__init__.py").is_file()
+def test_a_folder_of_modules_is_a_package() -> None:
+    assert [shown(folder) for folder in FOLDERS if not (folder / "__init__.py").is_file()] == []
 
 
-@every_module
-def test_a_module_can_be_read_in_one_sitting(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
+def test_a_module_can_be_read_in_one_sitting() -> None:
+    lengths = {shown(path): len(path.read_text(encoding="utf-8").splitlines()) for path in modules()}
+    assert {name: length for name, length in lengths.items() if length > LONGEST} == {}
 
 
 def test_a_module_of_tests_can_be_read_in_one_sitting() -> None:
@@ -74,12 +73,12 @@ def test_a_module_of_tests_can_be_read_in_one_sitting() -> None:
     assert [shown(path) for path, count in lines.items() if count > LONGEST] == []
 
 
-@every_module
-def test_whatever_is_public_is_documented(path: Path) -> None:
-    tree = parsed(path)
-    missing = [] if ast.get_docstring(tree) else ["the module"]
-    missing += undocumented(tree, "")
-    assert missing == []
+def test_whatever_is_public_is_documented() -> None:
+    missing = {}
+    for path in modules():
+        tree = parsed(path)
+        missing[shown(path)] = [*([] if ast.get_docstring(tree) else ["the module"]), *undocumented(tree, "")]
+    assert {name: names for name, names in missing.items() if names} == {}
 
 
 @cache
@@ -128,10 +127,10 @@ def test_undocumented_things_would_be_found() -> None:
     assert undocumented(ast.parse(source), "") == ["A.b", "d"]
 
 
-@pytest.mark.parametrize("folder", sorted({path.parent for path in modules()}), ids=shown)
-def test_a_folder_can_be_overlooked(folder: Path) -> None:
+def test_a_folder_can_be_overlooked() -> None:
     """At most 16 modules beside the `__init__.py`, which says what the folder is for and exports its names."""
-    assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= MOST_MODULES
+    numbers = {shown(folder): len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) for folder in FOLDERS}
+    assert {name: number for name, number in numbers.items() if number > MOST_MODULES} == {}
 
 
 def test_a_class_name_means_one_class() -> None:

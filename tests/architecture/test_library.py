@@ -37,8 +37,8 @@ def test_the_example_of_a_package_runs_and_is_short(name: str) -> None:
     assert len(re.findall(r"^(?:>>>|\.\.\.) ", str(package(name).__doc__), re.MULTILINE)) <= 10
 
 
-@pytest.mark.parametrize("name", PURE)
+@pytest.mark.parametrize("name", [*PURE, "reduction.prediction"])
 def test_a_pure_package_loads_no_scipy(name: str) -> None:
-    """Commands that only look things up would wait for it."""
+    """Commands that only look things up, and the API, would wait for it."""
     code = f"import sys, drivecal.{name}; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -13,7 +13,7 @@ from tests.support.server import free_port
 
 def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, opening: Opening) -> None:
     port = free_port()
-    with serving(tmp_path, port=port) as server:
+    with serving(tmp_path, port=port, DRIVECAL_BACKEND="processes") as server:
         page = opening(f"{server.url}/#/submit", expected=("WebSocket", "ERR_CONNECTION_REFUSED", "409"))
         page.evaluate("window.neverReloaded = true")
         page.get_by_label("name").fill("the whole way")
@@ -28,7 +28,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         expect(page.get_by_text(re.compile("Asked to pause|Paused\\. All"))).to_be_visible()
     expect(page.get_by_text("Connection lost")).to_be_visible()
 
-    with serving(tmp_path, port=port):
+    with serving(tmp_path, port=port, DRIVECAL_BACKEND="processes"):
         expect(page.get_by_text("Connection lost")).not_to_be_visible()
         page.get_by_role("button", name="Resume").click()
         expect(page.get_by_text("Finished.")).to_be_visible()

@@ -28,13 +28,13 @@ def without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]
 
 
 @pytest.fixture
-def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[[str], Coordinator]]:
-    """Makes the test's server, not started, on an empty database of a kind."""
+def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callable[..., Coordinator]]:
+    """Makes the test's server, not started, on an empty database of a kind, with environment variables."""
     made: list[Coordinator] = []
 
-    def make(kind: str) -> Coordinator:
+    def make(kind: str, **settings: str) -> Coordinator:
         url = request.getfixturevalue("postgres").new_database() if kind == "postgresql" else None
-        made.append(Coordinator(tmp_path, url))
+        made.append(Coordinator(tmp_path, url, settings))
         return made[-1]
 
     yield make

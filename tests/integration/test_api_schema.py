@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,8 +17,11 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from schemathesis.checks import CheckFunction, not_a_server_error
 from schemathesis.config import SchemathesisConfig
+from schemathesis.core.result import Ok
+from schemathesis.pytest.lazy import get_all_tests
+from schemathesis.schemas import BaseSchema
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
-from tests.support.effort import tries
+from tests.support.effort import LONG, tries
 from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
 
@@ -28,6 +31,8 @@ from drivecal.configuration.settings import load_settings
 TOKEN = "writer-0123456789abcdef"
 HEADERS = {"Authorization": f"Bearer {TOKEN}"}
 EXAMPLES = tries(5, 100)
+LONGEST_SECONDS = tries(300, 3600)
+"""For all operations together."""
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
 MANIFEST = """
@@ -65,8 +70,18 @@ schemathesis.openapi.media_type("application/zip", archives)
 schemathesis.serializer.alias("application/zip", "application/octet-stream")
 
 REFUSALS = ["400", "401", "403", "404", "405", "409", "413", "414", "415", "422", "431"]
-CONFIG = SchemathesisConfig.from_dict({"checks": {"negative_data_rejection": {"expected-statuses": REFUSALS}}})
-schema = schemathesis.openapi.from_dict(application().openapi(), config=CONFIG)
+CONFIG = SchemathesisConfig.from_dict(
+    {
+        "checks": {"negative_data_rejection": {"expected-statuses": REFUSALS}},
+        "phases": {"coverage": {"enabled": LONG}},  # thousands of requests
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def schema() -> BaseSchema:
+    """The document with what a request for each of its operations may hold."""
+    return schemathesis.openapi.from_dict(application().openapi(), config=CONFIG)
 
 
 @dataclass(frozen=True)
@@ -109,17 +124,32 @@ def known(api: RunningApi) -> Known:
     return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"])
 
 
-@schema.parametrize()
-@often
-def test_every_answer_is_as_documented(case: schemathesis.Case[Any], api: RunningApi) -> None:
-    # A server without a dispatcher is not ready, and 503 is how it says so.
-    excluded = [*NOT_IN_A_SCHEMA, *([not_a_server_error] if case.operation.path == "/readyz" else [])]
-    case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
+def derive(schema: BaseSchema, judge: Callable[[schemathesis.Case[Any]], None], subtests: pytest.Subtests) -> None:
+    """Has `judge` look at requests for each operation. They are derived here: at collection, every process of the tests would do it."""
+    operations = 0
+    for result in get_all_tests(schema=schema, test_func=judge, settings=often, given_kwargs={}):
+        assert isinstance(result, Ok), result
+        operation, test = result.ok()
+        operations += 1
+        with subtests.test(operation.label):
+            test()
+    assert operations > 20
 
 
-@schema.include(path_regex="{").parametrize()
-@often
-def test_every_answer_about_what_is_there_is_as_documented(case: schemathesis.Case[Any], api: RunningApi, known: Known) -> None:
+@pytest.mark.timeout(LONGEST_SECONDS)
+def test_every_answer_is_as_documented(schema: BaseSchema, api: RunningApi, subtests: pytest.Subtests) -> None:
+    def judge(case: schemathesis.Case[Any]) -> None:
+        # A server without a dispatcher is not ready, and 503 is how it says so.
+        excluded = [*NOT_IN_A_SCHEMA, *([not_a_server_error] if case.operation.path == "/readyz" else [])]
+        case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
+
+    derive(schema, judge, subtests)
+
+
+@pytest.mark.timeout(LONGEST_SECONDS)
+def test_every_answer_about_what_is_there_is_as_documented(
+    schema: BaseSchema, api: RunningApi, known: Known, subtests: pytest.Subtests
+) -> None:
     ids = {
         "campaign_id": known.campaign,
         "map_id": known.map,
@@ -127,8 +157,12 @@ def test_every_answer_about_what_is_there_is_as_documented(case: schemathesis.Ca
         "scenario_id": "S1",
         "problem": known.problem,
     }
-    for name in case.path_parameters:
-        case.path_parameters[name] = ids[name]
-    # An id that was to be wrong is right now.
-    excluded = [*NOT_IN_A_SCHEMA, negative_data_rejection]
-    case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
+
+    def judge(case: schemathesis.Case[Any]) -> None:
+        for name in case.path_parameters:
+            case.path_parameters[name] = ids[name]
+        # An id that was to be wrong is right now.
+        excluded = [*NOT_IN_A_SCHEMA, negative_data_rejection]
+        case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
+
+    derive(schema.include(path_regex="{"), judge, subtests)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.urls import parse, sqlite_file
@@ -30,3 +32,9 @@ def _new_file() -> bytes:
         database.upgrade()
         database.dispose()
         return file.read_bytes()
+
+
+def leave_it_to_the_system(connection: Any, *_: Any) -> None:
+    """Has SQLite wait for no disk: what is in the tests' databases need not survive the machine. Listens to the checkout of connections."""
+    if isinstance(connection, sqlite3.Connection):
+        connection.execute("PRAGMA synchronous = OFF")

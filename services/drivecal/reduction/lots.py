@@ -14,8 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
-from scipy.special import betaln, gammaln
 
 Floats = npt.NDArray[np.float64]
 Positions = npt.NDArray[np.int64]
@@ -50,6 +48,8 @@ class SamplingPlan:
 
     def expected_saving(self, error_rate: float) -> float:
         """Returns the expected number of released cells for an expected share of wrong predictions."""
+        from scipy.special import betaln  # takes a while, which processes that inspect no lot need not pay
+
         spare = self.size - self.sample
         if spare == 0:
             return 0.0
@@ -100,6 +100,8 @@ def _chances(plan: SamplingPlan, drawn: Positions, wrong: Positions) -> Floats:
 
 
 def _log_choose(count: Positions | int, chosen: Positions | int) -> Floats:
+    from scipy.special import gammaln
+
     logarithms: Floats = gammaln(np.add(count, 1)) - gammaln(np.add(chosen, 1)) - gammaln(np.subtract(count, chosen) + 1)
     return logarithms
 
@@ -147,6 +149,8 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     c + 1 of which count, has an expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a
     mixture over growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
     """
+    from scipy.optimize import brentq
+
     inspected = list(lots)
     offsets: list[tuple[float, float]] = []
     for growth in GROWTH:
@@ -170,6 +174,8 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
 def cost_of_an_error(plan: SamplingPlan, growth: float) -> float:
     """Returns the smallest h for `most_released`: the evidence against released errors that an error in the sample takes back; infinite if
     none suffices."""
+    from scipy.optimize import brentq
+
     wrong = np.arange(plan.size + 1)[None, :]
     drawn = np.arange(min(plan.acceptance, plan.sample) + 1)[:, None]
     chances = _chances(plan, drawn, wrong)

@@ -11,7 +11,6 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import isotonic_regression
 
 from drivecal.domain.parameters import ParameterSet, ParameterSpace, billionths
 from drivecal.reduction.lots import SamplingPlan, best_plan
@@ -126,6 +125,8 @@ class ConfidenceRecord:
 
         Levels of equal weight, shrunk towards the record's mean error, then made monotone by isotonic regression.
         """
+        from scipy.optimize import isotonic_regression  # takes a while, which processes that predict nothing need not pay
+
         batches = [batch for batch in self._record if len(batch[0])]
         if left_out is not None and len(left_out[0]):
             batches.append((*left_out, np.full(len(left_out[0]), LEFT_OUT)))

@@ -141,7 +141,7 @@ class EvaluationRow(Answer):
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, float | str]
+    __pydantic_extra__: dict[str, float | str | None]
 
     id: int
     stage: str

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import text
+from sqlalchemy import Pool, event, text
+from tests.support.databases import leave_it_to_the_system
 from tests.support.storage import PROCESSES, campaign, migrate
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
@@ -225,12 +226,17 @@ def test_lost_connections_are_replaced(clean_postgres: str, postgres_server: str
 
 
 def test_sqlite_waits_for_the_disk_at_every_commit(migrated_sqlite: Path) -> None:
-    database = Database.open(f"sqlite:///{migrated_sqlite}")
-    with database.read() as connection:
-        values = [
-            connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("journal_mode", "synchronous", "foreign_keys")
-        ]
-    database.dispose()
+    event.remove(Pool, "checkout", leave_it_to_the_system)
+    try:
+        database = Database.open(f"sqlite:///{migrated_sqlite}")
+        with database.read() as connection:
+            values = [
+                connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+                for name in ("journal_mode", "synchronous", "foreign_keys")
+            ]
+        database.dispose()
+    finally:
+        event.listen(Pool, "checkout", leave_it_to_the_system)
     assert values == ["wal", 2, 1]
 
 

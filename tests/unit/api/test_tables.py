@@ -87,3 +87,9 @@ def test_a_whole_score_is_written_without_a_point() -> None:
     assert row.model_dump(mode="json")["scores"] == {"S1": 6, "S2": 6.5}
     assert Solution.model_validate_json(row.model_dump_json()) == row
     assert '"S1":6,' in row.model_dump_json()
+
+
+def test_a_measure_that_a_row_has_not_is_null_as_documented() -> None:
+    """A cell without a run has no measures, whose columns are there all the same."""
+    extra = EvaluationRow.model_json_schema(mode="serialization")["additionalProperties"]
+    assert {"type": "null"} in extra["anyOf"]
