@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults test-compose check bench train page docs format lock networks clean
+.PHONY: help demo test test-faults test-compose test-packages check bench train page docs format lock networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -30,6 +30,9 @@ test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve 
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s
+
+test-packages: $(INSTALLED) ## build the wheel, install its three layers into fresh environments, run the demo there (minutes)
+	@$(BIN)/pytest tests/integration/test_wheels.py -m packages -s
 
 check: $(INSTALLED) ## lint, formatting, types, import rules, the page, the documentation
 	@$(BIN)/ruff check .

@@ -10,11 +10,15 @@ python docs/build.py check      # builds it in a scratch folder
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+from base64 import b64decode
+from collections.abc import Callable
+from functools import partial
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +36,8 @@ FURTHER = (
 """Documents outside of docs/pages that are pages of the site as well."""
 INCLUDED = (
     "deploy/examples/highway.yaml",
+    "deploy/examples/packages/hill-climbing/hill_climbing.py",
+    "deploy/examples/packages/lane-follower/lane_follower.py",
     "deploy/examples/problems/python-function/problem.yaml",
     "services/web/public/icon.svg",
 )
@@ -84,17 +90,47 @@ def decisions() -> str:
     return "# Decisions\n\nWhy things are as they are, one page each.\n\n| | decision |\n|---|---|\n" + "\n".join(lines) + "\n"
 
 
+def notebook_page(path: Path, folder: Path, link: Callable[[str], str]) -> str:
+    """Returns a notebook as a page with the outputs that it stores; its images are written into `folder`. `link`: see `linked`."""
+    parts = []
+    for number, cell in enumerate(json.loads(path.read_text(encoding="utf-8"))["cells"]):
+        text = "".join(cell["source"])
+        parts.append(link(text) if cell["cell_type"] == "markdown" else fenced("python", text))
+        for place, output in enumerate(cell.get("outputs", ())):
+            data = {kind: "".join(content) for kind, content in output.get("data", {}).items()}
+            if "image/png" in data:
+                image = f"{path.stem}-{number}-{place}.png"
+                (folder / image).write_bytes(b64decode(data["image/png"]))
+                parts.append(f"![Output of the cell above]({image})")
+            elif "text/html" in data:
+                parts.append(data["text/html"])
+            else:
+                parts.append(fenced("text", data.get("text/plain") or "".join(output.get("text", ""))))
+    return "\n\n".join(parts) + "\n"
+
+
+def fenced(language: str, text: str) -> str:
+    """Returns a block of code; the file that a cell writes is its title."""
+    file = re.match(r"%%writefile (\S+)\n", text)
+    title = f' title="{file[1]}"' if file else ""
+    name = {".yaml": "yaml"}.get(Path(file[1]).suffix, language) if file else language
+    return f"```{name}{title}\n{text[file.end() if file else 0 :].rstrip()}\n```"
+
+
 def stage(folder: Path) -> None:
     """Writes everything that Zensical reads into `folder`."""
     pages = sources()
-    places = {path.resolve(): place for place, path in pages.items()}
+    places = {path.resolve(): re.sub(r"\.ipynb$", ".md", place) for place, path in pages.items()}
     for place, path in pages.items():
         target = folder / "pages" / place
         target.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".md":
             target.write_text(linked(path.read_text(encoding="utf-8"), path, place, places), encoding="utf-8")
-        else:
-            shutil.copyfile(path, target)
+            continue
+        shutil.copyfile(path, target)
+        if path.suffix == ".ipynb":
+            text = notebook_page(path, target.parent, partial(linked, page=path, place=place, places=places))
+            target.with_suffix(".md").write_text(f"{text}\n[Download this notebook]({path.name})\n", encoding="utf-8")
     (folder / "pages" / "decisions.md").write_text(decisions(), encoding="utf-8")
     shutil.copyfile(ROOT / "services" / "web" / "public" / "icon.svg", folder / "pages" / "icon.svg")
     configuration = (DOCS / "zensical.toml").read_text(encoding="utf-8")

@@ -47,8 +47,8 @@ SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "
 """From those with long files to those with short ones."""
 
 
-MARKERS = ("faults", "compose")
-"""Markers of tests that run only with `-m`: they take hours, or need a Docker engine."""
+MARKERS = ("faults", "compose", "packages")
+"""Markers of tests that run only with `-m`: they take hours, or need a Docker engine or a package index."""
 
 
 class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types

@@ -24,6 +24,7 @@ from drivecal.configuration.settings import Settings
 COMPOSE = PROJECT / "docker-compose.yml"
 WORKERS = PROJECT / "deploy" / "docker-compose.worker.yml"
 MACHINES = PROJECT / "deploy" / "docker-compose.machines.yml"
+PLUGINS = PROJECT / "deploy" / "docker-compose.plugins.yml"
 IMAGES = PROJECT / "deploy" / "images"
 OURS = ("migrate", "api", "ray-head", "ray-worker", "dispatcher")
 ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
@@ -118,9 +119,17 @@ def variables(*paths: Path) -> set[str]:
 def test_the_example_of_settings_has_each_of_them_with_its_default() -> None:
     text = (PROJECT / ".env.example").read_text()
     given = dict(re.findall(r"^(?:# )?(DRIVECAL_[A-Z_]+)=(.*)$", text, flags=re.MULTILINE))
-    assert set(given) == variables(COMPOSE, WORKERS, MACHINES)
+    assert set(given) == variables(COMPOSE, WORKERS, MACHINES, PLUGINS)
     defaults = dict(re.findall(r"\$\{(DRIVECAL_[A-Z_]+):-([^}]*)\}", COMPOSE.read_text()))
     assert {name: given[name] for name in defaults} == defaults
+
+
+def test_plug_ins_reach_every_service_that_loads_them_and_no_other() -> None:
+    services = document(PLUGINS)["services"]
+    assert set(services) == {"api", "dispatcher", "ray-worker"} < set(document()["services"])
+    for service in services.values():
+        [volume] = service["volumes"]
+        assert volume.endswith(f":{service['environment']['PYTHONPATH']}:ro")
 
 
 def test_every_setting_of_the_server_can_be_made_in_the_cluster() -> None:
@@ -158,7 +167,7 @@ def test_a_compose_command_in_the_documentation_names_what_there_is(line: str) -
 
 
 def test_a_setting_in_the_documentation_is_one() -> None:
-    known = {f"DRIVECAL_{name.upper()}" for name in Settings.model_fields} | variables(COMPOSE, WORKERS, MACHINES)
+    known = {f"DRIVECAL_{name.upper()}" for name in Settings.model_fields} | variables(COMPOSE, WORKERS, MACHINES, PLUGINS)
     text = "".join(page.read_text() for page in PAGES)
     assert set(re.findall(r"DRIVECAL_[A-Z_]+[A-Z]", text)) <= known | {"DRIVECAL_BUNDLE_CACHE"}
 

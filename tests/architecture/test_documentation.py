@@ -131,6 +131,30 @@ def test_the_readme_is_read_in_a_minute() -> None:
     assert len(text.encode()) <= 9_000
 
 
+def section(text: str, title: str) -> str:
+    """The text below a heading of the second level."""
+    (found,) = re.findall(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def test_the_numbers_of_the_readme_are_those_of_the_results() -> None:
+    shown = section((ROOT / "README.md").read_text(), "Results")
+    known = "\n".join(page.read_text() for page in (DOCS / "pages" / "results").glob("*.md"))
+    rows = re.findall(r"\| ([\d,]+) \| ([\d,]+) \| ([\d.]+) % \|", shown)
+    assert len(rows) == 3
+    for requested, simulated, saved in rows:
+        assert f"{1 - int(simulated.replace(',', '')) / int(requested.replace(',', '')):.1%}" == f"{saved}%"
+        known += f" {saved} "
+    numbers = set(re.findall(r"\d[\d,.]*\d", shown))
+    assert len(numbers) > 12
+    assert {number for number in numbers if not re.search(rf"(?<![\d.,]){re.escape(number)}(?!\d|[.,]\d)", known)} == set()
+
+
+def test_readme_and_documentation_say_alike_what_fits() -> None:
+    readme, start = (section(page.read_text(), "Does it fit?") for page in (ROOT / "README.md", DOCS / "pages" / "index.md"))
+    assert start == readme.replace("](docs/pages/", "](")
+
+
 def test_the_reference_is_that_of_the_code() -> None:
     made = program("reference").pages()
     written = {path.name: path.read_text() for path in (DOCS / "pages" / "reference").glob("*.md") if path.name != "index.md"}

@@ -90,6 +90,14 @@ def test_a_command_that_needs_more_names_the_extra(words: tuple[str, ...], tmp_p
     assert "drivecal[local]" in done.stderr
 
 
+@pytest.mark.parametrize("words", [("--backend", "ray"), ("--ray-address", "10.0.0.1:6379")])
+def test_a_server_on_ray_names_the_extra_before_it_starts(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = run("local", COMMAND, "serve", "--port", "0", "--home", tmp_path, *words)
+    assert done.returncode == 2, done.stderr
+    assert "drivecal[cluster]" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_one_machine_needs_no_ray() -> None:
     done = run(
         "local",

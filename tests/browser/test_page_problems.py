@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import run, submit, working
 from tests.support.server import RunningApi, serving
 
-from drivecal.storage import results
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 
 SPEC: dict[str, Any] = {
@@ -107,7 +108,7 @@ def test_a_choice_has_an_axis_with_its_words_and_can_be_brushed(heater: Heated, 
 
 def test_less_is_better_where_the_score_says_so(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at("ranking"))
-    expect(page.get_by_text("less is better")).to_be_visible()
+    expect(page.get_by_text("Colour: objective")).to_contain_text("less is better")
     objective = page.get_by_role("columnheader", name="objective").get_by_role("button")
     objective.click()
     best = column(page, "objective")
@@ -116,6 +117,37 @@ def test_less_is_better_where_the_score_says_so(heater: Heated, opening: Opening
     assert float(best[0]) == round(heater.campaign.best.objective, 4)
     objective.click()
     assert float(column(page, "objective")[0]) > float(best[0])
+
+
+def test_the_ranking_follows_another_score_at_once(heater: Heated, opening: Opening, tmp_path: Path) -> None:
+    few = SPEC | {"sensitivity": None, "optimizer": {"kind": "random", "population": 8, "iterations": 1, "seed": 2}}
+    identifier = heater.api.http.post("/api/v1/campaigns", json=few).raise_for_status().json()["id"]
+    with heater.api.database.read() as connection:
+        campaign = campaigns.get(connection, identifier)
+    ranked = Heated(heater.api, run(heater.api.database, campaign, ComputedBackend(answer=heated)))
+
+    def shows(score: str) -> None:
+        """Waits until the ranking is that of the API under this score."""
+        query = {"score": score, "limit": "1"}
+        [best] = heater.api.http.get(f"/api/v1/campaigns/{identifier}/solutions", params=query).json()["items"]
+        expect(page.get_by_role("row").nth(1).get_by_role("gridcell").nth(1)).to_have_text(f"{round(best['objective'], 4):.9g}")
+
+    page = opening(ranked.at("ranking"))
+    choice = page.get_by_label("Rank by")
+    choice.select_option("ease")
+    expect(page.get_by_text("Colour: objective")).not_to_contain_text("less is better")
+    shows("ease")
+    page.wait_for_url("**score=ease*")
+    assert barriers(page) == []
+    choice.select_option("")
+    expect(page.get_by_text("Colour: objective")).to_contain_text("less is better")
+
+    scores = {**MANIFEST["scores"], "cost": MANIFEST["scores"]["cost"] | {"formula": "2*energy_kwh"}}
+    later = push(heater.api.database, tmp_path / "later", scores=scores).digest
+    page.reload()
+    choice.select_option(f"cost@{later}")
+    shows(f"cost@{later}")
+    push(heater.api.database, tmp_path / "again")
 
 
 def test_a_failed_run_is_shown_as_failed(heater: Heated, opening: Opening) -> None:

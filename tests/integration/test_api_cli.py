@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import pty
 import subprocess
 import sys
 import threading
@@ -90,6 +91,7 @@ def test_an_unknown_campaign_is_not_found(run: Run, command: str) -> None:
     for identifier in ("0" * 32, "nothing", "../workers", "a b\x00", "é"):
         result = run(command, identifier)
         assert result.exit_code == 5, result.output
+        assert "`drivecal list`" in result.stderr
 
 
 def test_a_prefix_of_several_ids_is_not_found(run: Run) -> None:
@@ -153,6 +155,48 @@ def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) ->
     assert f"drivecal watch {submitted}" in said
     assert "Traceback" not in said
     assert api.http.get(f"/api/v1/campaigns/{submitted}").json()["state"] == "queued"
+
+
+def test_several_campaigns_stand_in_one_table(run: Run, api: RunningApi, submitted: str) -> None:
+    carry_out(api.database, submitted)
+    (row,) = json.loads(run("top", submitted[:8], "--json").stdout)["items"]
+    assert (row["id"], row["state"], row["best_by_iteration"]) == (submitted, "succeeded", [3.5])
+    assert row["outcomes"]["simulated"] == row["progress"]["done"] == 10
+    queued = run("submit", "-", stdin="name: waiting").stdout.split()[1]
+    header, first, *others = run("top", "--limit", "200").stdout.splitlines()
+    assert header.split()[:3] == ["id", "state", "stage"]
+    assert first.split()[1] == "queued", "what is active comes first"
+    assert {queued[:8], submitted[:8]} <= {line.split()[0] for line in (first, *others)}
+    assert run("top", "0" * 32).exit_code == 5
+
+
+def test_the_live_table_ends_with_ctrl_c(api: RunningApi, submitted: str) -> None:
+    screen, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "drivecal.cli", "top", submitted, "--url", api.url],
+        stdout=terminal,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.close(terminal)
+    shown = b""
+    while submitted[:8].encode() not in shown:
+        shown += os.read(screen, 1000)
+    process.send_signal(2)
+    _, said = process.communicate(timeout=60)
+    os.close(screen)
+    assert (process.returncode, said) == (0, "")
+
+
+def test_shells_complete_commands_and_ids(api: RunningApi, submitted: str) -> None:
+    def completed(words: str) -> list[str]:
+        asked = {"_DRIVECAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        command = [str(Path(sys.executable).with_name("drivecal"))]
+        environment = os.environ | asked | {"DRIVECAL_URL": api.url}
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("drivecal to") == ["top"]
+    assert completed(f"drivecal show {submitted[:6]}") == [submitted]
 
 
 def test_solutions_are_ranked_by_other_weights(run: Run, api: RunningApi, submitted: str) -> None:

@@ -192,3 +192,5 @@ def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: En
     campaign, lights = light_of(constraints=[{"measure": JERK, "at_most": 0.1, "failed": 20.0}])
     assert campaign["best"]["violation"] > 0
     assert (lights["constraints"], lights["all"]) == ("red", "red")
+    assert [note for note in campaign["notes"] if "constraints" in note]
+    assert "breaks the constraints" in command("show", campaign["id"], "--url", ended.api.url).stdout

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 from tests.support.serve import Server, serving, until
-from tests.support.user_problems import SPEC, ZDT1, ZDT1_LARGEST, ZDT1_MODEL, ZDT1_SPEC, of_python, problem, rows
+from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
 
+OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
+"""Few cells and many iterations, so that a kill hits the middle."""
+FORMULA = "2*{0} + 1"
+
 pytestmark = pytest.mark.slow
-FEW = SPEC | {"optimizer": SPEC["optimizer"] | {"population": 12}}
-"""Enough where a campaign need not be in its middle when something happens to it."""
 
 
 @pytest.fixture(scope="module")
@@ -29,46 +30,104 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="module")  # the last test kills it
-def server(home: Path) -> Iterator[Server]:
-    with started(home, "ray") as running:
-        yield running
+class Machine:
+    """A user's machine, on which the server runs with its workers until it is killed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.server = self._started()
+
+    def _started(self) -> Server:
+        cache = str(self._folder / "cache")
+        return Server(self._folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache)
+
+    def client(self) -> Client:
+        return Client(self.server.url)
+
+    def kill(self) -> None:
+        """Ends the server and everything it started by SIGKILL."""
+        family = self.server.family()
+        self.server.process.kill()
+        for process in family:
+            process.kill()
+        self.server.process.wait()
+
+    def restart(self) -> None:
+        self.server = self._started()
+
+    def stored_state(self, campaign: str) -> str:
+        """State of a campaign in the database, whether the server runs or not."""
+        with sqlite3.connect(self._folder / "home" / "drivecal.db") as connection:
+            [state] = connection.execute("SELECT state FROM campaigns WHERE id = ?", (campaign,)).fetchone()
+        return str(state)
 
 
-def started(folder: Path, backend: str) -> AbstractContextManager[Server]:
-    return serving(folder, workers=2, DRIVECAL_BUNDLE_CACHE=str(folder / "cache"), DRIVECAL_BACKEND=backend)
+@pytest.fixture(scope="module")
+def machine(home: Path) -> Iterator[Machine]:
+    machine = Machine(home)
+    yield machine
+    machine.kill()
+
+
+def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
+    """Changes the manifest of a problem; returns it."""
+    manifest: dict[str, Any] = yaml.safe_load((folder / "problem.yaml").read_text()) | changes
+    (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    return manifest
 
 
 @pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
-def test_an_example_is_calibrated_and_rated_anew_without_a_simulation(name: str, server: Server, tmp_path: Path) -> None:
+def test_an_example_is_killed_resumed_and_rated_anew(name: str, machine: Machine, tmp_path: Path) -> None:
     folder = problem(name, tmp_path)
-    with Client(server.url) as client:
+    manifest = rewritten(folder)
+    spec = {**SPEC, "problem": name, "optimizer": OPTIMIZER, "reduction": {"mode": "off"}}
+    with machine.client() as client:
         pushed = client.push_problem(folder)
-        first = client.wait(client.submit({**FEW, "problem": name}).id)
-        assert (first.state, first.error, first.cells.failed) == ("succeeded", None, 0)
-        assert first.spec["problem"] == pushed.digest
-        assert first.cells.simulated > 25
-        assert first.best is not None
-        manifest = yaml.safe_load((folder / "problem.yaml").read_text())
-        assert set(first.best.parameters) == set(manifest["parameters"])
+        whole = client.wait(client.submit(spec).id)
+        assert (whole.state, whole.error, whole.cells.failed) == ("succeeded", None, 0)
+        assert whole.best is not None
+        assert set(whole.best.parameters) == set(manifest["parameters"])
+        begun = client.submit(spec).id
+        until(lambda: (client.campaign(begun).iteration or 0) >= 2, "a third iteration")
+    machine.kill()
+    assert machine.stored_state(begun) == "running"
+    machine.restart()
 
-        manifest["scores"] = {
-            "anew": {"formula": f"2*{next(iter(manifest['measures']))}", "direction": "minimise", "range": [0, 50]}
-        }
-        (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    measure = next(iter(manifest["measures"]))
+    with machine.client() as client:
+        resumed = client.wait(begun)
+        assert (resumed.state, resumed.best, resumed.cells) == ("succeeded", whole.best, whole.cells)
+        assert rows(client, begun) == rows(client, whole.id)
+
+        anew = {"formula": FORMULA.format(measure), "direction": "minimise", "range": [0, 50], "failed": 99}
+        rewritten(folder, scores={"anew": anew})
         again = client.push_problem(folder)
         assert again.digest != pushed.digest
-        sets = [row.parameters for row in client.solutions(first.id, limit=10).items]
-        rated = client.wait(
-            client.submit({**FEW, "problem": name, "optimizer": {**FEW["optimizer"], "iterations": 1, "start_sets": sets}}).id
-        )
+        changes = {"problem": name, "weights": {}, "optimizer": OPTIMIZER | {"iterations": 1}, "reduction": {"mode": "exact"}}
+        rated = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
         assert rated.spec["problem"] == again.digest
-        assert rated.cells.repeated >= len(sets) * len(manifest["scenarios"])
+        assert (rated.cells.simulated, rated.cells.repeated) == (0, OPTIMIZER["population"] * len(manifest["scenarios"]))
+        before = by_cell(client, whole.id)
+        for cell, row in by_cell(client, rated.id).items():
+            assert row[f"measure_{measure}"] == before[cell][f"measure_{measure}"]
+            assert row["score"] == (2 * row[f"measure_{measure}"] + 1 if row["failure"] is None else 99)
 
         (folder / "extra.txt").write_text("one byte more")
         client.push_problem(folder)
-        other = client.wait(client.submit({**FEW, "problem": name, "optimizer": {**FEW["optimizer"], "iterations": 1}}).id)
-        assert other.cells.repeated == 0
+        other = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
+        assert (other.cells.repeated, other.cells.simulated) == (0, rated.cells.repeated)
+
+
+def by_cell(client: Client, campaign: str) -> dict[tuple[int, str], dict[str, Any]]:
+    """The first generation of a campaign with its measures, by individual and scenario."""
+    table = client.evaluations(campaign, measures="true", where=["iteration=0"]).to_arrow().to_pylist()
+    return {(row["individual"], row["scenario"]): row for row in table}
+
+
+@pytest.fixture(scope="module")
+def server(home: Path) -> Iterator[Server]:
+    with serving(home, workers=2, DRIVECAL_BUNDLE_CACHE=str(home / "cache")) as running:
+        yield running
 
 
 def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server, tmp_path: Path) -> None:
@@ -76,7 +135,7 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
     manifest = yaml.safe_load((folder / "problem.yaml").read_text())
     manifest["problem"], manifest["simulator"]["probe"] = "probed", ["cat", str(version)]
     (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
-    spec = {**FEW, "problem": "probed", "optimizer": {**FEW["optimizer"], "iterations": 1}}
+    spec = {**SPEC, "problem": "probed", "optimizer": {**SPEC["optimizer"], "iterations": 1}}
     simulated = []
     with Client(server.url) as client:
         client.push_problem(folder)
@@ -88,72 +147,3 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server
             simulated.append(ended.cells.simulated)
     assert simulated[0] == simulated[2] > 0
     assert simulated[1] == simulated[3] == 0
-
-
-SECONDS = 0.4
-SLEEPING_MODEL = (
-    f"import time\n\ndef evaluate(parameters, scenario):\n    time.sleep({SECONDS})\n    return {{'y': parameters['x']}}\n"
-)
-SLEEPING: dict[str, Any] = {
-    "problem": "sleeping",
-    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.1}},
-    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "timeout": 60, "deterministic": True},
-    "scenarios": {"city": {}},
-    "measures": {"y": "1"},
-    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
-}
-"""A simulator that mostly waits, as one of 90 s does, scaled down: real children, real clocks."""
-
-
-def test_cpu_time_wall_time_and_savings_of_a_simulator_that_sleeps(server: Server, tmp_path: Path) -> None:
-    spec = SPEC | {"problem": "sleeping", "optimizer": {"kind": "random", "population": 8, "iterations": 1, "seed": 1}}
-    with Client(server.url) as client:
-        client.push_problem(of_python(SLEEPING, SLEEPING_MODEL, tmp_path))
-        first, again = (client.wait(client.submit(spec).id) for _ in range(2))
-        accounts = [client.accounting(campaign.id) for campaign in (first, again)]
-    assert (first.state, first.cells.failed, first.cells.repeated) == ("succeeded", 0, 0)
-    assert (again.cells.simulated, again.cells.repeated) == (0, first.cells.simulated)
-    waited = SECONDS * first.cells.simulated
-    assert first.seconds.simulating < 0.25 * waited, "CPU time"
-    assert first.seconds.wall >= waited / 2, "two workers"
-    assert [account.clock for account in accounts] == ["wall", "wall"]
-    assert accounts[0].simulated_seconds == pytest.approx(waited, rel=0.5)
-    assert accounts[1].repeated_saved_seconds == pytest.approx(waited, rel=0.5)
-
-
-def simulates(client: Client, campaign: str) -> bool:
-    """Whether a campaign is in the middle of its search."""
-    return client.campaign(campaign).cells.simulated > 30
-
-
-def test_a_killed_server_resumes_searches_to_the_same_results(server: Server, home: Path, tmp_path: Path) -> None:
-    """Of one score, and of two with the front of an uninterrupted search. The next server has workers without Ray."""
-    specs = {
-        "acc-highway": {**SPEC, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}},
-        "zdt1": ZDT1_SPEC,
-        "python-function": {**SPEC, "optimizer": {**SPEC["optimizer"], "seed": 4}, "reduction": {"mode": "off"}},
-    }
-    expected, begun = {}, {}
-    with Client(server.url) as client:
-        for name, spec in specs.items():
-            client.push_problem(of_python(ZDT1, ZDT1_MODEL, tmp_path) if name == "zdt1" else problem(name, tmp_path))
-            ended = client.wait(client.submit({**spec, "problem": name}).id)
-            assert (ended.state, ended.error) == ("succeeded", None)
-            expected[name] = ended.best, rows(client, ended.id)
-            if name == "zdt1":
-                front = client.front(ended.id), client.front_summary(ended.id)
-                assert 0.93 * ZDT1_LARGEST < (front[1].hypervolume or 0) <= ZDT1_LARGEST
-        for name, spec in specs.items():  # the slowest first, so that they are in their middle together
-            begun[name] = client.submit({**spec, "problem": name}).id
-            until(partial(simulates, client, begun[name]), "some cells are simulated")
-    family = server.family()
-    server.process.kill()
-    for process in family:
-        process.kill()
-    server.process.wait()
-    with started(home, "processes") as resumed, Client(resumed.url) as client:
-        for name, campaign in begun.items():
-            ended = client.wait(campaign)
-            assert ended.state == "succeeded"
-            assert (ended.best, rows(client, campaign)) == expected[name]
-        assert (client.front(begun["zdt1"]), client.front_summary(begun["zdt1"])) == front

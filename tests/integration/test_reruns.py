@@ -34,7 +34,7 @@ from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
@@ -54,8 +54,8 @@ class Strict:
     name: str = "strict"
     version: str = "7"
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        del manoeuvre
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
+        del rated_as
         rating = max(0.0, metrics["comfort"] - 1)
         return Rating(rating, round(rating))
 
@@ -356,5 +356,8 @@ def test_the_best_set_of_the_first_campaign_is_known_under_the_weights_of_its_re
     listed = ranking(database, first, resolved_spec(first), weights).solutions(0, 1)
     assert known.objective == listed[0].objective
     other = ComputedBackend(answer=strict_answer)
-    assert earlier_best(database, _rerun(database, first, other, evaluator="strict"), first) is None
+    rated = _rerun(database, first, other, evaluator="strict")
+    assert earlier_best(database, rated, first) is None
+    of_earlier_release = replace(rated, spec={name: value for name, value in rated.spec.items() if name != "problem"})
+    assert earlier_best(database, of_earlier_release, first) is None
     assert earlier_best(database, replace(again, state=CampaignState.RUNNING), first) is None

@@ -20,7 +20,6 @@ from drivecal.contracts.specification import CampaignSpecification, RerunSpecifi
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, Series
 from drivecal.storage import campaigns
@@ -38,11 +37,11 @@ class Seeing:
     name: str = "seeing"
     version: str = "1"
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        raise ValueError(f"{manoeuvre} with {len(metrics)} metrics cannot be rated")
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
+        raise ValueError(f"{rated_as} with {len(metrics)} metrics cannot be rated")
 
-    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        raise AssertionError(f"asked of the coordinator: {manoeuvre}, {series}")
+    def rate_series(self, rated_as: str, series: Series) -> Rating:
+        raise AssertionError(f"asked of the coordinator: {rated_as}, {series}")
 
 
 def seen(scenario: str, cell: Cell) -> CellResult:

@@ -169,10 +169,13 @@ def test_a_rerun_of_the_exact_reduction_simulates_nothing(database: Database) ->
     assert again.best == first.best
 
 
-def test_a_robustness_study_is_refused_with_a_way_out(database: Database) -> None:
+@pytest.mark.parametrize("named_by", ["name", "digest"])
+def test_a_robustness_study_is_refused_with_a_way_out(database: Database, named_by: str) -> None:
+    digest = store(database, MANIFEST)
     with pytest.raises(InvalidInputError) as caught:
-        submit(database, robustness={"samples": 5})
+        submit(database, problem=digest if named_by == "digest" else "synthetic", robustness={"samples": 5})
     [problem] = caught.value.problems
     assert problem.field == "robustness"
     assert "vehicle" in problem.message
+    assert "synthetic" in problem.message
     assert "scenarios" in problem.remedy

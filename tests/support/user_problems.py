@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -43,30 +42,6 @@ FMU = {
 }
 """A whole system, compiled by the test."""
 
-ZDT1_MODEL = """
-def evaluate(parameters, scenario):
-    first, *others = (parameters[f"x{place}"] for place in range(5))
-    slope = 1 + 9 * sum(others) / len(others)
-    return {"f1": first, "f2": slope * (1 - (first / slope) ** 0.5)}
-"""
-ZDT1: dict[str, Any] = {
-    "problem": "zdt1",
-    "parameters": {f"x{place}": {"lower": 0, "upper": 1} for place in range(5)},
-    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "deterministic": True},
-    "scenarios": {"plain": {}},
-    "measures": {"f1": "1", "f2": "1"},
-    "scores": {name: {"formula": name, "direction": "minimise", "range": [0, 10]} for name in ("f1", "f2")},
-}
-"""Two scores that contradict each other."""
-ZDT1_SPEC: dict[str, Any] = {
-    "problem": "zdt1",
-    "objectives": [{"score": name, "reference": 1.1} for name in ("f1", "f2")],
-    "optimizer": {"kind": "nsga2", "population": 20, "iterations": 30, "seed": 4},
-    "reduction": {"mode": "off"},
-}
-ZDT1_LARGEST = 0.1 + 2 / 3 + 0.11
-"""Hypervolume of the front f2 = 1 - sqrt(f1)."""
-
 
 def problem(name: str, folder: Path) -> Path:
     """A problem's folder, ready to be pushed: a copy of an example, or an FMU with its manifest."""
@@ -79,15 +54,6 @@ def problem(name: str, folder: Path) -> Path:
     shutil.copytree(EXAMPLES / name, copy)
     if (copy / "Makefile").is_file():
         subprocess.run(["make", "-s"], cwd=copy, check=True)
-    return copy
-
-
-def of_python(manifest: Mapping[str, Any], model: str, folder: Path) -> Path:
-    """The folder of a problem that is a Python function."""
-    copy = folder / str(manifest["problem"])
-    copy.mkdir()
-    (copy / "problem.yaml").write_text(yaml.safe_dump(dict(manifest), sort_keys=False))
-    (copy / "model.py").write_text(model)
     return copy
 
 

@@ -1,6 +1,7 @@
 """Savings and costs of reuse: the simulations that it saved beside what it took. Pure.
 
-Simulators that mostly wait (a licence, a device, another machine) are accounted in wall-clock time, all others in CPU time.
+Runs that occupy their workers for much longer than they compute are accounted in wall-clock time, all others in CPU time. Their simulator
+waits (for a licence, a device, another machine), or other processes take its processors: an account cannot tell which.
 
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
 scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
@@ -23,6 +24,8 @@ SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED
 """Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
 WAITING = 2.0
 """Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
+LEAST_WAIT = 0.05
+"""Mean seconds without CPU time of such a run: a shorter one is mostly on its way to a child process and back, which is no waiting."""
 ROUNDING = 1e-9
 """Quotients this close above a whole number are that number."""
 
@@ -51,7 +54,8 @@ def account(
     of reused cells; `confirmed`: how many of those were simulated after the search, by scenario; `predictors`: CPU time of the predictor,
     by scenario."""
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
-    waits = wall_seconds > WAITING * cpu_seconds
+    runs = sum(cost.runs for cost in costs)
+    waits = wall_seconds > max(WAITING * cpu_seconds, cpu_seconds + LEAST_WAIT * runs)
     if waits:
         costs = _by_the_wall(costs)
         origin = None if origin is None else replace(origin, costs=_by_the_wall(origin.costs))
@@ -223,5 +227,5 @@ def _sentence(accounting: Accounting) -> str:
         balance = f"{balance}, less {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     if accounting.clock == "wall":
         cpu, wall = f"{accounting.cpu_seconds:,.1f} s of CPU time", f"{accounting.wall_seconds:,.1f} s"
-        balance += f" (wall-clock time, as the simulator mostly waits: {cpu} in {wall})"
+        balance += f" (wall-clock time, as the simulator waits, or shares its processors with others: {cpu} in {wall})"
     return f"{share}; {balance}."

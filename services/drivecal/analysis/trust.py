@@ -46,13 +46,14 @@ class Driven:
 class Earlier:
     """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
 
-    `reused`: scenarios whose score is a reference's.
+    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
     """
 
     campaign: str
     objective: float
     weights: Mapping[str, float]
     reused: Sequence[str] = ()
+    score: str | None = None
 
 
 def trust(
@@ -62,7 +63,7 @@ def trust(
     earlier: Earlier | None = None,
 ) -> TrustAnswer:
     """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
-    reruns, if both have the same problem and score."""
+    reruns, if both have the same problem."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
         return TrustAnswer(light=None, reasons=[])
     reasons = [
@@ -137,9 +138,11 @@ def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
         return
     copied = f" (a reference's score in {', '.join(earlier.reused)})" if earlier.reused else ""
     weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
+    score = "" if earlier.score is None else f" --score {earlier.score}"
     text = (
-        f"The earlier campaign holds a better set under these weights: {earlier.objective:.4f}{copied} beside "
-        f"{campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} --weights {weights}` lists it."
+        f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: "
+        f"{earlier.objective:.4f}{copied} beside {campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} "
+        f"--weights {weights}{score}` lists it, and a rerun with it in `optimizer.start_sets` searches from there."
     )
     yield Reason(light="amber", about="earlier", text=text)
 

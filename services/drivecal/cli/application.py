@@ -34,7 +34,7 @@ class ExitCode(IntEnum):
 
 
 ORDER = (
-    *("demo", "serve", "submit", "list", "show", "watch", "pause", "resume", "cancel", "rerun"),
+    *("demo", "serve", "submit", "list", "top", "show", "watch", "pause", "resume", "cancel", "rerun"),
     *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
     *("compare-optimizers", "evaluate", "problem", "workers", "db"),
 )
@@ -50,6 +50,9 @@ EXTRAS = {
 }
 """Extra of drivecal that installs a package, by the package's module."""
 
+SECONDS_TO_COMPLETE = 2.0
+"""Longest time that a shell waits for the ids of campaigns."""
+
 _COMMANDS = (
     (r"\bGET /api/v1/influence-maps\b(?!/)", "`drivecal influence-maps list`"),
     (r"\bGET /api/v1/campaigns\b(?!/)", "`drivecal list`"),
@@ -58,6 +61,15 @@ _COMMANDS = (
     (r"\bpost another one to /api/v1/evaluations\b", "make another one with `drivecal evaluate`"),
 )
 """Commands for the server's hints."""
+
+_LISTS = {
+    "campaign": "`drivecal list` prints those that exist",
+    "influence map": "`drivecal influence-maps list` prints those that exist",
+    "campaign or influence map": "`drivecal list` and `drivecal influence-maps list` print those that exist",
+    "problem": "`drivecal problem list` prints those that exist",
+    "evaluation": "`drivecal export ID` prints those of a campaign, in its column id",
+}
+"""Commands that list the objects of a kind."""
 
 
 class Commands(TyperGroup):
@@ -97,7 +109,21 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the answer as JS
 UrlOption = Annotated[
     str | None, typer.Option("--url", help="The server; else DRIVECAL_URL, else the config file, else http://127.0.0.1:8000.")
 ]
-CampaignArgument = Annotated[str, typer.Argument(metavar="ID", help="The campaign's id, or the first characters of it.")]
+
+
+def campaign_ids(incomplete: str) -> list[str]:
+    """Returns the ids of the newest campaigns that begin so, for the completion of a shell; none if no server answers."""
+    try:
+        with Client(timeout=SECONDS_TO_COMPLETE) as client:
+            return [campaign.id for campaign in client.campaigns(limit=200).items if campaign.id.startswith(incomplete)]
+    except DrivecalError:
+        return []
+
+
+CampaignArgument = Annotated[
+    str,
+    typer.Argument(metavar="ID", help="The campaign's id, or the first characters of it.", autocompletion=campaign_ids),
+]
 
 
 class WaitTimedOutError(DrivecalError):
@@ -130,6 +156,8 @@ def complain(error: DrivecalError) -> None:
         for problem in error.problems:
             fields.setdefault((problem.message, problem.remedy), []).append(problem.field)
         text = "\n".join(str(Problem(", ".join(dict.fromkeys(names)), *said)) for said, names in fields.items())
+    if isinstance(error, NotFoundError) and not error.hint and error.kind in _LISTS:
+        text = f"{text}; {_LISTS[error.kind]}"
     for call, command in _COMMANDS:
         text = re.sub(call, command, text)
     for line in text.splitlines():

@@ -19,6 +19,7 @@ from drivecal.cli.commands import (  # noqa: F401  # importing a module register
     results,
     robustness,
     serve,
+    top,
     validate,
     workers,
 )

@@ -16,6 +16,7 @@ from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
 from drivecal.client.identifiers import completed, is_abbreviated, with_full_ids
+from drivecal.client.notebooks import Rows, displayed
 from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, Transport, named, path_of
 from drivecal.configuration.settings import load_settings
@@ -130,10 +131,14 @@ class Client(Transport):
         """
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
-    def wait(self, identifier: str, timeout: float | None = None) -> Campaign:
-        """Returns the campaign once it has ended. Raises TimeoutError after `timeout` seconds; the campaign continues."""
+    def wait(self, identifier: str, timeout: float | None = None, *, progress: bool = True) -> Campaign:
+        """Returns the campaign once it has ended. In a notebook the cell displays it meanwhile, unless `progress` is False.
+
+        Raises TimeoutError after `timeout` seconds; the campaign continues.
+        """
         deadline = None if timeout is None else time.monotonic() + timeout
-        *_, campaign = self.watch(identifier, deadline, from_beginning=False)
+        states = self.watch(identifier, deadline, from_beginning=False)
+        *_, campaign = displayed(states) if progress else states
         return campaign
 
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
@@ -192,8 +197,8 @@ class Client(Transport):
         limit: int | None = None,
         score: str | None = None,
     ) -> SolutionPage:
-        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its score
-        or another of its problem."""
+        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its
+        score, another of its problem, or `NAME@PUSH`: one that another push declares."""
         return self._get(
             SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
         )
@@ -301,7 +306,7 @@ class Client(Transport):
 
     def _rows_of(self, identifier: str, table: TableName, model: type[Answer], **query: Any) -> list[Answer]:
         try:
-            return [model.model_validate(row) for row in self.rows(identifier, table, **query)]
+            return Rows(model.model_validate(row) for row in self.rows(identifier, table, **query))
         except ValidationError as error:
             raise self._strange() from error
 

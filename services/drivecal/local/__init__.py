@@ -8,6 +8,8 @@
 7.0
 >>> result.cells["S1"].failure is None
 True
+
+A problem of yours runs the same way: `local.evaluate(parameters, problem="my-brake")`.
 """
 
 from drivecal.local.evaluation import LocalEvaluation, SimulatedCell, evaluate

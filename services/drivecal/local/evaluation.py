@@ -1,14 +1,22 @@
 """The way of one parameter set through this process: resolved as by the server, simulated as by a worker."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from os import PathLike
+from pathlib import Path
 from threading import Lock
 
+from drivecal.bundles.archives import content_digest, files_digest
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
 from drivecal.campaigns.resolve.problem import resolve_evaluation
+from drivecal.campaigns.resolve.workbench import no_bundles
+from drivecal.client.problems import read_bundle
+from drivecal.contracts.campaign import html_table
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import EvaluationSpecification
-from drivecal.contracts.work import Batch, Cell
+from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.runtime.compilation import prepare_cache
 from drivecal.runtime.worker import Worker
@@ -21,14 +29,14 @@ _SIMULATION = Lock()
 class SimulatedCell:
     """The result in one scenario. `score`, `rating` and `metrics` are those of the server's answer.
 
-    `failure` names why a run scores 0. If the run broke down, `score` and `rating` are None and `error` says why.
+    `failure` names why a run is worth a failed one. If the run broke down, `score` and `rating` are None and `error` says why.
     """
 
     scenario: str
     score: float | None
     rating: float | None
     metrics: Mapping[str, float]
-    """Measured metrics, with units in their names."""
+    """Measures: of the motorway's runs with units in their names, of a problem those that it declares."""
     failure: str | None
     error: str | None
     milliseconds: float
@@ -39,7 +47,7 @@ class SimulatedCell:
 class LocalEvaluation:
     """The results of one parameter set, by scenario in the order of the catalogue."""
 
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float | str]
     cells: Mapping[str, SimulatedCell]
 
     @property
@@ -53,11 +61,28 @@ class LocalEvaluation:
         scores = [cell.score for cell in self.cells.values() if cell.score is not None]
         return sum(scores) / len(scores) if len(scores) == len(self.cells) else None
 
+    def _repr_html_(self) -> str:
+        """Returns a table with a row per scenario; failures and errors have columns if there are any."""
+        cells = self.cells.values()
+        reasons = [name for name in ("failure", "error") if any(getattr(cell, name) is not None for cell in cells)]
+        return html_table(
+            [
+                {
+                    "scenario": cell.scenario,
+                    "score": cell.score,
+                    **cell.metrics,
+                    **{name: getattr(cell, name) for name in reasons},
+                }
+                for cell in cells
+            ]
+        )
+
 
 def evaluate(
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, float | str],
     scenarios: str | Sequence[str] | None = None,
     *,
+    problem: str | PathLike[str] | None = None,
     catalogue: str = "highway",
     driving_function: str = "frenet",
     vehicle: str | Mapping[str, object] = "single_track",
@@ -65,34 +90,57 @@ def evaluate(
 ) -> LocalEvaluation:
     """Simulates a parameter set in the given scenarios, or in all of the catalogue.
 
-    `vehicle` is a model's name or the `vehicle` section of a campaign file. The first call compiles, which takes some seconds.
+    `problem` is the folder of a problem of yours, which replaces the built-in motorway; `evaluator` is one of its scores, by default its
+    first. Its simulator runs in a child process, as on a worker. `vehicle` is a model's name or the `vehicle` section of a campaign
+    file. The first call on the motorway compiles, which takes some seconds.
 
     Raises InvalidInputError with everything that is wrong with the arguments, and UnavailableError if this installation cannot simulate.
     """
+    bundle = None if problem is None else _stored(Path(problem))
     document = {
         "parameters": dict(parameters),
+        "problem": "highway" if bundle is None else bundle.manifest.problem,
         "catalogue": catalogue,
         "driving_function": driving_function,
         "vehicle": {"model": vehicle} if isinstance(vehicle, str) else dict(vehicle),
         "evaluator": evaluator,
     }
+    source = no_bundles if bundle is None else lambda _: bundle
     names = [scenarios] if scenarios is None or isinstance(scenarios, str) else scenarios
-    problems = [resolve_evaluation(validated(EvaluationSpecification, document | {"scenario": name})) for name in names]
+    resolved = [resolve_evaluation(validated(EvaluationSpecification, document | {"scenario": name}), source) for name in names]
     cells: dict[str, SimulatedCell] = {}
-    for problem in problems:
-        for scenario, request in problem.bench.requests.items():
-            cells[scenario] = _simulated(scenario, Batch(request, (Cell(0, problem.parameter_set.floats),)))
+    for each in resolved:
+        for scenario in each.bench.requests:
+            cells[scenario] = _simulated(scenario, each.bench, Cell(0, each.parameter_set.floats))
     return LocalEvaluation(dict(parameters), cells)
 
 
-def _simulated(scenario: str, batch: Batch) -> SimulatedCell:
+def _stored(folder: Path) -> Bundle:
+    """Returns the problem in a folder, with what its `probe` answers here, ready to run. Raises InvalidInputError with all its faults."""
+    manifest, archive = read_bundle(folder)
+    bundle = Bundle(content_digest(archive), files_digest(archive), manifest)
+    _worker().store(bundle.digest, archive)
+    to_probe = BundleBench(bundle, tuple(manifest.scenarios), next(iter(manifest.scores))).to_probe
+    return bundle if to_probe is None else replace(bundle, tools=_answer(Batch(to_probe, ())).tools)
+
+
+def _simulated(scenario: str, bench: Bench, cell: Cell) -> SimulatedCell:
+    (result,) = _answer(Batch(bench.requests[scenario], (cell,))).results
+    score, rating = result.score, result.rating
+    if bench.rates and result.breakdown is None:
+        rated = bench.rate(scenario, result.metrics, result.failure)
+        score, rating = (None, None) if rated is None else (rated.score, rated.rating)
+    error = None if result.breakdown is None else result.detail or result.breakdown
+    return SimulatedCell(scenario, score, rating, result.metrics, result.failure, error, result.milliseconds)
+
+
+def _answer(batch: Batch) -> BatchResult:
+    """Returns the results of a batch. Raises UnavailableError if this installation cannot run it."""
     with _SIMULATION:
         answer = _worker().run(batch)
     if answer.refusal is not None:
         raise UnavailableError(answer.refusal)
-    (result,) = answer.results
-    error = None if result.breakdown is None else result.detail or result.breakdown
-    return SimulatedCell(scenario, result.score, result.rating, result.metrics, result.failure, error, result.milliseconds)
+    return answer
 
 
 @cache

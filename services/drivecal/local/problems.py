@@ -1,4 +1,4 @@
-"""Checks a problem bundle by running it here: one parameter set per scenario, twice, in child processes as on a worker."""
+"""Checks a problem bundle by running it here, in child processes as on a worker: one set per scenario twice, and another one once."""
 
 import tempfile
 import time
@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.probe import run_probe
@@ -18,14 +20,29 @@ from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 
+DRAWN = 10_000
+"""Sets among which one is searched that keeps all constraints."""
+SEED = 20261121
+
+
+@dataclass(frozen=True, slots=True)
+class OtherRun:
+    """Result of another set in a scenario; the fields mean what they do in `CheckedScenario`."""
+
+    measures: Mapping[str, float] = field(default_factory=dict)
+    failure: str | None = None
+    scores: Mapping[str, float] = field(default_factory=dict)
+    undefined: Mapping[str, str] = field(default_factory=dict)
+    error: str | None = None
+
 
 @dataclass(frozen=True, slots=True)
 class CheckedScenario:
-    """Result of a scenario's two runs.
+    """Result of a scenario's two runs, and of another set.
 
     `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
     has the worth of a failed run. `values`: what the formulas give, before anything is cut off. `seconds`: of each run, wall-clock;
-    `start_seconds`: until the simulator was ready.
+    `start_seconds`: until the simulator was ready. `other`: None if no other set was tried.
     """
 
     scenario: str
@@ -39,6 +56,7 @@ class CheckedScenario:
     seconds: tuple[float, ...] = ()
     cpu_seconds: tuple[float, ...] = ()
     error: str | None = None
+    other: OtherRun | None = None
 
 
 def trial_set(manifest: Manifest) -> dict[str, Setting]:
@@ -52,11 +70,24 @@ def trial_set(manifest: Manifest) -> dict[str, Setting]:
     return values
 
 
-def run_problem(manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting]) -> Iterator[CheckedScenario]:
+def other_set(manifest: Manifest) -> dict[str, Setting] | None:
+    """Returns a set of the space that keeps all constraints, drawn with a fixed seed; None if nothing that was drawn does."""
+    drawing = np.random.default_rng(SEED)
+    constraints = [Constraint(text, choices_of(manifest)) for text in manifest.constraints]
+    for _ in range(DRAWN):
+        values = {name: _drawn(entry, drawing) for name, entry in manifest.parameters.items()}
+        if all(constraint.holds(values) for constraint in constraints):
+            return values
+    return None
+
+
+def run_problem(
+    manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None = None
+) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:
-            yield _checked(manifest, scenario, folder, parameters)
+            yield _checked(manifest, scenario, folder, parameters, other)
 
 
 def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
@@ -78,7 +109,9 @@ def _unpacked(archive: bytes) -> Iterator[Path]:
             remove(folder)
 
 
-def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting]) -> CheckedScenario:
+def _checked(
+    manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None
+) -> CheckedScenario:
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series))
     began = time.perf_counter()
@@ -90,6 +123,7 @@ def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mappin
     try:
         first, first_seconds = _run(session, parameters, series=bool(manifest.series))
         second, second_seconds = _run(session, parameters, series=bool(manifest.series))
+        elsewhere = None if other is None else _tried(manifest, session, other)
     except NoMeasuresError as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
@@ -106,7 +140,17 @@ def _checked(manifest: Manifest, scenario: str, folder: Path, parameters: Mappin
         start_seconds=started,
         seconds=(first_seconds, second_seconds),
         cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
+        other=elsewhere,
     )
+
+
+def _tried(manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]) -> OtherRun:
+    try:
+        outcome = session.evaluate(parameters)
+    except NoMeasuresError as error:
+        return OtherRun(error=str(error))
+    scores, undefined = _rated(manifest, outcome)
+    return OtherRun(dict(outcome.measures), outcome.failure, scores, undefined)
 
 
 def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
@@ -182,6 +226,16 @@ def _middle(entry: ParameterEntry) -> Setting:
     step = 1.0 if entry.integer else entry.step
     value = (lower + upper) / 2 if step is None else lower + round((upper - lower) / step) // 2 * step
     return _typed(entry, round(value, 9))
+
+
+def _drawn(entry: ParameterEntry, drawing: np.random.Generator) -> Setting:
+    if entry.choices is not None:
+        return entry.choices[int(drawing.integers(len(entry.choices)))]
+    lower, upper = entry.lower or 0.0, entry.upper or 0.0
+    step = 1.0 if entry.integer else entry.step
+    if step is None:
+        return round(float(drawing.uniform(lower, upper)), 9)
+    return _typed(entry, round(lower + int(drawing.integers(round((upper - lower) / step) + 1)) * step, 9))
 
 
 def _typed(entry: ParameterEntry, value: Setting) -> Setting:

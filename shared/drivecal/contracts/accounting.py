@@ -93,8 +93,9 @@ class Accounting(Answer):
     cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
     requested; `share_reused`: reused / requested; null before the first.
 
-    `clock`: `cpu`, or `wall` if the simulator mostly waits: then all seconds of simulations are wall-clock time of the workers, because
-    CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered cells took by either.
+    `clock`: `cpu`, or `wall` if runs take more than twice their CPU time: then all seconds of simulations are wall-clock time of the
+    workers, because CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered
+    cells took by either.
     """
 
     campaign: str

@@ -263,17 +263,20 @@ class Campaign(CellsByStage):
 
     def _repr_html_(self) -> str:
         """Returns the campaign as a notebook shows it."""
-        done = f"{self.progress.done:,} of {self.progress.total:,} cells"
+        done, total, seconds = self.progress.done, self.progress.total, self.progress.eta_seconds
+        bar = f'<progress value="{done}" max="{total}"></progress>' if total and self.ended_at is None else ""
         facts = {
             "campaign": self.name,
             "id": self.id,
             "state": self.state,
             "stage": self.stage,
-            "progress": done,
+            "progress": f"{done:,} of {total:,} cells",
+            "seconds left": None if seconds is None or self.state != "running" else round(seconds),
+            "degraded": self.degraded,
             "error": self.error,
         }
         best = {} if self.best is None else {"best objective": self.best.objective, **self.best.parameters}
-        return html_facts({name: value for name, value in (facts | best).items() if value is not None})
+        return bar + html_facts({name: value for name, value in (facts | best).items() if value is not None})
 
 
 class CampaignPage(Page[Campaign]):

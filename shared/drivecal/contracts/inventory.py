@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, Page
+from drivecal.contracts.campaign import Answer, Page, html_facts, html_table
 from drivecal.contracts.tables import InfluenceRow
 
 
@@ -22,6 +22,11 @@ class InfluenceMapAnswer(Answer):
     """Basis of an analysis: its settings, fixed values, setups, evaluator and runs, and by scenario `smallest_s_rel`, the smallest
     s_rel that is not 0 of its `intervals` and of its `overall` analysis; null for a map that a user posted."""
     links: dict[str, str] = Field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        """Returns the map as a notebook shows it."""
+        facts = {"influence map": self.name, "id": self.id, "source": self.source, "driving function": self.driving_function}
+        return html_facts(facts) + html_table([row.model_dump(mode="json") for row in self.rows or []])
 
 
 class InfluenceMapPage(Page[InfluenceMapAnswer]):

@@ -46,7 +46,7 @@ class Breakdown(StrEnum):
 class Rating:
     """A run in units of the campaign's scale: `score` is what counts, `rating` a finer number that orders equal scores.
 
-    The comfort scale rounds its `rating` to whole points; on continuous scales both are the same. `undefined`: why the formula of the score
+    On a scale with steps, `score` is the rating rounded to a step; on others both are the same. `undefined`: why the formula of the score
     has no value, so that the run has the worth of a failed one.
     """
 

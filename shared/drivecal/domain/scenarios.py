@@ -5,18 +5,9 @@ both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
 """
 
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from functools import cached_property
 
 from drivecal.domain.setups import canonical_json, digest
-
-
-class Manoeuvre(StrEnum):
-    """Class of manoeuvres, by which comfort is rated (Section IV-A of the paper)."""
-
-    LANE_CHANGE = "lane_change"
-    LANE_KEEPING = "lane_keeping"
-    SPEED_CHANGE = "speed_change"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +106,8 @@ class Scenario:
 
     id: str
     title: str
-    manoeuvre: Manoeuvre
+    rated_as: str
+    """Class by which evaluators rate its runs; each catalogue has its own."""
     duration: float
     step: float
     road: Road
@@ -131,4 +123,5 @@ class Scenario:
         """Content hash of everything that decides a run, including the network's bytes and excluding the title."""
         document = asdict(self) | {"network": digest(self.network)}
         del document["title"]
+        document["manoeuvre"] = document.pop("rated_as")  # its name in the digests of stored runs
         return digest(canonical_json(document).encode())

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from drivecal.domain.constraints import Constraint
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Indices, Kind, Parameter
-from drivecal.domain.scenarios import Manoeuvre, Scenario
+from drivecal.domain.scenarios import Scenario
 from drivecal.domain.vehicles import VehicleParameter
 
 Floats = npt.NDArray[np.float64]
@@ -185,8 +185,8 @@ class Vehicle(Versioned, Protocol):
 class Evaluator(Versioned, Protocol):
     """Rates the comfort of a run from its measured metrics."""
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
-        """Rates a run that did not fail."""
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
+        """Rates a run that did not fail, of a scenario of this class."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +210,8 @@ class SeriesEvaluator(Protocol):
     when a rating by this evaluator is needed. Failed runs need no rating.
     """
 
-    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
-        """Rates a run that did not fail. The next run overwrites the arrays of `series`."""
+    def rate_series(self, rated_as: str, series: Series) -> Rating:
+        """Rates a run that did not fail, of a scenario of this class. The next run overwrites the arrays of `series`."""
 
 
 @runtime_checkable

@@ -26,6 +26,12 @@ def write(folder: Path, body: str = "") -> None:
     write_script(folder / "run.sh", SCRIPT.format(body=body))
 
 
+def test_messages_show_paths_in_the_bundle_and_no_temporary_folders(tmp_path: Path) -> None:
+    write(tmp_path, f'echo "$PWD: $PWD/mesh.dat $TMPDIR/part {tmp_path}/deep/mesh.dat" >&2; exit 1')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        assert lost(session, {"x": 1}, Breakdown.CRASH).endswith("messages: .: mesh.dat part deep/mesh.dat")
+
+
 def test_a_command_reads_files_and_writes_one(tmp_path: Path) -> None:
     out = tmp_path / "seen"
     write(tmp_path, f'cat "$1" "$2" >> {out}')

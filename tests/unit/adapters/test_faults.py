@@ -7,11 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.support.effort import tries
 from tests.support.simulators import compiled, opened
 
+from drivecal.bundles import archives
+from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import NoMeasuresError, SimulatorSession
+from drivecal.plugins.simulators import SimulatorSession
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache
+from drivecal.runtime.worker import Worker
 
 SOURCE = r"""
 #include <cstdlib>
@@ -56,15 +60,35 @@ def session(program: Path) -> Iterator[SimulatorSession]:
         yield session
 
 
-def test_many_faults_cost_one_run_each(session: SimulatorSession) -> None:
-    faults = {1: Breakdown.CRASH, 2: Breakdown.HANG, 3: Breakdown.ERROR, 4: Breakdown.ERROR, 5: Breakdown.ERROR}
+FAULTS = {1: Breakdown.CRASH, 2: Breakdown.HANG, 3: Breakdown.ERROR, 4: Breakdown.ERROR, 5: Breakdown.ERROR}
+
+
+def test_two_hundred_crashes_hangs_and_floods_cost_one_cell_each(program: Path, tmp_path: Path) -> None:
+    (program / "problem.yaml").write_text("problem: p\n")
+    archive = archives.pack(program)
+    request = BundleRequest(
+        bundle=archives.content_digest(archive),
+        problem="p",
+        scenario="S",
+        data={},
+        simulator={"kind": "process", "command": ["./sim"], "timeout": 1.0, "memory_mb": 1000},
+        parameters=("x",),
+        integers=(),
+        measures=("y",),
+        failures=(),
+        series=(),
+        run_fingerprint="fingerprint",
+    )
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(request.bundle, archive)
+    works.run(Batch(request, (Cell(-1, {"x": 10.0}),)))
     before = descriptors()
-    for number in range(tries(60, 200)):
-        fault = 2 if number % 25 == 0 else (1, 3, 4, 5)[number % 4]
-        with pytest.raises(NoMeasuresError) as error:
-            session.evaluate({"x": float(fault)})
-        assert error.value.breakdown is faults[fault], error.value.detail
-        assert session.evaluate({"x": 10.0}).measures == {"y": 20.0}
+    faults = [2 if number % 40 == 0 else (1, 3, 4, 5)[number % 4] for number in range(200)]
+    inputs = [x for fault in faults for x in (fault, 10)]
+    cells = tuple(Cell(number, {"x": float(x)}) for number, x in enumerate(inputs))
+    results = works.run(Batch(request, cells)).results
+    assert [result.breakdown for result in results] == [FAULTS.get(x) for x in inputs]
+    assert all(result.metrics == {"y": 20.0} for result, x in zip(results, inputs, strict=True) if x == 10)
     assert descriptors() == before
 
 

@@ -207,13 +207,17 @@ def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:
     assert found.map.seconds == pytest.approx(180.0)
     assert found.net_seconds == pytest.approx(360.0)
     assert (found.cpu_seconds, found.wall_seconds) == pytest.approx((0.12, 1080.0))
+    assert "waits, or shares its processors" in found.sentence
 
 
-def test_a_simulator_that_computes_is_accounted_by_cpu_time() -> None:
+@pytest.mark.parametrize("each", [0.015, 0.05])
+def test_a_simulator_that_computes_is_accounted_by_cpu_time(each: float) -> None:
+    """The way to a child and back takes longer than a short run, and is no waiting."""
     costs = [
-        _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, 0.015),
-        _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, 0.015),
+        _waiting(StageName.CALIBRATION, Outcome.SIMULATED, 4, each),
+        _waiting(StageName.CALIBRATION, Outcome.REPEATED, 6, each),
     ]
     found = account("c", "succeeded", ["S1"], costs, None)
     assert found.clock == "cpu"
     assert found.scenarios[0].mean_seconds == pytest.approx(0.01)
+    assert "mostly waits" not in found.sentence

@@ -103,6 +103,9 @@ def test_files_and_scenario_decide_a_setup_but_no_score() -> None:
     assert len({setup.fingerprint for setup in setups.values()}) == len(setups)
     other_score = {"speed": {"formula": "braking_s", "direction": "minimise", "range": [0, 5]}}
     assert resolved(bundle("d2", scores=other_score)).bench.setups == setups
+    manifest = yaml.safe_load(EXAMPLE.read_text())
+    wider = {**manifest["parameters"], "jerk": {"lower": 5, "upper": 90, "step": 1}, "warning": {"choices": ["belt", "none"]}}
+    assert resolved(bundle("d2", parameters=wider, constraints=[], baseline=None)).bench.setups == setups
     changed = resolved(bundle("d2", "f2")).bench.setups
     assert all(changed[name].fingerprint != setup.fingerprint for name, setup in setups.items())
 

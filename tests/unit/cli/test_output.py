@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
 from typing import Any
 
 import pytest
+from rich.console import Console
+from rich.progress import Progress as RichProgress
+from rich.progress import TextColumn
 from tests.support.scales import COST
 from typer.testing import CliRunner
 
@@ -22,7 +26,7 @@ from drivecal.cli.views.output import (
     saved,
     self_check_text,
 )
-from drivecal.cli.views.progress import Lines
+from drivecal.cli.views.progress import Bar, Lines
 from drivecal.cli.views.savings import print_trust
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Released, Seconds
 from drivecal.contracts.results import Reason, TrustAnswer
@@ -206,3 +210,15 @@ def test_the_self_check_counts_lots_of_references() -> None:
     rates = {"S1": ErrorRate(audited=30, wrong=1, lots=2, rejected=1), "S2": ErrorRate(audited=10, lots=1)}
     told = self_check_text(Campaign(id="0" * 32, name="mine", state="running", error_rate=rates))
     assert re.findall(r"\d[\d,]*", told.rpartition(";")[2]) == ["3", "1"]
+
+
+def test_the_bar_colours_outcomes_and_shows_reasons_as_they_are() -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, color_system="truecolor", width=160)
+    running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", stages={"calibration": PREDICTED})
+    with RichProgress(TextColumn("{task.fields[detail]}"), console=console, auto_refresh=False) as progress:
+        Bar(progress).show(running.model_copy(update={"degraded": "no worker [/opt/sim] agrees"}))
+        progress.refresh()
+    assert isinstance(console.file, io.StringIO)
+    shown = console.file.getvalue()
+    assert "no worker [/opt/sim] agrees" in shown
+    assert re.search(r"38;2;230;159;0msimulated 40\b", shown)

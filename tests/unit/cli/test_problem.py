@@ -76,6 +76,25 @@ def test_every_scenario_is_run_twice_in_the_middle_of_the_space(write: Write) ->
     assert (len(report["digest"]), report["files"]) == (64, ["model.py", "problem.yaml"])
 
 
+def test_another_set_within_the_constraints_is_tried_too(write: Write) -> None:
+    manifest = MANIFEST + 'constraints: ["x > 0.9", "n < 3"]\nbaseline: {x: 0.95, n: 2, g: 0.25, mode: eco}\n'
+    code, report = check(write(manifest=manifest))
+    other = report["other_parameters"]
+    assert code == 0
+    assert (other["x"] > 0.9, other["n"] < 3, other["g"] % 0.25, other == report["parameters"]) == (True, True, 0, False)
+    assert [scenario["other"]["measures"]["energy"] for scenario in report["scenarios"]] == pytest.approx(
+        [other["x"] * other["n"] + gap for gap in (30, 60)]
+    )
+    assert check(write(manifest=manifest))[1]["other_parameters"] == other
+    assert f"x={other['x']:g}" in command("problem", "check", write(manifest=manifest)).stdout
+
+
+def test_another_set_without_a_result_is_a_warning(write: Write) -> None:
+    code, report = check(write("def evaluate(p, s):\n    assert p['x'] == 0.5, 'no mesh'\n    return {'energy': 1.0}\n"))
+    assert (code, len(report["warnings"])) == (0, 2)
+    assert all("no mesh" in scenario["other"]["error"] for scenario in report["scenarios"])
+
+
 def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
     result = command("problem", "check", write())
     assert result.exit_code == 0

@@ -9,8 +9,13 @@ from typing import Any
 import pytest
 
 from drivecal import local
+from drivecal.client.problem_templates import write_problem
+from drivecal.client.problems import read_bundle
 from drivecal.domain.errors import InvalidInputError
+from drivecal.local.problems import run_problem
 
+EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
+BRAKE: dict[str, float | str] = {"trigger_ttc": 1.6, "deceleration": 7, "jerk": 30, "confirmations": 2, "warning": "sound"}
 GOLDEN = Path(__file__).parents[2] / "golden" / "cells.json"
 VALUES = [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87]
 HASTY = {f"P{number}": value for number, value in enumerate(VALUES, start=1)}
@@ -52,4 +57,46 @@ def test_the_named_scenarios_are_simulated_with_the_given_vehicle() -> None:
 def test_wrong_arguments_are_refused_by_their_field(arguments: dict[str, Any], field: str) -> None:
     with pytest.raises(InvalidInputError) as refused:
         local.evaluate(**({"parameters": HASTY} | arguments))
+    assert any(problem.field.startswith(field) for problem in refused.value.problems)
+
+
+def test_a_problem_is_simulated_and_rated_as_by_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_BUNDLE_CACHE", str(tmp_path / "cache"))
+    manifest, archive = read_bundle(EXAMPLE)
+    checked = {result.scenario: result for result in run_problem(manifest, archive, BRAKE)}
+    for score in ("discomfort", "safety"):
+        result = local.evaluate(BRAKE, problem=EXAMPLE, evaluator=score)
+        assert result.scores == {name: checked[name].scores[score] for name in manifest.scenarios}
+        assert {name: dict(cell.metrics) for name, cell in result.cells.items()} == {
+            name: dict(each.measures) for name, each in checked.items()
+        }
+    assert local.evaluate(BRAKE, "wet", problem=EXAMPLE).scores == {"wet": checked["wet"].scores["discomfort"]}
+    assert "<td>wet</td>" in local.evaluate(BRAKE, "wet", problem=EXAMPLE)._repr_html_()
+
+
+def test_a_changed_file_is_another_simulation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRIVECAL_BUNDLE_CACHE", str(tmp_path / "cache"))
+    folder = tmp_path / "mine"
+    write_problem("python", "mine", folder)
+    (folder / "model.py").write_text('def evaluate(parameters, scenario):\n    return {"failure": "overrun", "measures": {}}\n')
+    parameters = dict(read_bundle(folder)[0].baseline or {})
+    assert {cell.failure for cell in local.evaluate(parameters, problem=folder).cells.values()} == {"overrun"}
+    (folder / "model.py").write_text("def evaluate(parameters, scenario):\n    raise KeyError('gap')\n")
+    cells = local.evaluate(parameters, problem=folder).cells.values()
+    assert {cell.score for cell in cells} == {None}
+    assert all(cell.error is not None and "gap" in cell.error for cell in cells)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"parameters": BRAKE | {"jerk": 5000}}, "parameters.jerk"),
+        ({"scenarios": "dry"}, "scenario"),
+        ({"evaluator": "x"}, "evaluator"),
+    ],
+)
+def test_wrong_arguments_of_a_problem_are_refused_by_their_field(arguments: dict[str, Any], field: str) -> None:
+    given: dict[str, Any] = {"parameters": BRAKE, "problem": EXAMPLE}
+    with pytest.raises(InvalidInputError) as refused:
+        local.evaluate(**(given | arguments))
     assert any(problem.field.startswith(field) for problem in refused.value.problems)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from base64 import b64encode
 from pathlib import Path
 from types import ModuleType
 
@@ -43,6 +45,35 @@ def test_links_between_files_become_links_between_pages(build: ModuleType, tmp_p
     assert (pages / "i.png").read_bytes() == b"png"
     assert "[001](shared/decisions/001-a.md) | A decision" in (pages / "decisions.md").read_text()
     assert str(tmp_path) in (tmp_path / "staged" / "zensical.toml").read_text()
+
+
+def test_a_notebook_becomes_a_page_with_its_outputs(build: ModuleType, tmp_path: Path) -> None:
+    outputs = [
+        {"output_type": "stream", "name": "stdout", "text": ["a\n", "b\n"]},
+        {"output_type": "execute_result", "data": {"text/html": ["<table>", "</table>"], "text/plain": "x"}},
+        {"output_type": "display_data", "data": {"image/png": b64encode(b"png").decode()}},
+    ]
+    cells = [
+        {"cell_type": "markdown", "source": ["# Title\n", "[start](../index.md)"]},
+        {"cell_type": "code", "source": "print('a')", "outputs": outputs},
+        {"cell_type": "code", "source": "%%writefile my/problem.yaml\nproblem: my\n", "outputs": []},
+    ]
+    (tmp_path / "docs" / "pages" / "how-to" / "c.ipynb").write_text(json.dumps({"cells": cells}))
+    (tmp_path / "docs" / "pages" / "index.md").write_text("[notebook](how-to/c.ipynb)")
+    build.stage(tmp_path / "staged")
+    pages = tmp_path / "staged" / "pages"
+    assert (pages / "index.md").read_text() == "[notebook](how-to/c.md)"
+    assert (pages / "how-to" / "c.md").read_text().split("\n\n") == [
+        "# Title\n[start](../index.md)",
+        "```python\nprint('a')\n```",
+        "```text\na\nb\n```",
+        "<table></table>",
+        "![Output of the cell above](c-1-2.png)",
+        '```yaml title="my/problem.yaml"\nproblem: my\n```',
+        "[Download this notebook](c.ipynb)\n",
+    ]
+    assert (pages / "how-to" / "c-1-2.png").read_bytes() == b"png"
+    assert (pages / "how-to" / "c.ipynb").is_file()
 
 
 def test_a_link_to_a_missing_file_is_refused_with_its_page(build: ModuleType, tmp_path: Path) -> None:

@@ -126,7 +126,8 @@ class Children:
         try:
             outcome = run()
         except NoMeasuresError as error:
-            raise NoMeasuresError(error.breakdown, error.detail, max(self.cpu_seconds() - before, 0.0)) from None
+            detail = self._scratch.shown(error.detail)
+            raise NoMeasuresError(error.breakdown, detail, max(self.cpu_seconds() - before, 0.0)) from None
         return replace(outcome, cpu_seconds=max(self.cpu_seconds() - before, 0.0))
 
     def scan(self) -> None:

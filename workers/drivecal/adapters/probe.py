@@ -28,7 +28,8 @@ def run_probe(section: Mapping[str, Any], folder: Path) -> str:
         check_command(command, scratch.work)
         return _answer(children)
     except (UnavailableError, NoMeasuresError) as error:
-        raise UnavailableError(f"the probe `{' '.join(command)}` gives no answer: {error}") from None
+        message = f"the probe `{' '.join(command)}` gives no answer: {scratch.shown(str(error))}"
+        raise UnavailableError(message) from None
     finally:
         children.close()
         scratch.remove()

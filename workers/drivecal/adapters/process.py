@@ -101,7 +101,7 @@ class ProcessSession:
         try:
             answer = answers.document(self._pipes.ask(greeting, max(self._timeout, START_SECONDS)), "the answer")
             if "error" in answer:
-                raise UnavailableError(f"the simulator is not ready: {str(answer['error'])[:300]}")
+                raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
                 raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')
             self._children.look()  # a program behind a shell script has its own CPU time

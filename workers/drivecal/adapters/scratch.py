@@ -35,6 +35,12 @@ class Scratch:
         for path in self._bundle.iterdir():
             (self.work / path.name).symlink_to(path)
 
+    def shown(self, text: str) -> str:
+        """Returns a message for people, whose paths begin in the bundle and not in temporary folders."""
+        for folder in (self.work, self.home, self.folder, self._bundle):
+            text = text.replace(f"{folder}/", "").replace(str(folder), ".")
+        return text
+
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
         remove(self.folder)

@@ -63,7 +63,8 @@ class TableOf(PageOf, FormOf):
 
 
 class SolutionsOf(TableOf):
-    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem."""
+    """A page of solutions, ranked by weights such as `S1=2,S2=1`; other scenarios have weight 1. `score`: another one of the problem, or
+    `NAME@PUSH`: one that another push of it declares, by its name or digest."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
     score: Annotated[str, StringConstraints(max_length=300)] | None = None

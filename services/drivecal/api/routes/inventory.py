@@ -136,8 +136,8 @@ def _broken(group: str) -> list[BrokenPluginAnswer]:
 
 
 def _heading(catalogue: str, scenario: Scenario) -> dict[str, Any]:
-    as_it_is = {name: getattr(scenario, name) for name in ("id", "title", "manoeuvre", "duration", "step")}
-    return as_it_is | {"catalogue": catalogue, "vehicles": len(scenario.traffic)}
+    as_it_is = {name: getattr(scenario, name) for name in ("id", "title", "duration", "step")}
+    return as_it_is | {"catalogue": catalogue, "manoeuvre": scenario.rated_as, "vehicles": len(scenario.traffic)}
 
 
 def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:

@@ -1,6 +1,9 @@
-"""Ranking of the evaluated sets of a campaign."""
+"""Ranking of the evaluated sets of a campaign.
 
-from collections.abc import Iterator, Mapping, Sequence
+A score of the campaign's problem is named by its name, and one that another push declares by `NAME@PUSH`, the name or digest of the push.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
@@ -9,15 +12,18 @@ from drivecal.analysis.goals import SCORE, CellValue
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.analysis.trust import Earlier
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.contracts.assignments import assignments
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Scale, plain
 from drivecal.storage import results
@@ -63,13 +69,13 @@ class CampaignRanking:
 def ranking(
     database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
 ) -> CampaignRanking:
-    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another of its problem.
+    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one.
 
     A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
     that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
     """
     used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
-    other = None if score is None else _other_score(database, campaign, score)
+    other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
     goals = resolved.goals if weights is None and score is None else None
     valued = goals.values if goals is not None and goals.computed else None
@@ -84,29 +90,61 @@ def ranking(
 
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
-    """Returns the best set of the `earlier` campaign under the weights of its rerun; None if there is none, before the end of the rerun,
-    with objectives or constraints, and if setups, space or score differ. Reads the answers of the earlier campaign anew."""
+    """Returns the best set of the `earlier` campaign under the weights and the score of its rerun; None if there is none, before the
+    end of the rerun, with objectives or constraints, and if setups, space or constraints differ, or the evaluator of the built-in problem.
+    Reads the answers of the earlier campaign anew."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
-    alike = (ours.evaluator, ours.space, ours.scale) == (theirs.evaluator, theirs.space, theirs.scale)
     driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())
-    if not alike or not driven or ours.goals is not None or theirs.goals is not None:
+    if ours.space != theirs.space or not driven or ours.goals is not None or theirs.goals is not None:
         return None
+    score = None
+    if (ours.evaluator, ours.scale) != (theirs.evaluator, theirs.scale):
+        if campaign.spec.get("problem", HIGHWAY) == HIGHWAY or not _constrained_alike(database, campaign, earlier):
+            return None
+        score = f"{campaign.spec['evaluator']}@{campaign.spec['problem']}"
     given: Mapping[str, float] = campaign.spec["weights"]
     weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
-    ranked = ranking(database, earlier, replace(theirs, weights=weights), None).ranked
-    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused) if ranked else None
+    ranked = ranking(database, earlier, replace(theirs, weights=weights), None, score).ranked
+    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score) if ranked else None
 
 
-def _other_score(database: Database, campaign: StoredCampaign, name: str) -> CellValue | None:
-    """Returns another score of a campaign's problem, None for its own. Raises InvalidInputError if there is none of this name."""
-    known = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.scores
+def _constrained_alike(database: Database, campaign: StoredCampaign, other: StoredCampaign) -> bool:
+    """Whether the pushes that two campaigns name allow the same sets."""
+    pushes = [stored_bundles(database)(each.spec["problem"]).manifest.constraints for each in (campaign, other)]
+    return pushes[0] == pushes[1]
+
+
+def _other_score(database: Database, campaign: StoredCampaign, name: str, own: str) -> CellValue | None:
+    """Returns another score for a campaign, None for its `own` evaluator. Raises InvalidInputError if there is none of this name."""
+    values = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known
+    known = values.scores
+    if "@" in name:
+        return _pushed_score(database, name, own, values.measures)
     if name not in known:
         message = f"the campaign's problem has no score {shown(name)}"
         remedy = f"one of {', '.join(known)}; drivecal rerun --evaluator rates stored runs by another evaluator"
         raise InvalidInputError(Problem("score", message, remedy))
     return None if known[name].key == SCORE else known[name]
+
+
+def _pushed_score(database: Database, name: str, own: str, measures: Collection[str]) -> CellValue | None:
+    """Returns the score that a push declares, if its formula is of these measures; None if it is the campaign's `own`."""
+    score, _, push = name.partition("@")
+    try:
+        manifest = stored_bundles(database)(push).manifest
+    except NotFoundError as error:
+        raise InvalidInputError(Problem("score", str(error), "drivecal problem list shows what was pushed")) from error
+    entry = manifest.scores.get(score)
+    if entry is None:
+        message = f"{manifest.problem} has no score {shown(score)}"
+        raise InvalidInputError(Problem("score", message, f"one of {', '.join(manifest.scores)}"))
+    missing = sorted(Formula(entry.formula).names - set(measures))
+    if missing:
+        message = f"runs of the campaign have no {', '.join(missing)}"
+        raise InvalidInputError(Problem("score", message, f"a score of {', '.join(measures)}"))
+    return None if score_id(score, entry) == own else CellValue(entry.scale(score), entry.formula)
 
 
 def _rated(connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue) -> Iterator[CellScore]:

@@ -170,7 +170,7 @@ class DrivingBench:
             return Rating(scale.failed, scale.failed)
         known = {name: nan if value is None else value for name, value in metrics.items()}
         try:
-            rating = self.evaluator.rate(self.catalogued[scenario][1].manoeuvre, known)
+            rating = self.evaluator.rate(self.catalogued[scenario][1].rated_as, known)
         except (KeyError, ValueError):  # a metric that was not measured then, or not finite
             return None
         return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None

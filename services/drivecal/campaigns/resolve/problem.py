@@ -180,9 +180,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
         specification, workbench.vehicle, workbench.vehicle_parameters, list(weights), constraints, diagnostics
     )
     if specification.robustness is not None and specification.problem != HIGHWAY:
-        message = (
-            f"robustness studies vary the vehicle of {HIGHWAY}; the problem {specification.problem} has no vehicle parameters"
-        )
+        name = specification.problem if workbench.function is None else workbench.function.name
+        message = f"robustness studies vary the vehicle of {HIGHWAY}; the problem {name} has no vehicle parameters"
         diagnostics.add("robustness", message, "leave it out, and give the conditions to be robust against as scenarios")
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:

@@ -111,7 +111,7 @@ class BundleFunction:
 
 def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workbench:
     manifest = bundle.manifest
-    _refuse_driving_settings(wanted, diagnostics)
+    _refuse_driving_settings(wanted, manifest.problem, diagnostics)
     scenarios = _scenarios(wanted.catalogue, manifest, diagnostics)
     score = _score(wanted, manifest, diagnostics)
     function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
@@ -135,13 +135,11 @@ def _notes(bundle: Bundle) -> tuple[str, ...]:
     return (f"`{' '.join(probe)}` answers {shown!r} on the workers: results under another answer are not reused",)
 
 
-def _refuse_driving_settings(wanted: Wanted, diagnostics: Diagnostics) -> None:
+def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnostics) -> None:
     defaults = {"driving_function": "frenet", "vehicle": VehicleSpecification()}
     for name, default in defaults.items():
         if getattr(wanted, name) != default:
-            diagnostics.add(
-                name, f"the problem {wanted.problem} has its own simulator", f"leave it out, or give problem: {HIGHWAY}"
-            )
+            diagnostics.add(name, f"the problem {problem} has its own simulator", f"leave it out, or give problem: {HIGHWAY}")
 
 
 def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> tuple[str, ...]:

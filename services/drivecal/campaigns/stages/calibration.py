@@ -357,6 +357,8 @@ class Calibration(CampaignStage):
             notes.append(skipped)
         if self._verdict is not None:
             notes.append(self._verdict)
+        if self._best is not None and self._best.violation > 0 and self._iteration == self._optimization.iterations - 1:
+            notes.append(f"no set keeps all constraints on results: the best set breaks them by {self._best.violation:.1%}")
         return replace(
             super()._snapshot(connection),
             iteration=self._iteration,

@@ -52,7 +52,8 @@ def check(
     offline: Annotated[bool, typer.Option("--offline", help="Check the files only; run nothing.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a problem without a server: its files, then one run per scenario, twice, at the baseline or in the middle of the space."""
+    """Check a problem without a server: its files, then each scenario twice at the baseline or in the middle of the space, and once at
+    another set that keeps the constraints."""
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
         tell(note)
@@ -65,6 +66,7 @@ def check(
         "tools": None,
         "notes": list(notes),
         "parameters": None,
+        "other_parameters": None,
         "scenarios": [],
         "warnings": [],
     }
@@ -73,17 +75,19 @@ def check(
         from drivecal.local.problems import (
             ask_probe,
             doubtful_ranges,
+            other_set,
             run_problem,
             trial_set,
         )  # the workers' code, for this command only
 
         report["tools"] = ask_probe(manifest, archive)
         report["parameters"] = parameters = trial_set(manifest)
-        for result in run_problem(manifest, archive, parameters):
+        report["other_parameters"] = other = other_set(manifest)
+        for result in run_problem(manifest, archive, parameters, other):
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
-        report["warnings"] = doubtful_ranges(manifest, checked)
+        report["warnings"] = [*doubtful_ranges(manifest, checked), *_doubts_elsewhere(checked)]
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
         print_json(report)
@@ -161,23 +165,34 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
         typer.echo(f"probe     {' '.join(report['tools'].split())}")
     if report["parameters"] is not None:
         typer.echo(f"tried at  {_pairs(report['parameters'])}")
+    if report["other_parameters"] is not None:
+        typer.echo(f"set 2     {_pairs(report['other_parameters'])}")
     ran = [result for result in checked if result.error is None]
     if ran:
         scores, measures = list(ran[0].scores), sorted({name for result in ran for name in result.measures})
-        rows = [
-            [
-                result.scenario,
-                *(result.scores[name] for name in scores),
-                *(result.measures.get(name) for name in measures),
-                result.failure,
-                "yes" if result.repeats else "no",
-                f"{max(result.seconds):.3f}",
-            ]
-            for result in ran
-        ]
-        print_columns(["scenario", *scores, *measures, "failure", "same bits", "seconds"], rows)
+        rows: list[list[object]] = []
+        for result in ran:
+            ends = ["yes" if result.repeats else "no", f"{max(result.seconds):.3f}"]
+            for number, run, end in ((1, result, ends), (2, result.other, [None, None])):
+                if run is not None and run.error is None:
+                    values = (run.scores[name] for name in scores), (run.measures.get(name) for name in measures)
+                    rows.append([result.scenario, number, *values[0], *values[1], run.failure, *end])
+        print_columns(["scenario", "set", *scores, *measures, "failure", "same bits", "seconds"], rows)
     for warning in report["warnings"]:
         typer.echo(f"warning   {warning}")
+
+
+def _doubts_elsewhere(checked: Sequence["CheckedScenario"]) -> list[str]:
+    """Returns a warning for each scenario in which the other set alone has no result or a score without a value."""
+    warnings = []
+    for result in checked:
+        if result.other is None:
+            continue
+        if result.other.error is not None:
+            warnings.append(f"{result.scenario}: set 2 has no result: {result.other.error}")
+        undefined = {name: why for name, why in result.other.undefined.items() if name not in result.undefined}
+        warnings += [f"{result.scenario}: {name} has no value for set 2: {why}" for name, why in undefined.items()]
+    return warnings
 
 
 def _sentence(result: "CheckedScenario") -> str:

@@ -26,7 +26,11 @@ from drivecal.domain.errors import InvalidInputError, Problem
 Ranked = TypeVar("Ranked", Solution, FrontRow)
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
 ScoreOption = Annotated[
-    str | None, typer.Option(help="Rank by another score of the problem instead, from stored measures; simulates nothing.")
+    str | None,
+    typer.Option(
+        metavar="NAME or NAME@PUSH",
+        help="Rank by another score of the problem instead, or of another push (name or digest), from stored measures.",
+    ),
 ]
 
 

@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from importlib.util import find_spec
 from typing import Annotated, Literal
 
 import typer
@@ -62,6 +63,8 @@ def serve(
 def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
     from drivecal.server import serving  # and the database's half a second
 
+    if (settings.backend == "ray" or settings.ray_address is not None) and find_spec("ray") is None:
+        raise ModuleNotFoundError("Ray is not installed", name="ray")  # the command line names its extra
     with serving.listen(host, port) as listener:
         url = serving.url_of(listener, host)
         check_exposure(listener.getsockname()[0], settings)

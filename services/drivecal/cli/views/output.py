@@ -19,6 +19,9 @@ from drivecal.report.sections.commands import evaluation
 
 Shown = TypeVar("Shown", bound=BaseModel)
 
+OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
+"""Colours on terminals, those of the page on a dark ground."""
+
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
     """Returns rows of a table, JSON-ready."""
@@ -215,7 +218,8 @@ def when(moment: datetime | None) -> str:
 
 def _set_text(shown: Best | Baseline) -> str:
     objective = "no result yet" if shown.objective is None else f"{shown.objective:.4f}"
-    return f"{objective}  {parameters_text(shown.parameters)}"
+    broken = f"  breaks the constraints on results by {shown.violation:.1%}" if shown.violation > 0 else ""
+    return f"{objective}{broken}  {parameters_text(shown.parameters)}"
 
 
 def _text(value: object) -> str:

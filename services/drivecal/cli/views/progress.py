@@ -7,10 +7,11 @@ from contextlib import contextmanager
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
-from drivecal.cli.views.output import by_outcome, duration
+from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
@@ -33,10 +34,10 @@ class Bar:
         """Moves the bar."""
         self._progress.update(
             self._task,
-            description=_where(campaign),
+            description=stage_text(campaign),
             completed=campaign.progress.done,
             total=campaign.progress.total or None,
-            detail=_detail(campaign),
+            detail=_detail(campaign, _marked),
         )
 
     def tell(self, text: str) -> None:
@@ -64,7 +65,7 @@ class Lines:
         done = f"  {progress.done:,}/{progress.total:,} cells" if progress.total else ""
         known = campaign.degraded is not None and campaign.degraded == self._degraded
         shown = campaign.model_copy(update={"degraded": None}) if known else campaign
-        typer.echo(f"{_where(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
+        typer.echo(f"{stage_text(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
         self._degraded = shown.degraded
 
     def tell(self, text: str) -> None:
@@ -127,7 +128,8 @@ def show_until_ended(
     return campaign
 
 
-def _where(campaign: Campaign) -> str:
+def stage_text(campaign: Campaign) -> str:
+    """Returns the stage of a running campaign, with the iteration of its search, or the state of another one."""
     if campaign.state != "running" or campaign.stage is None:
         return campaign.state
     iterations = (campaign.spec.get("optimizer") or {}).get("iterations")
@@ -136,13 +138,21 @@ def _where(campaign: Campaign) -> str:
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
-def _detail(campaign: Campaign) -> str:
+def _plain(text: str, _colour: str = "") -> str:
+    return text
+
+
+def _marked(text: str, colour: str = "") -> str:
+    return f"[{colour}]{escape(text)}[/]" if colour else escape(text)
+
+
+def _detail(campaign: Campaign, written: Callable[..., str] = _plain) -> str:
     cells = getattr(campaign, f"{campaign.stage}_cells", campaign.cells)  # those of the calibration have no stage in their name
-    parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
+    parts = [written(f"{name} {count:,}", OUTCOME_COLOURS[name]) for name, count in by_outcome(cells).items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
-        parts.append(f"{_DEGRADED}{campaign.degraded}")
+        parts.append(written(f"{_DEGRADED}{campaign.degraded}"))
     return "  ".join(parts)

@@ -15,12 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import learned, regression_arrays
 from drivecal.highway.comfort.channels import LENGTH, MIRROR, channels_of
 from drivecal.highway.comfort.learned import LEARNED, Learned
 from drivecal.highway.comfort.regression import Rater, features_of
 from drivecal.highway.comfort.regression_arrays import Regression, arrays_of, shipped
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training import comfort
 from drivecal.highway.training.rated_drives import synthetic
 from drivecal.plugins import registry
@@ -162,7 +162,7 @@ def waves() -> str:
 
 PROGRAM = f"""
 import sys, numpy as np
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Series, SeriesEvaluator
 from drivecal.highway.comfort.learned import LEARNED
 {inspect.getsource(waves)}

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.channels import LENGTH
 from drivecal.highway.comfort.regression_arrays import Regression, shipped
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Floats
 
 

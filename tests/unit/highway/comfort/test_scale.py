@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.comfort.scale import LANE_KEEPING, MOTION, Criterion, criteria, rate
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins import registry
 
 COMFORTABLE = {criterion.metric: criterion.comfortable for criterion in MOTION + LANE_KEEPING}
@@ -101,7 +101,7 @@ def test_the_coordinator_can_rate_without_numba_and_scipy() -> None:
     program = f"""
 import sys
 from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 assert REFERENCE.rate(Manoeuvre.LANE_KEEPING, {COMFORTABLE!r}).score == 7
 assert not {{"numba", "scipy"}} & set(sys.modules)
 """

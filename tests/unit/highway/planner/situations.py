@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, Scenario, SpeedKnot, Task
+from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.spaces import HIGHWAY
 from drivecal.plugins.ports import Observation
 
@@ -24,7 +25,7 @@ WINDING = (
 KEEPING = Scenario(
     id="keeping",
     title="Keep the middle lane of a straight road",
-    manoeuvre=Manoeuvre.LANE_KEEPING,
+    rated_as=Manoeuvre.LANE_KEEPING,
     duration=10.0,
     step=0.1,
     road=Road(1000.0, 3, LANE, STRAIGHT),

@@ -9,7 +9,8 @@ from dataclasses import replace
 import pytest
 
 from drivecal.domain.roads import reference_line
-from drivecal.domain.scenarios import Manoeuvre, Scenario
+from drivecal.domain.scenarios import Scenario
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.scenarios.build import build, edge_ranges, without_origin
 from drivecal.highway.scenarios.highway import HIGHWAY
 
@@ -18,7 +19,7 @@ SCENARIOS = list(HIGHWAY.scenarios.values())
 
 def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order() -> None:
     assert list(HIGHWAY.scenarios) == ["S1", "S2", "S3", "S4", "S5", "S6"]
-    assert [scenario.manoeuvre for scenario in SCENARIOS] == [
+    assert [scenario.rated_as for scenario in SCENARIOS] == [
         Manoeuvre.LANE_CHANGE,
         Manoeuvre.LANE_CHANGE,
         Manoeuvre.LANE_KEEPING,

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort.regression_arrays import arrays_of, shipped
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.arrays import content_digest
 from drivecal.plugins.ports import Evaluator, Series
 
@@ -32,18 +32,16 @@ class Learned:
 
         return Rater(shipped())
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
         """Raises ValueError: metrics cannot replace time series."""
-        raise ValueError(
-            f"a {manoeuvre.value} with {len(metrics)} metrics and no time series cannot be rated; simulate it again"
-        )
+        raise ValueError(f"a {rated_as} with {len(metrics)} metrics and no time series cannot be rated; simulate it again")
 
-    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+    def rate_series(self, rated_as: str, series: Series) -> Rating:
         """Rates a run that did not fail.
 
         Raises ValueError if it is shorter than 10 s or longer than 30 s, and DamagedArraysError if the arrays cannot be used.
         """
-        return self._rater.rate(manoeuvre, series)
+        return self._rater.rate(Manoeuvre(rated_as), series)
 
 
 LEARNED: Evaluator = Learned()

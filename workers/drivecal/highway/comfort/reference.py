@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import scale
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Evaluator
 
 
@@ -14,9 +14,9 @@ class ReferenceEvaluator:
     name = "reference"
     version = "1"
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
         """Rates a run that did not fail."""
-        return scale.rate(manoeuvre, metrics)
+        return scale.rate(Manoeuvre(rated_as), metrics)
 
 
 REFERENCE: Evaluator = ReferenceEvaluator()

@@ -6,12 +6,12 @@ from math import floor
 import numpy as np
 
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.channels import MIRROR, channels_of
 from drivecal.highway.comfort.regression_arrays import Regression
 from drivecal.highway.comfort.scale import BEST
 from drivecal.highway.compilation import compiled_with
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.ports import Floats, Series
 
 

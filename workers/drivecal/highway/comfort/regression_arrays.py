@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins.arrays import Array, DamagedArraysError, Expected, read_arrays, write_arrays
 from drivecal.plugins.ports import Floats
 

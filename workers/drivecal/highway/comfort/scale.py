@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
+from drivecal.highway.manoeuvres import Manoeuvre
 
 BEST = 7
 

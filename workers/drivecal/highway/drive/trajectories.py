@@ -9,10 +9,11 @@ import numpy as np
 from drivecal.bundles.highway import Ego, HighwayScenario, PlannerController
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.roads import Floats, to_frenet
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, Scenario, SpeedKnot, Task
+from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task
 from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.plans import SPACING
 from drivecal.plugins.ports import Observation
@@ -201,7 +202,7 @@ def _task(section: PlannerController, ego: Ego, road: HighwayRoad, start: tuple[
     return Scenario(
         id="corridor",
         title="",
-        manoeuvre=Manoeuvre.LANE_KEEPING,
+        rated_as=Manoeuvre.LANE_KEEPING,
         duration=1.0,
         step=PLANNER_STEP,
         road=Road(float(line[-1, 0]), lanes, width, (CurvatureKnot(0.0, 0.0),)),

@@ -64,8 +64,8 @@ class EpisodeRunner:
 
     def _rating(self, metrics: Mapping[str, float], series: Series) -> Rating:
         if self._series_evaluator is not None:
-            return self._series_evaluator.rate_series(self._scenario.manoeuvre, series)
-        return self._evaluator.rate(self._scenario.manoeuvre, metrics)
+            return self._series_evaluator.rate_series(self._scenario.rated_as, series)
+        return self._evaluator.rate(self._scenario.rated_as, metrics)
 
 
 def target_offsets(motion: Floats, scenario: Scenario) -> Floats:

@@ -6,7 +6,8 @@ that the planner's parameters affect the drive: without either, a planner drives
 
 from functools import partial
 
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Manoeuvre, Road, Scenario, SpeedKnot, Task, TrafficVehicle
+from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task, TrafficVehicle
+from drivecal.highway.manoeuvres import Manoeuvre
 
 STEP = 0.1
 LANE_WIDTH = 3.75
@@ -62,7 +63,7 @@ _scenario = partial(Scenario, step=STEP, network=UNBUILT)
 S1 = _scenario(
     id="S1",
     title="Change lane on a straight road to overtake a slower vehicle",
-    manoeuvre=Manoeuvre.LANE_CHANGE,
+    rated_as=Manoeuvre.LANE_CHANGE,
     duration=16.0,
     road=straight(1100.0, (0.0, 130.0)),
     ego=EgoStart(s=150.0, d=0.0, speed=30.0),
@@ -80,7 +81,7 @@ S1 = _scenario(
 S2 = _scenario(
     id="S2",
     title="Change lane on a curved road to overtake a slower vehicle",
-    manoeuvre=Manoeuvre.LANE_CHANGE,
+    rated_as=Manoeuvre.LANE_CHANGE,
     duration=18.0,
     road=road(1100.0, bends(1100.0, (180.0, 120.0, 500.0, 1000.0)), (0.0, 120.0)),
     ego=EgoStart(s=150.0, d=0.0, speed=28.0),
@@ -98,7 +99,7 @@ S2 = _scenario(
 S3 = _scenario(
     id="S3",
     title="Keep the lane on a straight road between a lorry and a drifting car",
-    manoeuvre=Manoeuvre.LANE_KEEPING,
+    rated_as=Manoeuvre.LANE_KEEPING,
     duration=16.0,
     road=straight(1100.0, (0.0, 130.0)),
     ego=EgoStart(s=150.0, d=LANE_WIDTH + 0.45, speed=31.0, heading=0.004),
@@ -116,7 +117,7 @@ S3 = _scenario(
 S4 = _scenario(
     id="S4",
     title="Keep the lane on a curved road beside a drifting car",
-    manoeuvre=Manoeuvre.LANE_KEEPING,
+    rated_as=Manoeuvre.LANE_KEEPING,
     duration=18.0,
     road=road(1200.0, bends(1200.0, (200.0, 110.0, 120.0, 850.0), (560.0, 110.0, 120.0, -850.0)), (0.0, 120.0)),
     ego=EgoStart(s=150.0, d=LANE_WIDTH - 0.5, speed=29.0),
@@ -134,7 +135,7 @@ S4 = _scenario(
 S5 = _scenario(
     id="S5",
     title="Accelerate after a traffic sign behind a slower accelerating car",
-    manoeuvre=Manoeuvre.SPEED_CHANGE,
+    rated_as=Manoeuvre.SPEED_CHANGE,
     duration=20.0,
     road=straight(1200.0, (0.0, 80.0), (230.0, 120.0)),
     ego=EgoStart(s=150.0, d=0.0, speed=kmh(80.0)),
@@ -152,7 +153,7 @@ S5 = _scenario(
 S6 = _scenario(
     id="S6",
     title="Decelerate for a curve behind a slower car",
-    manoeuvre=Manoeuvre.SPEED_CHANGE,
+    rated_as=Manoeuvre.SPEED_CHANGE,
     duration=18.0,
     road=road(1100.0, bends(1100.0, (265.0, 80.0, 350.0, 480.0)), (0.0, 130.0), (275.0, 85.0)),
     ego=EgoStart(s=150.0, d=0.0, speed=32.0),

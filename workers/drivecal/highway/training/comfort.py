@@ -10,11 +10,11 @@ import numpy as np
 from sklearn.linear_model import RidgeCV
 from sklearn.metrics import cohen_kappa_score
 
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import rocket
 from drivecal.highway.comfort.channels import LENGTH, UNITS
 from drivecal.highway.comfort.regression import features_of
 from drivecal.highway.comfort.regression_arrays import Regression
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training.rated_drives import RatedDrive, group_of_profile, group_of_set, simulated, synthetic
 from drivecal.plugins.ports import Floats
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort.regression import Rater
 from drivecal.highway.comfort.regression_arrays import Regression
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training.comfort import PanelAgreement, rated_by_panel
 from drivecal.highway.training.rated_drives import RatedDrive
 from drivecal.highway.training.tables import table

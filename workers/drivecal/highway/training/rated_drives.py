@@ -7,12 +7,12 @@ import numpy as np
 from scipy.stats import qmc
 
 from drivecal.domain.evaluations import Rating
-from drivecal.domain.scenarios import Manoeuvre
 from drivecal.highway.comfort import scale
 from drivecal.highway.comfort.channels import channels_of
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.comfort.rocket import Integers
 from drivecal.highway.episode.runner import EpisodeRunner
+from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.training.manoeuvres import smooth
@@ -50,14 +50,14 @@ class _Recorder:
     def __init__(self) -> None:
         self.channels: Integers | None = None
 
-    def rate(self, manoeuvre: Manoeuvre, metrics: Mapping[str, float]) -> Rating:
+    def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
         """Rates by the reference scale."""
-        return scale.rate(manoeuvre, metrics)
+        return scale.rate(Manoeuvre(rated_as), metrics)
 
-    def rate_series(self, manoeuvre: Manoeuvre, series: Series) -> Rating:
+    def rate_series(self, rated_as: str, series: Series) -> Rating:
         """Rates by the reference scale and keeps the channels."""
         self.channels = channels_of(series.dynamics, series.offset)
-        return self.rate(manoeuvre, comfort_metrics(series.dynamics, series.offset))
+        return self.rate(rated_as, comfort_metrics(series.dynamics, series.offset))
 
 
 def group_of_set(number: int) -> str:
@@ -89,7 +89,7 @@ def simulated(total: int, numbers: Sequence[int], seed: int) -> list[RatedDrive]
             if result.failure is None and recorder.channels is not None:
                 group = group_of_set(number)
                 name = f"{group} {scenario.id}"
-                drives.append(RatedDrive(scenario.manoeuvre, group, name, recorder.channels, result.rating.rating))
+                drives.append(RatedDrive(Manoeuvre(scenario.rated_as), group, name, recorder.channels, result.rating.rating))
     return drives
 
 

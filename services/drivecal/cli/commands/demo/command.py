@@ -50,9 +50,9 @@ def demo(as_json: JsonOption = False) -> None:
     folder = load_settings().home / "demo"
     try:
         with fresh_folder(folder):
-            tell(f"starting a coordinator with its database and a local Ray in {_short(folder)}")
+            tell(f"starting a server with a database and workers of its own in {_short(folder)}")
             with coordinator(folder) as client:
-                tell(f"it is ready at {client.url}")
+                tell(f"it is ready: watch the campaign at {client.url}")
                 campaign = _first(client, as_json)
                 rerun = _second(client, campaign, as_json)
             summary = {
