@@ -4,7 +4,7 @@ Pages are those of docs/pages and the documents of the other folders that are li
 only. Zensical refuses broken links and anchors. The site asks no other host and holds no inline script, so that it works offline under a
 strict content security policy.
 
-python docs/build.py            # builds it anew if its sources changed
+python docs/build.py            # builds it if its sources changed
 python docs/build.py check      # builds it in a scratch folder
 """
 

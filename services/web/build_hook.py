@@ -196,7 +196,7 @@ def _environment(node: str) -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """`build_hook.py` builds the page anew where its sources changed; `build_hook.py check` checks and tests them, where it can."""
+    """`build_hook.py` builds the page if its sources changed; `build_hook.py check` checks and tests them, where it can."""
     if arguments == ["check"]:
         try:
             said = check()

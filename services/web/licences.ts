@@ -2,7 +2,7 @@ import { existsSync, readFileSync, readdirSync } from "node:fs";
 import { join } from "node:path";
 import type { Plugin } from "vite";
 
-/** Writes `licences.txt`: of every package of which anything is in the page, its name, version, licence and the licence's text. */
+/** Writes `licences.txt`: name, version, licence and the licence's text of every package in the page. */
 export function licences(): Plugin {
   return {
     name: "licences",

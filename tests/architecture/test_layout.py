@@ -68,6 +68,11 @@ def test_a_module_can_be_read_in_one_sitting() -> None:
     assert {name: length for name, length in lengths.items() if length > LONGEST} == {}
 
 
+def test_a_module_of_tests_can_be_read_in_one_sitting() -> None:
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in (PROJECT / "tests").rglob("*.py")}
+    assert [shown(path) for path, count in lines.items() if count > LONGEST] == []
+
+
 def test_whatever_is_public_is_documented() -> None:
     missing = {}
     for path in modules():
@@ -123,6 +128,7 @@ def test_undocumented_things_would_be_found() -> None:
 
 
 def test_a_folder_can_be_overlooked() -> None:
+    """At most 16 modules beside the `__init__.py`, which says what the folder is for and exports its names."""
     numbers = {shown(folder): len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) for folder in FOLDERS}
     assert {name: number for name, number in numbers.items() if number > MOST_MODULES} == {}
 

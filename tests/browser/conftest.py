@@ -16,6 +16,8 @@ from drivecal.api.routes.page import FILES, REASON, START
 
 Opening = Callable[..., Page]
 AXE = PROJECT / "services" / "web" / "node_modules" / "axe-core" / "axe.min.js"
+TABS = ("overview", "ranking", "evaluations", "curves", "influence", "savings", "trust")
+"""Views of a campaign."""
 expect.set_options(timeout=30_000)
 
 

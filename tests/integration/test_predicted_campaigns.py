@@ -17,8 +17,8 @@ from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results import prediction
 from drivecal.campaigns.results.explanation import explain
-from drivecal.campaigns.results.prediction import prediction_of
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
@@ -224,12 +224,15 @@ def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Da
     assert told[3].prediction is None
 
 
-def test_the_predictor_that_explains_is_the_predictor_that_predicted(predicted: tuple[Database, StoredCampaign]) -> None:
+def test_the_predictor_that_explains_is_the_predictor_that_predicted(
+    predicted: tuple[Database, StoredCampaign], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Weights of the stored answers with the predicted score add up to the confidence."""
+    monkeypatch.setattr(prediction, "NEIGHBOURS", 10_000)
     database, campaign = predicted
     row = max((row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED), key=lambda row: row.id)
     with database.read() as connection:
-        shown = prediction_of(connection, campaign, row, resolved_spec(campaign), neighbours=10_000)
+        shown = prediction.prediction_of(connection, campaign, row, resolved_spec(campaign))
     assert shown is not None
     alike = sum(neighbour.weight for neighbour in shown.neighbours if neighbour.score == row.predicted_score)
     assert alike == pytest.approx(row.confidence)

@@ -248,3 +248,23 @@ def refused(content: bytes, **data: Any) -> str:
         of_file(content, **data)
     assert all(problem.field and problem.message and problem.remedy for problem in error.value.problems)
     return str(error.value)
+
+
+EGO = start("Ego", lane(-3, 150), absolute(30))
+OTHER = start("Other", lane(-2, 200), absolute(25))
+WORLD = '<Position><WorldPosition x="{}" y="{}" h="0.2"/></Position>'
+CARS = {"Ego": vehicle(), "Other": vehicle()}
+IN = change_of_lane(BESIDE)
+
+
+def with_events(*events: str, other: str = OTHER, stop: str = trigger(when_time(10), tag="StopTrigger")) -> bytes:
+    """A file in which another car does something."""
+    return scenario(CARS, EGO + other, act("Other", *events), stop)
+
+
+def when_all(edge: str) -> str:
+    """A condition that all vehicles fulfil."""
+    speed = '<SpeedCondition value="3" rule="greaterThan"/>'
+    several = when("Ego", speed, edge).replace('Rule="any">', 'Rule="all"><EntityRef entityRef="Other"/>')
+    assert several.count("<EntityRef") == 2
+    return several

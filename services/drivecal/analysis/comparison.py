@@ -166,8 +166,8 @@ class Pair:
 
 
 def pairs(courses: Sequence[Course]) -> list[Pair]:
-    """Each run with another reduction than the first one's beside the run with the first one and equal optimizer, population and seed;
-    those left out of which one has no optimum or did not go to its end."""
+    """Each run with another reduction than the first one's beside the run with the first one and equal optimizer, population and seed.
+    Leaves out pairs in which a run has no optimum or did not go to its end."""
     if not courses:
         return []
     first = courses[0].conditions.reduction

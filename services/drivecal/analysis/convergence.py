@@ -8,7 +8,7 @@ UNCHANGED_ALTERNATIVES = 5
 """Table 7: the number of alternative optima stays for more than so many iterations."""
 
 
-def converged_at(values: Sequence[float | None], unchanged: int, tolerance: float = 1e-9) -> int | None:
+def converged_at(values: Sequence[float | None], unchanged: int) -> int | None:
     """The iteration, counted from 1, from which on `values` stayed the same for at least `unchanged` further ones; None if that never
     happened. The last such stretch counts: what changed after a rest had not converged.
 
@@ -16,7 +16,7 @@ def converged_at(values: Sequence[float | None], unchanged: int, tolerance: floa
     """
     since = 0
     for index in range(1, len(values)):
-        if not _equal(values[index], values[since], tolerance):
+        if not _equal(values[index], values[since]):
             since = index
     if not values or values[since] is None or len(values) - 1 - since < unchanged:
         return None
@@ -33,7 +33,7 @@ def alternatives_at(alternatives: Sequence[int]) -> int | None:
     return converged_at([float(count) for count in alternatives], UNCHANGED_ALTERNATIVES + 1)
 
 
-def _equal(first: float | None, other: float | None, tolerance: float) -> bool:
+def _equal(first: float | None, other: float | None) -> bool:
     if first is None or other is None:
         return first is other
-    return abs(first - other) <= tolerance
+    return abs(first - other) <= 1e-9

@@ -85,7 +85,7 @@ class ServiceCollector(Collector):
         yield from _of_dispatcher(totals.dispatcher)
 
 
-_UP = "1 where the database answers, else 0, and what is known from it is left out"
+_UP = "1 if the database answers; else 0, and metrics read from it are left out"
 
 
 def _of_database(totals: Statistics) -> Iterator[Any]:
@@ -112,7 +112,7 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
 def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     readiness = judge(dispatcher, now())
     yield GaugeMetricFamily("drivecal_ready", "1 where campaigns are carried out, as /readyz says", float(readiness.ready))
-    degraded = "1 where something is wrong: less work is done than could be, or none"
+    degraded = "1 if something is wrong and less work is done than could be"
     yield GaugeMetricFamily("drivecal_degraded", degraded, float(bool(readiness.problems)))
     if dispatcher is None:
         return

@@ -27,7 +27,7 @@ TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures"
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
     """Returns a campaign as clients see it at the moment `now`.
 
-    `silent`: a message about a silent dispatcher. `comparison`: the id of the comparison of which it is a run.
+    `silent`: a message about a silent dispatcher. `comparison`: the id of the comparison that it is a run of.
     """
     as_it_is = {name: getattr(stored, name) for name in Campaign.model_fields if hasattr(stored, name)}
     changing = {

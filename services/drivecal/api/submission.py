@@ -55,7 +55,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
     runs = problem.expected_runs()
-    at_most = runs.sensitivity_at_most + runs.calibration_at_most + runs.robustness + runs.validation
+    at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
     guessed = not known.measured and problem.specification.problem != HIGHWAY  # nothing is known of a simulator that never ran
     time = (
         {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}

@@ -84,7 +84,7 @@ def decoded(content: bytes, file: str) -> str:
         try:
             return content.decode("utf-16")
         except UnicodeDecodeError as error:
-            raise InvalidInputError(Problem(file, f"byte {error.start} is no valid UTF-16", "save it as UTF-8")) from error
+            raise InvalidInputError(Problem(file, f"byte {error.start} is not valid UTF-16", "save it as UTF-8")) from error
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -8,6 +8,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import FrontObjective
 from drivecal.contracts.setup import CampaignSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+from drivecal.domain.scales import unit_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def solution_figures(
     yield "score", score or _scale(campaign)
     if ranked_by is None and campaign.objective is not None:
         first = campaign.objective
-        yield "ranked by", f"{first.name}, {first.direction}, {first.unit}"
+        yield "ranked by", f"{first.name}, {first.direction}{unit_text(first.unit, ', ')}"
     else:
         given = None if ranked_by is None else ranked_by.weights
         weights = {scenario.scenario: scenario.weight for scenario in setup.scenarios} if given is None else given
@@ -96,7 +97,8 @@ def front_figures(
     if campaign.baseline is not None and campaign.baseline.objective is not None and campaign.objective is not None:
         yield f"objective {campaign.objective.name} of the baseline", _number(campaign.baseline.objective)
     for objective in objectives:
-        yield f"scale of objective {objective.name}", f"{objective.direction}, {objective.aggregate}, {objective.unit}"
+        unit = unit_text(objective.unit, ", ")
+        yield f"scale of objective {objective.name}", f"{objective.direction}, {objective.aggregate}{unit}"
     if weights is not None and chosen.weighted is not None:
         yield "weights of the objectives", _weights({name: weights.get(name, 1.0) for name in chosen.objectives})
         yield "weighted objectives", _number(chosen.weighted)
@@ -110,8 +112,7 @@ def front_figures(
 
 def _scale(campaign: Campaign) -> str:
     scale = campaign.scale
-    unit = "" if scale.unit == "1" else f" {scale.unit}"
-    return f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)}{unit}"
+    return f"{scale.name}, {scale.direction.value}, {_number(scale.lower)} to {_number(scale.upper)}{unit_text(scale.unit)}"
 
 
 def _weights(weights: Mapping[str, float]) -> str:

@@ -21,7 +21,9 @@ def read(content: bytes, file: str) -> Content:
     """Returns the content of an `.a2l`, `.dcm` or `.cdfx` file. Raises InvalidInputError with the line of the first fault."""
     suffix = PurePath(file).suffix.lower()
     if suffix not in READERS:
-        raise InvalidInputError(Problem(shown(file, 200), f"{shown(suffix)} is no known format", f"give {', '.join(READERS)}"))
+        raise InvalidInputError(
+            Problem(shown(file, 200), f"{shown(suffix)} is not a known format", f"give {', '.join(READERS)}")
+        )
     return READERS[suffix](content, file)
 
 
@@ -35,12 +37,12 @@ def write(form: CalibrationFormat, characteristics: Sequence[Characteristic], qu
 def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict[str, str]:
     """Returns a checked file of names, the label of each parameter: `{P1: ACC_tGap_C}`. `parameters`: those that there are, if known."""
     if not isinstance(document, dict):
-        raise InvalidInputError(Problem("--names", "it is no list of names", "give lines such as P1: ACC_tGap_C"))
+        raise InvalidInputError(Problem("--names", "it is not a list of names", "give lines such as P1: ACC_tGap_C"))
     problems, used = [], dict[str, str]()
     for name, label in document.items():
         field = shown(name)
         if not isinstance(label, str) or not label.strip() or not label.isprintable() or '"' in label or " " in label.strip():
-            problems.append(Problem(field, f"{shown(label)} is no label", "give a name without spaces"))
+            problems.append(Problem(field, f"{shown(label)} is not a label", "give a name without spaces"))
         elif parameters is not None and name not in parameters:
             problems.append(Problem(field, "there is no such parameter", nearest(name, list(parameters))))
         elif label in used:

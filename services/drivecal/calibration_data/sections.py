@@ -106,7 +106,7 @@ def _value(characteristic: Characteristic, name: str) -> float | str:
     if isinstance(value, float) and choices:
         if value not in characteristic.codes:
             raise InvalidInputError(
-                Problem(name, f"its value {value:g} is none of its enumeration", f"give {', '.join(choices)}")
+                Problem(name, f"its value {value:g} is not in its enumeration", f"give {', '.join(choices)}")
             )
         return choices[characteristic.codes.index(value)]
     if isinstance(value, float) and characteristic.integer:

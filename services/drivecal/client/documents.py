@@ -130,7 +130,7 @@ def located_yaml(content: bytes) -> tuple[object, dict[str, int]]:
         finally:
             loader.dispose()
     except UnicodeDecodeError as error:
-        raise InvalidInputError(Problem("", f"byte {error.start} is no valid UTF-8", "save the file as UTF-8")) from error
+        raise InvalidInputError(Problem("", f"byte {error.start} is not valid UTF-8", "save the file as UTF-8")) from error
     except yaml.MarkedYAMLError as error:
         raise _refusal(str(error.problem or error.context), error.problem_mark or error.context_mark) from error
     except yaml.YAMLError as error:

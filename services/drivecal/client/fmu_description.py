@@ -56,7 +56,7 @@ class FmuDescription:
 
 
 def read_fmu(file: str | Path) -> FmuDescription:
-    """Returns the description of an FMU. Raises InvalidInputError if it is none, or of a kind that cannot be calibrated."""
+    """Returns the description of an FMU. Raises InvalidInputError if the file is not an FMU or cannot be calibrated."""
     name = str(file)
     try:
         with zipfile.ZipFile(name) as archive, archive.open("modelDescription.xml") as stream:

@@ -61,7 +61,7 @@ def _check(kind: str, name: str, path: Path, fmu: str | Path | None) -> None:
         raise InvalidInputError(Problem("kind", f"{shown(kind)} is not one of the kinds", f"give {', '.join(KINDS)}"))
     if not _NAME.fullmatch(name):
         remedy = "start with a letter; go on with letters, digits, `_`, `.` or `-`"
-        raise InvalidInputError(Problem("name", f"'{shown(name)}' is no valid name", remedy))
+        raise InvalidInputError(Problem("name", f"'{shown(name)}' is not a valid name", remedy))
     if fmu is not None and kind != "fmu":
         raise InvalidInputError(Problem("fmu", f"a problem of kind {kind} has no FMU", "leave it out, or give the kind fmu"))
     if path.exists() and (not path.is_dir() or any(path.iterdir())):

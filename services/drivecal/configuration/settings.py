@@ -146,7 +146,7 @@ def _with_password(url: str, file: Path) -> str:
     try:
         password = file.expanduser().read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no text"
+        reason = getattr(error, "strerror", None) or "it is not text"
         raise InvalidInputError(
             Problem(name, f"{file} cannot be read: {reason}", "make the file, or name another one")
         ) from None

@@ -85,7 +85,7 @@ def _wrong(words: list[bytes]) -> tuple[str, str] | None:
     if may not in {b"read", b"write", b"author"}:
         return "the second word is not read, write or author", f"write {FORM}"
     if not _NAME.fullmatch(name):
-        return "the name is none", "give up to 64 letters, digits, `_`, `.`, `@` or `-` (ASCII)"
+        return "invalid name", "give up to 64 letters, digits, `_`, `.`, `@` or `-` (ASCII)"
     if not _PRINTABLE.fullmatch(token):
         return "the token holds characters that are not ASCII, or not printable", "use letters and digits"
     if not SHORTEST <= len(token) <= LONGEST:
@@ -147,7 +147,7 @@ def _read(path: Path) -> bytes:
     try:
         with io.FileIO(path, opener=_open_without_waiting) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise InvalidInputError(Problem(str(path), "it is no file", "name a text file with tokens"))
+                raise InvalidInputError(Problem(str(path), "it is not a file", "name a text file with tokens"))
             content = file.read(LARGEST_FILE + 1)
     except OSError as error:
         reason = f"it cannot be read: {error.strerror}"

@@ -90,7 +90,7 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
         )
         dispatcher.run(stop)
     except BackendLostError as error:
-        heartbeat.tell((), f"{error}; the workers are started or joined anew")
+        heartbeat.tell((), f"{error}; the workers are started or joined again")
         heartbeat.wait_until_told()
         raise  # what is gone cannot be closed
     except BaseException:

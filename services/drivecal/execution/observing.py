@@ -76,7 +76,7 @@ class Observer:
 
 
 def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
-    """Returns the kind of breakdown by cell id; a refusal is no breakdown."""
+    """Returns the kind of breakdown by cell id; a refusal is not a breakdown."""
     if isinstance(event, Lost):
         return dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
     result: BatchResult = event.result

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
@@ -61,6 +62,17 @@ class SwarmSettings(OptimizerSpecification):
 Chosen = TypeVar("Chosen", bound=OptimizerSpecification)
 
 
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """Start of an optimizer. `kinds`: of the parameters; positions, bits and ranks of choices follow the order of their lists. An engine
+    that a replay must find unchanged has a generator of its own, and does not use `generator`."""
+
+    population: Indices
+    n_values: Indices
+    kinds: Sequence[Kind]
+    generator: np.random.Generator
+
+
 class Resumable(Optimizer, Protocol):
     """An optimizer whose state can be replaced by a saved one."""
 
@@ -78,15 +90,13 @@ class BuiltIn(ABC, Generic[Chosen]):
     def settings(self) -> type[Chosen]:
         """Validates the campaign's `optimizer` section."""
 
-    @abstractmethod
-    def _renewed(self, settings: Chosen) -> int:
+    def _renewed(self, settings: Chosen) -> int:  # a hook
         """Returns the largest number of individuals that an iteration after the first requests."""
+        return settings.population
 
     @abstractmethod
-    def _optimizer(
-        self, settings: Chosen, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
-    ) -> Resumable:
-        """Returns an optimizer that starts from the population `first`."""
+    def _optimizer(self, settings: Chosen, begin: Beginning) -> Resumable:
+        """Returns an optimizer that starts from a population."""
 
     @property
     def supports(self) -> frozenset[Ability]:
@@ -103,7 +113,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         chosen = self._checked(settings)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
         first = start_population(chosen.start, chosen.population, n_values, generator, start)
-        return self._optimizer(chosen, first, n_values, kinds or ["grid"] * len(n_values), generator)
+        return self._optimizer(chosen, Beginning(first, n_values, kinds or ["grid"] * len(n_values), generator))
 
     def restore(
         self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
@@ -112,7 +122,7 @@ class BuiltIn(ABC, Generic[Chosen]):
         chosen = self._checked(settings)
         blank = np.zeros((chosen.population, len(n_values)), dtype=np.int64)
         generator = np.random.Generator(np.random.PCG64(chosen.seed))
-        optimizer = self._optimizer(chosen, blank, n_values, kinds or ["grid"] * len(n_values), generator)
+        optimizer = self._optimizer(chosen, Beginning(blank, n_values, kinds or ["grid"] * len(n_values), generator))
         optimizer.resume(state)
         return optimizer
 
@@ -131,22 +141,14 @@ class GeneticPlugin(BuiltIn[GeneticSettings]):
     def _renewed(self, settings: GeneticSettings) -> int:
         return pairs_per_generation(settings.population, settings.selection, settings.recombination)  # one child per pair
 
-    def _optimizer(
-        self,
-        settings: GeneticSettings,
-        first: Indices,
-        n_values: Indices,
-        kinds: Sequence[Kind],
-        generator: np.random.Generator,
-    ) -> GeneticAlgorithm:
-        del kinds  # bits are bits
+    def _optimizer(self, settings: GeneticSettings, begin: Beginning) -> GeneticAlgorithm:
         return GeneticAlgorithm(
-            first,
-            n_values,
+            begin.population,
+            begin.n_values,
             selection=settings.selection,
             recombination=settings.recombination,
             mutation=settings.mutation,
-            generator=generator,
+            generator=begin.generator,
         )
 
 
@@ -159,11 +161,8 @@ class RandomPlugin(BuiltIn[RandomSettings]):
     def _renewed(self, settings: RandomSettings) -> int:
         return settings.renewed
 
-    def _optimizer(
-        self, settings: RandomSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
-    ) -> RandomSearch:
-        del kinds  # every index is equally likely
-        return RandomSearch(first, n_values, renewed=settings.renewed, generator=generator)
+    def _optimizer(self, settings: RandomSettings, begin: Beginning) -> RandomSearch:
+        return RandomSearch(begin.population, begin.n_values, renewed=settings.renewed, generator=begin.generator)
 
 
 class SwarmPlugin(BuiltIn[SwarmSettings]):
@@ -172,14 +171,15 @@ class SwarmPlugin(BuiltIn[SwarmSettings]):
     name = "swarm"
     settings = SwarmSettings
 
-    def _renewed(self, settings: SwarmSettings) -> int:
-        return settings.population  # all of them move
-
-    def _optimizer(
-        self, settings: SwarmSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
-    ) -> ParticleSwarm:
-        del kinds  # positions are shares of the ranges; choices lie in the order of their list
-        return ParticleSwarm(first, n_values, c1=settings.c1, c2=settings.c2, inertia=settings.inertia, generator=generator)
+    def _optimizer(self, settings: SwarmSettings, begin: Beginning) -> ParticleSwarm:
+        return ParticleSwarm(
+            begin.population,
+            begin.n_values,
+            c1=settings.c1,
+            c2=settings.c2,
+            inertia=settings.inertia,
+            generator=begin.generator,
+        )
 
 
 GENETIC: DeclaringOptimizerPlugin = GeneticPlugin()

@@ -1,14 +1,13 @@
 """CMA-ES (Hansen's package `cma`) as an optimizer: `optimizer: {kind: cma_es}`, with the extra [cma]."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.parameters import Indices, Kind
-from drivecal.optimizers.built_in import BuiltIn
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import Beginning, BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.ranking import ranking
 from drivecal.optimizers.replayed import Replayed, named, require
@@ -73,17 +72,8 @@ class CmaPlugin(BuiltIn[CmaSettings]):
     name = "cma_es"
     settings = CmaSettings
 
-    def _renewed(self, settings: CmaSettings) -> int:
-        return settings.population
-
-    def _optimizer(
-        self, settings: CmaSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
-    ) -> Replayed:
-        del (
-            kinds,
-            generator,
-        )  # choices lie in the order of their list; the engine has a generator of its own, which a replay finds as it was
-        return Replayed(first, CmaEngine(settings, n_values))
+    def _optimizer(self, settings: CmaSettings, begin: Beginning) -> Replayed:
+        return Replayed(begin.population, CmaEngine(settings, begin.n_values))
 
 
 CMA_ES: DeclaringOptimizerPlugin = CmaPlugin()

@@ -1,6 +1,5 @@
 """NSGA-II and NSGA-III of pymoo as optimizers of several objectives: `optimizer: {kind: nsga2}`, with the extra [pymoo]."""
 
-from collections.abc import Sequence
 from math import comb
 from typing import Any, Literal
 
@@ -9,8 +8,8 @@ import numpy.typing as npt
 from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.parameters import Indices, Kind
-from drivecal.optimizers.built_in import ONE_OBJECTIVE, BuiltIn
+from drivecal.domain.parameters import Indices
+from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.replayed import Replayed, named, require
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
@@ -152,22 +151,8 @@ class NsgaPlugin(BuiltIn[OptimizerSpecification]):
         """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
         return ONE_OBJECTIVE | {"objectives"}
 
-    def _renewed(self, settings: OptimizerSpecification) -> int:
-        return settings.population
-
-    def _optimizer(
-        self,
-        settings: OptimizerSpecification,
-        first: Indices,
-        n_values: Indices,
-        kinds: Sequence[Kind],
-        generator: np.random.Generator,
-    ) -> Replayed:
-        del (
-            kinds,
-            generator,
-        )  # choices lie in the order of their list; pymoo has a generator of its own, which a replay finds as it was
-        return Replayed(first, NsgaEngine(settings, n_values))
+    def _optimizer(self, settings: OptimizerSpecification, begin: Beginning) -> Replayed:
+        return Replayed(begin.population, NsgaEngine(settings, begin.n_values))
 
 
 NSGA2: DeclaringOptimizerPlugin = NsgaPlugin("nsga2", Nsga2Settings)

@@ -8,7 +8,7 @@ from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
-from drivecal.optimizers.built_in import BuiltIn
+from drivecal.optimizers.built_in import Beginning, BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.replayed import Replayed, named, require
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
@@ -117,14 +117,8 @@ class OptunaPlugin(BuiltIn[OptunaSettings]):
     name = "optuna"
     settings = OptunaSettings
 
-    def _renewed(self, settings: OptunaSettings) -> int:
-        return settings.population
-
-    def _optimizer(
-        self, settings: OptunaSettings, first: Indices, n_values: Indices, kinds: Sequence[Kind], generator: np.random.Generator
-    ) -> Replayed:
-        del generator  # the engine's own, which a replay finds as it was
-        return Replayed(first, OptunaEngine(settings, n_values, kinds))
+    def _optimizer(self, settings: OptunaSettings, begin: Beginning) -> Replayed:
+        return Replayed(begin.population, OptunaEngine(settings, begin.n_values, begin.kinds))
 
 
 OPTUNA: DeclaringOptimizerPlugin = OptunaPlugin()

@@ -21,7 +21,7 @@ from drivecal.plugins.ports import Floats, Proposal
 
 
 def require(package: str, extra: str) -> None:
-    """Raises InvalidInputError if a library is not installed. To be called before it is imported."""
+    """Raises InvalidInputError if a library is not installed. Call it before importing the library."""
     if find_spec(package) is None:
         raise InvalidInputError(
             Problem(

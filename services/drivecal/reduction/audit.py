@@ -27,11 +27,11 @@ def _drawn(content: bytes, share: float) -> bool:
     return draw < share * 2**64
 
 
-def clopper_pearson(wrong: int, audited: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Returns the exact two-sided confidence interval of a proportion (Clopper, Pearson 1934); (0, 1) without audits."""
+def clopper_pearson(wrong: int, audited: int) -> tuple[float, float]:
+    """Returns the exact two-sided 95 % interval of a proportion (Clopper, Pearson 1934); (0, 1) without audits."""
     from scipy.special import betaincinv  # takes a while, which commands that only look things up need not pay
 
-    tail = (1 - confidence) / 2  # closed form: scipy's binomtest searches the same limits to 1e-11
+    tail = (1 - CONFIDENCE) / 2  # closed form: scipy's binomtest searches the same limits to 1e-11
     lower = 0.0 if wrong == 0 else float(betaincinv(wrong, audited - wrong + 1, tail))
     upper = 1.0 if wrong == audited else float(betaincinv(wrong + 1, audited - wrong, 1 - tail))
     return lower, upper

@@ -22,7 +22,7 @@ _NONE_BELOW, _NONE_ABOVE = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class ParameterDifference:
-    """A parameter in which a cell and a stored set differ. It `blocks` where a change may change the score."""
+    """A parameter in which a cell and a stored set differ. It `blocks` if the difference may change the score."""
 
     parameter: str
     region: Region

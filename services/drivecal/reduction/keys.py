@@ -2,7 +2,7 @@
 
 A stored set is a valid reference for a new set in a scenario when for every parameter P_sens = 0, or the values are equal, or both lie
 below PB_sens lower, or both above PB_sens upper. That is an equivalence relation; its classes are named by a key that holds the
-value if it is influential, `below` or `above` if it is not, and `any` where the parameter has no influence.
+value if it is influential, `below` or `above` if it is not, and `any` if the parameter has no influence.
 """
 
 import hashlib

@@ -53,7 +53,7 @@ class SearchArea:
         return (indices - self.first)[:, self.columns]
 
     def narrowed(self) -> list[Narrowed]:
-        """The parameters of which something is left out."""
+        """The parameters with a smaller range than in the space."""
         narrowed: list[Narrowed] = []
         for parameter, first, last in zip(self.space.searched, self.first.tolist(), self.last.tolist(), strict=True):
             left = last - first + 1
@@ -113,7 +113,7 @@ def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: S
 
 
 def _uncovered_indices(parameter: Parameter, influence_map: InfluenceMap) -> list[tuple[int, int]]:
-    """The grid indices of which the map says nothing, at either end, each with the next value that it covers.
+    """The grid indices at either end that the map does not cover, each with the next value that it covers.
 
     A choice has no ends: if the map lacks one of its texts, every text may matter.
     """

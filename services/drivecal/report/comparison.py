@@ -22,11 +22,11 @@ COUNTED = (
     "database. What several runs have in common was simulated once, and is counted by each."
 )
 BELIEVED = (
-    "Where references answer cells, a search prefers sets whose scores are too good. So after the search its best set is simulated where "
-    "its scores are references', and the next one where it falls, until the best set owes nothing to a reference; that counts among the "
+    "If references answer cells, a search prefers sets whose scores are too good. So after the search its best set is simulated if "
+    "scores of it are references', and the next one if it falls, until the best set owes nothing to a reference; that counts among the "
     "simulations. What is said of optima here, but for the searches' courses, is said of that set; the table of runs shows beside it "
-    "what the search believed. Of a run that has not come that far, or is of a release that did not do so, it is the best set of which "
-    "each score was simulated for itself, a lower bound."
+    "what the search believed. Of a run that has not come that far, or is of a release that did not do so, it is the best set whose "
+    "scores were all simulated, a lower bound."
 )
 CONVERGED = (
     "A run has converged in the iteration after which its best objective stayed as it was for at least 10 further ones; means "

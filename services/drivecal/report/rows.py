@@ -9,7 +9,7 @@ from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import COMFORT, Scale, unit_text
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
 """Outcomes of requested cells, frequent ones first."""
@@ -70,7 +70,7 @@ def interval_text(rows: Sequence[ValidationRow]) -> str:
         )
     return (
         "These 95 % intervals (Clopper-Pearson) are too narrow: an earlier version of drivecal took the variants of one base set as "
-        "independent. `drivecal validate ID --again` makes the study anew."
+        "independent. `drivecal validate ID --again` repeats the study."
     )
 
 
@@ -217,8 +217,11 @@ def front_lines(summary: FrontSummary) -> list[str]:
     """Returns what is known of a whole front: a line for each objective and constraint, and the numbers of sets."""
     lines = []
     for objective in summary.objectives:
-        unit = "" if objective.unit == "1" else f" {objective.unit}"
-        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g}{unit} on the front"
+        ends = (
+            ""
+            if objective.best is None
+            else f", {objective.best:g} to {objective.worst:g}{unit_text(objective.unit)} on the front"
+        )
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"

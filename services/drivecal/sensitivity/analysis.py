@@ -35,8 +35,8 @@ the number of the earlier ones depends on the other scenarios."""
 class Phase:
     """Runs that can be made in any order. `number` counts from 0; several rounds of intervals or confirmations share a name.
 
-    `points`: grid indices of the searched parameters by scenario, shape (n, n_searched). Scenarios of which nothing is asked are not in it.
-    Points may repeat; equal arrays are one object where all scenarios share them.
+    `points`: grid indices of the searched parameters by scenario, shape (n, n_searched). Scenarios without a run are missing.
+    Points may repeat; equal arrays are one object if all scenarios share them.
     """
 
     number: int

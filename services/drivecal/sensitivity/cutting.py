@@ -17,7 +17,7 @@ from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 
 
 def interval_edges(n_values: int, intervals: int) -> Indices:
-    """The grid indices where equal intervals meet, shape (intervals + 1,), from 0 to n_values - 1; strictly increasing where they fit."""
+    """The grid indices where equal intervals meet, shape (intervals + 1,), from 0 to n_values - 1; strictly increasing if they fit."""
     return (2 * np.arange(intervals + 1) * (n_values - 1) + intervals) // (2 * intervals)
 
 
@@ -66,7 +66,7 @@ class Region:
         """Returns the regions left to confirm if the whole region is influential.
 
         Its inner half, rounded up, is given back: influence is likelier next to the influential intervals, and halving costs a few
-        more analyses only where giving back everything would lose most of what is cut. What is left must be confirmed by an analysis of
+        more analyses only if giving back everything would lose most of what is cut. The rest must be confirmed by an analysis of
         its own. A whole range has no inner half and is given back as a whole: no place in it is known to be the influential one.
         """
         left = 0 if self.side == "whole" else self.intervals // 2

@@ -57,7 +57,7 @@ class DesignBuilder:
         return rows
 
     def add_pairs(self, column: int, first: Indices, second: Indices) -> None:
-        """Adds one analysis of r effects of the parameter in `column`: rows of points, shape (r,), of which only that column differs."""
+        """Adds one analysis of r effects of the parameter in `column`: pairs of rows, shape (r,), that differ only in that column."""
         self._pairs.append((column, first, second))
 
     def add_gaps(self, column: int, samples: int, count: int) -> None:

@@ -1,7 +1,7 @@
 """Designs along the parameters' axes: many boxes of one parameter share the same base points.
 
 An analysis of one parameter in one box needs two runs per effect that differ in that parameter alone. A radial design gives the effects
-of all parameters, of which complexity reduction uses one. Here every base point has, for each parameter and box, two points inside the
+of all parameters; complexity reduction uses one of them. Here every base point has, for each parameter and box, two points inside the
 box, with the base point's values of all others and with the step law of the radial design.
 """
 
@@ -73,7 +73,7 @@ def regions_design(
 ) -> Design:
     """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
 
-    Where a base point lies inside a region it is the first of the two, so that regions share these runs; what is asked twice is
+    A base point inside a region is the first of the two, so that regions share these runs; what is asked twice is
     answered by the reference table. Equal regions have equal points, whatever else is in the list.
     """
     base = base_points(n_values, samples, seed, tag)

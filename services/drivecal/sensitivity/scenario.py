@@ -126,7 +126,7 @@ class ScenarioState:
         return region.bounds(self._edges[region.column])
 
     def box(self) -> tuple[Indices, Indices]:
-        """The influential box as inclusive grid indices, shape (n_p,) each; the full range where nothing or everything is cut."""
+        """The influential box as inclusive grid indices, shape (n_p,) each; the full range if nothing or everything is cut."""
         pairs = [self._kept(column) for column in range(len(self._edges))]
         lower, upper = np.array(pairs, dtype=np.int64).T
         return lower, upper

@@ -44,7 +44,7 @@ class SensitivitySettings:
         for name, limit in limits.items():
             if not isfinite(limit) or limit <= 0:
                 remedy = "give a number above 0" + (" or auto" if name == "threshold" else "")
-                problems.append(_problem(name, f"{limit} is no usable threshold", remedy))
+                problems.append(_problem(name, f"{limit} is not a usable threshold", remedy))
         if problems:
             raise InvalidInputError(*problems)
 

@@ -56,7 +56,7 @@ Threshold = float | MuSigmaThresholds | Literal["auto"]
 
 @cache
 def tolerated_changes(n_effects: int) -> int:
-    """The smallest m of which at most m changes in `n_effects` have a probability of `CONFIDENCE`, at `TOLERATED_RATE`."""
+    """The smallest m for which at most m changes in `n_effects` have a probability of `CONFIDENCE`, at `TOLERATED_RATE`."""
     from scipy.special import bdtr  # takes a while, which commands that only look things up need not pay
 
     most = min(n_effects, 10 + n_effects // 20)  # beyond the quantile, five times the expected number

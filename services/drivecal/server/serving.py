@@ -26,7 +26,7 @@ def listen(host: str, port: int) -> socket.socket:
     The supervisor holds it, so that the port is taken before anything starts, and connections wait while the API restarts. Raises
     InvalidInputError if the host is not an address of this machine, and ConflictError if the port cannot be used.
     """
-    foreign = Problem("--host", f"{host!r} is no address of this machine", "give e.g. 127.0.0.1")
+    foreign = Problem("--host", f"{host!r} is not an address of this machine", "give e.g. 127.0.0.1")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
     except (OSError, UnicodeError) as error:

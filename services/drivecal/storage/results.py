@@ -132,7 +132,7 @@ def page(
     query = _of_campaign(campaign_sequence).limit(limit + 1)
     if cursor is not None:
         number, *rest = cursors.decode(cursor, int, int, int, str)
-        place = (STAGES.get(number, StageName.VALIDATION), *rest)
+        place = (STAGES.get(number, STAGES[len(STAGES)]), *rest)
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
         query = query.where(tuple_(*_PLACE) > tuple_(*typed))

@@ -268,7 +268,7 @@ def _name_fault(name: str) -> str | None:
     try:
         sizes = [len(part.encode()) for part in parts]
     except UnicodeEncodeError:
-        return "the name is no valid UTF-8"
+        return "the name is not valid UTF-8"
     if max(sizes) > 255 or sum(sizes) > 1000 or len(parts) > DEEPEST + 1:
         return "the path is too long"
     return None
@@ -277,7 +277,7 @@ def _name_fault(name: str) -> str | None:
 def _kind_fault(info: zipfile.ZipInfo, *, is_folder: bool) -> str | None:
     kind = stat.S_IFMT(info.external_attr >> 16) if info.create_system == 3 else 0
     if kind not in {0, stat.S_IFDIR if is_folder else stat.S_IFREG}:
-        return "it is a link" if stat.S_ISLNK(kind) else "it is no regular file"
+        return "it is a link" if stat.S_ISLNK(kind) else "it is not a regular file"
     if info.flag_bits & 0x1:
         return "it is encrypted"
     if info.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:

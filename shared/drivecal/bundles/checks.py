@@ -211,7 +211,7 @@ def _remainder(manifest: Manifest) -> Iterator[Problem]:
         )
     except InvalidInputError as error:
         for problem in error.problems:
-            yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: trying is no proof")
+            yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")
 
 
 def _failures(names: tuple[str, ...]) -> Iterator[Problem]:
@@ -281,7 +281,7 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
         for name, reduction in simulator.measures.items():
             if not _REDUCTION.fullmatch(reduction):
                 remedy = "give last(x), min(x), max(x), mean(x) or integral(x) of an output x"
-                yield Problem(f"simulator.measures.{name}", f"{shown(reduction)} is no reduction of an output", remedy)
+                yield Problem(f"simulator.measures.{name}", f"{shown(reduction)} is not a reduction of an output", remedy)
         if simulator.step > simulator.duration:
             yield Problem("simulator.step", "the step is longer than the duration", f"give at most {simulator.duration:g}")
     for index, name in enumerate(simulator.environment or ()):
@@ -359,7 +359,7 @@ def _placeholders(command: list[str]) -> Iterator[Problem]:
         for placeholder in re.findall(r"\{[A-Za-z_]+\}", word):
             if placeholder not in known:
                 yield Problem(
-                    f"simulator.command[{index}]", f"{shown(placeholder)} is no placeholder", nearest(placeholder, known)
+                    f"simulator.command[{index}]", f"{shown(placeholder)} is not a placeholder", nearest(placeholder, known)
                 )
     for placeholder in ("{parameters}", "{results}"):
         if not any(placeholder in word for word in command):

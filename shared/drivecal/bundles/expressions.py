@@ -206,7 +206,7 @@ class _Parser:
                 for side in sides:
                     self.check_number(side)
         else:
-            self.refuse(node, "this is no comparison", "compare two values, e.g. a <= b")
+            self.refuse(node, "this is not a comparison", "compare two values, e.g. a <= b")
 
     def _check_choice(self, node: ast.Compare) -> None:
         sides = [node.left, *node.comparators]
@@ -246,9 +246,9 @@ class _Parser:
         elif isinstance(node, ast.Call):
             self._check_call(node)
         elif isinstance(node, ast.Compare | ast.BoolOp):
-            self.refuse(node, "a comparison is no number", "leave it out")
+            self.refuse(node, "a comparison is not a number", "leave it out")
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            self.refuse(node, "a text is no number", "leave the quotes out")
+            self.refuse(node, "a text is not a number", "leave the quotes out")
         else:
             self.refuse(node, "this is not supported", "use numbers, names, + - * / ** and " + ", ".join(FUNCTIONS))
 
@@ -283,7 +283,7 @@ class _Parser:
         name = _name(node.func)
         if name is None or name not in FUNCTIONS:
             remedy = nearest(name, list(FUNCTIONS)) if name else f"known are {', '.join(FUNCTIONS)}"
-            self.refuse(node, f"there is no function {shown(name)}" if name else "this is no function", remedy)
+            self.refuse(node, f"there is no function {shown(name)}" if name else "this is not a function", remedy)
             return
         fewest, most = FUNCTIONS[name]
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):

@@ -1,21 +1,21 @@
 """Content of fingerprints: the inputs of a bundle's run, and of a run's score."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.domain.setups import canonical_json, digest
+from drivecal.plugins import registry
 from drivecal.plugins.simulators import VERSIONS
 
 _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 
-def setup_document(
-    manifest: Manifest, scenario: str, files: str, adapter: str | None = None, tools: str | None = None
-) -> dict[str, Any]:
-    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `adapter`: by default the installed;
-    `tools`: what the probe answers on the workers.
+def setup_document(manifest: Manifest, scenario: str, files: str, tools: str | None = None) -> dict[str, Any]:
+    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `tools`: what the
+    probe answers on the workers.
 
     The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do the names of
     variables, whose values on workers are not known here.
@@ -23,7 +23,7 @@ def setup_document(
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
     return {
         "simulator": section,
-        "adapter": VERSIONS[manifest.simulator.kind] if adapter is None else adapter,
+        "adapter": VERSIONS[manifest.simulator.kind],
         "scenario": scenario,
         "data": manifest.scenarios[scenario],
         "files": files,
@@ -31,14 +31,27 @@ def setup_document(
 
 
 def _said(manifest: Manifest, tools: str | None) -> dict[str, Any]:
-    """Returns further inputs of a run: the versions of other tools, which values are sent as whole numbers, and the problem's name in the
-    greeting of a process."""
+    """Returns further inputs of a run: the versions of other tools and of the built-in planner, which values are sent as whole numbers, and
+    the problem's name in the greeting of a process."""
     said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
     if manifest.simulator.kind == "process":
         said["problem"] = manifest.problem
+    controller = controller_version(manifest.simulator.model_dump(mode="json"))
+    if controller is not None:
+        said["controller"] = controller
     if tools is not None:
         said["tools"] = tools
     return said
+
+
+def controller_version(section: Mapping[str, Any]) -> str | None:
+    """Returns the version of the built-in controller that a simulator's section names, None if it names none.
+
+    Raises InvalidInputError if this installation has no such controller.
+    """
+    if section["kind"] != "highway" or section["controller"]["kind"] != "planner":
+        return None
+    return registry.simulator("highway").controllers["planner"]
 
 
 def score_id(name: str, score: ScoreEntry) -> str:

@@ -5,7 +5,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 FAILURES = ("collision", "off_road", "unstable")
-"""Failures of the controlled vehicle: it hits another one, leaves the outermost lanes by more than 0.5 m, or exceeds 9.81 m/s² sideways."""
+"""Failures of the controlled vehicle: it hits another one, leaves its road's lanes by more than 0.5 m, or exceeds 9.81 m/s² sideways."""
 FAR = 1000.0
 """Gap (m) that is observed without a vehicle, and the reach of all observations of other vehicles."""
 LONGEST = 100.0

@@ -35,7 +35,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 TICK = 0.01
-"""Step of the vehicle's dynamics (s), of which all other steps are multiples."""
+"""Step of the vehicle's dynamics (s); all other steps are multiples of it."""
 ENDINGS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "network": ((".net.xml", ".xodr"), "neither a SUMO network nor an OpenDRIVE file"),
     "routes": ((".rou.xml",), "no SUMO route file"),
@@ -53,9 +53,9 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
     controller, step = simulator.controller, simulator.step
     period = step if controller.period is None else controller.period
     if not _is_multiple(step, TICK):
-        yield Problem("simulator.step", f"{step:g} s is no multiple of {TICK:g} s", "give e.g. 0.1")
+        yield Problem("simulator.step", f"{step:g} s is not a multiple of {TICK:g} s", "give e.g. 0.1")
     elif not _is_multiple(period, TICK):
-        yield Problem("simulator.controller.period", f"{period:g} s is no multiple of {TICK:g} s", "give e.g. 0.1")
+        yield Problem("simulator.controller.period", f"{period:g} s is not a multiple of {TICK:g} s", "give e.g. 0.1")
     elif not _is_multiple(period, step) and not _is_multiple(step, period):
         message = f"{period:g} s is neither a multiple nor a part of the simulator's step of {step:g} s"
         yield Problem("simulator.controller.period", message, f"give e.g. {step:g}")
@@ -68,7 +68,7 @@ def simulator_problems(simulator: HighwaySimulator) -> Iterator[Problem]:
         for index, name in enumerate(controller.signals or ()):
             field = f"simulator.controller.signals[{index}]"
             if name not in SIGNALS:
-                yield Problem(field, f"{shown(name)} is no signal", nearest(name, list(SIGNALS)))
+                yield Problem(field, f"{shown(name)} is not a signal", nearest(name, list(SIGNALS)))
             elif name in (controller.signals or ())[:index]:
                 yield Problem(field, f"{name} appears twice", "give each signal once")
 
@@ -182,7 +182,7 @@ def scenario_problems(field: str, scenario: Declared, step: float, *, is_whole: 
     yield from _files(field, scenario)
     duration = scenario.duration
     if duration is not None and _is_multiple(step, TICK) and not _is_multiple(duration, step):
-        message = f"{duration:g} s is no multiple of the simulator's step of {step:g} s"
+        message = f"{duration:g} s is not a multiple of the simulator's step of {step:g} s"
         yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(duration / step)) * step:g}")
     seen = {"ego"}
     ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(scenario.traffic)]

@@ -26,7 +26,7 @@ from drivecal.roads.network import Edge, Network, network_file, source_of
 SHORTEST_DRIVE = 0.5
 """Share of the way at start speed that a route must have at least."""
 MOST_ROUTES = 100
-"""Different routes of a bundle's scenarios, each of which takes up to a second to check."""
+"""Different routes of a bundle's scenarios; checking one takes up to a second."""
 MOST_EDGES = 20_000
 """Edges of these routes together."""
 

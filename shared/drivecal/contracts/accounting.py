@@ -42,7 +42,7 @@ class ScenarioAccount(Answer):
     there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
     `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `predictor_seconds`: CPU time of
     the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
-    nothing. `proved`: of the reused cells, those of which a worker happened to know by a certificate what a simulation would have given;
+    nothing. `proved`: of the reused cells, those for which a worker happened to know, by a certificate, the result of a simulation;
     `proved_different`: their score is another one, `proved_wrong`: by more than the tolerance. Two equal campaigns need not know
     the same."""
 

@@ -32,7 +32,7 @@ def assignments(parts: Iterable[str], field: str) -> dict[str, float]:
         name, equals, digits = (piece.strip() for piece in part.partition("="))
         value = _number(digits)
         if not equals or not name:
-            problems.append(Problem(field, f"{shown(part)} is no assignment", "write NAME=NUMBER"))
+            problems.append(Problem(field, f"{shown(part)} is not an assignment", "write NAME=NUMBER"))
         elif value is None:
             problems.append(Problem(f"{field} {name}", f"{shown(digits)} is not a number", "give a finite number, e.g. 0.5"))
         elif name in values:

@@ -29,7 +29,7 @@ Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=r"
 
 class ComparedOptimizer(BaseModel):
     """An optimizer with its own settings, checked by its plug-in; `label` is its name in the tables, its
-    kind where none is given. Population, iterations, start and seed are the comparison's."""
+    kind if none is given. Population, iterations, start and seed are the comparison's."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -106,9 +106,9 @@ class ComparedRun(Answer):
     analysis: int
     best: float | None
     simulated_best: float | None = None
-    """The best objective of a set whose every score was simulated for itself. Where references answer cells, a search prefers sets whose
+    """The best objective of a set whose every score was simulated for itself. If references answer cells, a search prefers sets whose
     scores are too good: `best` is what it believed, this is what it has. Runs with reuse have their best set simulated after the search,
-    and the next one where it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
+    and the next one if it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
     are not that far, ended before, are of an earlier release or note that their best set is not confirmed, it is a lower bound. What is
     said of groups, pairs and successes is said of this."""
     rating: float | None

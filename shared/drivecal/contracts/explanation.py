@@ -7,7 +7,7 @@ from pydantic import Field
 from drivecal.contracts.campaign import Answer, Score
 
 Region = Literal["below", "influential", "above", "anywhere", "outside"]
-"""Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` where none exist, or `outside` of
+"""Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` if none exist, or `outside` of
 the space that the map speaks of."""
 
 Reason = Literal[
@@ -42,7 +42,7 @@ asked."""
 
 class Difference(Answer):
     """A parameter in which the cell and the stored set differ. `lower` and `upper` are the inclusive influential bounds of the map, null
-    where it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
+    if it has none on that side. `blocks`: the two values do not lie in the same non-influential region."""
 
     parameter: str
     value: float | str
@@ -68,7 +68,7 @@ class Reference(Answer):
 
 class Audit(Answer):
     """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
-    `wrong`: they differ by more than the tolerance. Null where one of the two has no result."""
+    `wrong`: they differ by more than the tolerance. Null if one of the two has no result."""
 
     score: Score | None
     reference_score: Score | None

@@ -155,7 +155,7 @@ def problem(field: str, detail: Detail) -> Problem:
         return Problem(field, f"{given} {message}", remedy.format(**{key: _number(value) for key, value in context.items()}))
     if kind == "string_pattern_mismatch":
         remedy = _PATTERNS.get(context["pattern"], f"it must match {context['pattern']}")
-        return Problem(field, f"'{given}' is no valid name", remedy)
+        return Problem(field, f"'{given}' is not a valid name", remedy)
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         field += "." + context["discriminator"].strip("'")
         if kind == "union_tag_not_found":

@@ -186,7 +186,7 @@ class WorkerAnswer(Answer):
 
 
 class WorkerPage(Page[WorkerAnswer]):
-    """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false where it has been silent for
+    """The workers, and when the dispatcher that drives them was last heard of (null: never). `fresh` is false if it has been silent for
     too long to believe what it said; `degraded` says what is wrong."""
 
     dispatcher_seen_at: datetime | None = None

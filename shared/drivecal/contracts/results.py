@@ -55,7 +55,7 @@ class FrontGrowth(Answer):
 
 class FrontSummary(Answer):
     """The front of a campaign: `evaluated` sets have a value of every objective, `feasible` ones keep all constraints, `size` make the
-    front, of which `copied` have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
+    front; `copied` of these have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
 
     objectives: list[FrontObjective]
     constraints: list[str]

@@ -139,7 +139,7 @@ class ReductionSpecification(Model):
     narrow: bool = False
     """Searches only the smallest common area, where some scenario is influenced (Section III)."""
     certified: bool = True
-    """Whether a cell may be answered by a run that it provably repeats, where the driving function allows it; changes no result."""
+    """Whether a cell may be answered by a run that it provably repeats, if the driving function allows it; changes no result."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
     """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
 
@@ -256,7 +256,7 @@ class RobustnessSpecification(Model):
     sets: Annotated[list[Values], Field(max_length=1000)] = []
     """Sets to be examined in any case."""
     of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None
-    """The id of an ended campaign whose best sets are examined, where this one has no optimizer."""
+    """The id of an ended campaign whose best sets are examined, if this one has no optimizer."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
 
 
@@ -353,14 +353,14 @@ class CampaignSpecification(ProblemSpecification):
 class RerunSpecification(Model):
     """Changes of a rerun; everything else, with references and influence map, comes from the first campaign.
 
-    Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs anew, without a simulation; a map that was computed from
+    Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs again, without a simulation; a map that was computed from
     the first one's ratings is then computed again, mostly from stored runs.
     """
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
     name: Name | None = None
     problem: ProblemName | None = None
-    """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated anew."""
+    """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated again."""
     evaluator: Identifier | None = None
     optimizer: OptimizerSpecification | None = None
     reduction: ReductionSpecification | None = None
@@ -375,7 +375,7 @@ class InfluenceSpecification(Model):
 
 
 class InfluenceMapSpecification(Model):
-    """An influence map as a user posts it, checked against the grid of `parameters`. What is not listed counts as influential."""
+    """An influence map as a user posts it, checked against the grid of `parameters`. Unlisted parameters count as influential."""
 
     name: Name = "influence map"
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"

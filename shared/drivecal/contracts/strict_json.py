@@ -26,7 +26,7 @@ def loads(content: bytes) -> object:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidInputError(
-            Problem("", f"byte {error.start} is no valid UTF-8", "send the document as UTF-8 text")
+            Problem("", f"byte {error.start} is not valid UTF-8", "send the document as UTF-8 text")
         ) from error
     values = sum(content.count(sign) for sign in (b",", b"[", b"{"))
     if values > MOST_VALUES:
@@ -53,7 +53,7 @@ def check_plain(document: object) -> None:
         if isinstance(value, str):
             _check_text(value, path)
         elif isinstance(value, float) and not math.isfinite(value):
-            message = "NaN is no JSON number" if math.isnan(value) else "the number is not finite, or too large"
+            message = "NaN is not a JSON number" if math.isnan(value) else "the number is not finite, or too large"
             raise InvalidInputError(Problem(field_name(path), message, "give a finite number, or null"))
         elif isinstance(value, (dict, list)):
             if len(path) >= DEEPEST:

@@ -251,7 +251,7 @@ class FrontRow(Answer):
 
 class InfluenceRow(Answer):
     """A parameter in a scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
-    where nothing is cut, null if nothing is influential. What only an analysis can know is null in maps that a user posted."""
+    if nothing is cut, null if nothing is influential. Results of an analysis are null in maps that a user posted."""
 
     scenario: str
     parameter: str
@@ -312,7 +312,7 @@ class ValidationRow(Answer):
     """A scenario of the validation (Tables 1 and 2 and Figure 14 of the paper).
 
     `reducible` parameters have a region in which they do not matter; of their `effects` (main effects and interactions) so many were
-    `covered`. `drawn`: the size of the Latin hypercube, of which `bases` that qualify were kept (n*_LHS), each compared with
+    `covered`. `drawn`: the size of the Latin hypercube; the `bases` that qualify were kept (n*_LHS), each compared with
     `references` variants (n_ref). `wrong`: |dF| > the scale's tolerance; R_err = wrong / compared; `different`: any change.
     `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
     how many variants differ from their base by how many times `histogram_step`; the outermost numbers hold all beyond the scale's span.

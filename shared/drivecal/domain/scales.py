@@ -93,7 +93,7 @@ class Scale:
     def amount(self, value: float) -> str:
         """Returns a difference of scores with its unit, for readers."""
         unit = self.unit.removesuffix("s") if value == 1 and self.unit == COMFORT.unit else self.unit
-        return f"{value:g}" if unit == "1" else f"{value:g} {unit}"
+        return f"{value:g}{unit_text(unit)}"
 
     def to_json(self) -> dict[str, Any]:
         """Returns plain data."""
@@ -103,6 +103,11 @@ class Scale:
     def from_json(cls, document: dict[str, Any]) -> Scale:
         """Inverts `to_json`."""
         return cls(**(document | {"direction": Direction(document["direction"])}))
+
+
+def unit_text(unit: str | None, before: str = " ") -> str:
+    """Returns a unit for readers, after `before`; nothing for values without unit."""
+    return "" if unit in {None, "", "1"} else f"{before}{unit}"
 
 
 def told(score: float | None) -> str:

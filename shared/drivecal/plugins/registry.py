@@ -144,9 +144,9 @@ def driving_functions() -> list[DrivingFunction]:
     return _usable(DRIVING_FUNCTIONS)
 
 
-def vehicle(name: str, field: str = "vehicle.model") -> Vehicle:
+def vehicle(name: str) -> Vehicle:
     """Returns a vehicle model by name. Raises InvalidInputError listing the installed names."""
-    return cast("Vehicle", _find(VEHICLES, name, field))
+    return cast("Vehicle", _find(VEHICLES, name, "vehicle.model"))
 
 
 def evaluator(name: str) -> Evaluator:
@@ -154,9 +154,9 @@ def evaluator(name: str) -> Evaluator:
     return cast("Evaluator", _find(EVALUATORS, name, "evaluator"))
 
 
-def optimizer(name: str, field: str = "optimizer.kind") -> OptimizerPlugin:
+def optimizer(name: str) -> OptimizerPlugin:
     """Returns an optimizer by name. Raises InvalidInputError listing the installed names."""
-    return cast("OptimizerPlugin", _find(OPTIMIZERS, name, field))
+    return cast("OptimizerPlugin", _find(OPTIMIZERS, name, "optimizer.kind"))
 
 
 def optimizers() -> list[OptimizerPlugin]:

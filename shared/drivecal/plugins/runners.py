@@ -71,5 +71,9 @@ class DriveSession(Protocol):
 class DriveSimulator(Named, Protocol):
     """The simulator that drives a scenario with a driving function and a vehicle."""
 
+    @property
+    def controllers(self) -> Mapping[str, str]:
+        """Versions of its own controllers that problem bundles may name, by kind: digests of the code that decides what they drive."""
+
     def open(self, certificates_mb: int | None) -> DriveSession:
         """Opens the session of this process. `certificates_mb`: memory limit of certificates, by default a share of the machine's."""

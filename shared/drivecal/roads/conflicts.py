@@ -14,7 +14,7 @@ TURN = "t"
 def check_junction(network: Network, links: Sequence[Connection], index: int) -> None:
     """Raises InvalidInputError with the field `route[index]` if the junction before this edge holds up or crosses `links`.
 
-    A merge is no conflict: ways from elsewhere to the same edge give way or zip in.
+    A merge is not a conflict: ways from elsewhere to the same edge give way or zip in.
     """
     junction = network.junctions.get(network.edges[links[0].begin].end)
     if junction is None:

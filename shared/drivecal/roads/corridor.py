@@ -117,7 +117,7 @@ class Corridor:
         share = row - low
         centres = (1.0 - share) * self.centres[low] + share * self.centres[low + 1]
         off = np.abs(d - centres)
-        off[~(off <= 0.5 * self.widths[low])] = np.inf  # NaN is no lane
+        off[~(off <= 0.5 * self.widths[low])] = np.inf  # NaN is not a lane
         best = int(np.argmin(off))
         return best if off[best] < np.inf else None
 

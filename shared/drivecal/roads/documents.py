@@ -19,7 +19,7 @@ _INTEGER = re.compile(r"[+-]?[0-9]{1,9}")
 
 
 class Attributes:
-    """The attributes of an element, and where it stands: reads numbers, names and words, and refuses what is none."""
+    """The attributes of an element and its line: reads numbers, names and words, and refuses others."""
 
     __slots__ = ("element", "file", "line", "values")
 
@@ -50,7 +50,7 @@ class Attributes:
         except ValueError:
             value = math.nan
         if not lower <= value <= upper or "_" in text:
-            message = f"{key} is {shown(text, 40)}, which is no number between {lower:g} and {upper:g}"
+            message = f"{key} is {shown(text, 40)}, which is not a number between {lower:g} and {upper:g}"
             raise self.fault(message, "correct the number")
         return value
 
@@ -58,7 +58,7 @@ class Attributes:
         """Returns a whole number between two bounds, written without a point. Raises InvalidInputError."""
         text = self.text(key)
         if not _INTEGER.fullmatch(text) or not lower <= int(text) <= upper:
-            message = f"{key} is {shown(text, 40)}, which is no whole number from {lower} to {upper}"
+            message = f"{key} is {shown(text, 40)}, which is not a whole number from {lower} to {upper}"
             raise self.fault(message, "correct the number")
         return int(text)
 

@@ -202,7 +202,7 @@ class _Reader:
 
     def on_edge(self, attributes: Attributes) -> None:
         if self.edge is not None:
-            raise attributes.fault("an edge stands inside of another", "close it first")
+            raise attributes.fault("an edge is inside another one", "close it first")
         self.edge = attributes
 
     def _close_edge(self, attributes: Attributes) -> None:

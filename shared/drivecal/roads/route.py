@@ -152,7 +152,7 @@ def _inside(network: Network, link: Connection, index: int) -> tuple[Lane, ...]:
     while via is not None:
         lane = network.lane(via)
         if lane is None or network.edges[lane.edge].function != "internal" or len(lanes) >= MOST_INSIDE:
-            message = f"line {link.line}: a connection leads over {shown(via, 80)}, which is no lane inside of a junction"
+            message = f"line {link.line}: a connection leads over {shown(via, 80)}, which is not a lane inside of a junction"
             raise refusal(index, network, message, "build the network again")
         lanes.append(lane)
         connections = network.connections.get(lane.edge, ())
@@ -204,7 +204,7 @@ def _change_cost(edge: Edge, begin: int, leave: int) -> float | None:
 
 
 def _matched(ways: Sequence[Way], first: Way) -> list[Way]:
-    """Returns ways of which no two share a lane or cross each other: the guide's, then the straightest."""
+    """Returns ways that neither share a lane nor cross each other: the guide's, then the straightest."""
     chosen = [first]
     for way in sorted(ways, key=lambda way: (way.jump, way.begin.index, way.end.index)):
         if all((way.begin.index - other.begin.index) * (way.end.index - other.end.index) > 0 for other in chosen):

@@ -271,7 +271,7 @@ def test_the_id_of_a_score_follows_what_changes_its_numbers() -> None:
         assert identified(path, value) != same
 
 
-def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only() -> None:
+def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only(monkeypatch: pytest.MonkeyPatch) -> None:
     def setup(path: str, value: Any, files: str = "f") -> dict[str, Any]:
         return setup_document(checked(changed(path, value)), "city", files)
 
@@ -296,7 +296,8 @@ def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only() -> None
     ):
         assert setup(path, value) != same
     assert setup("problem", "other", "g") != same
-    assert setup_document(checked(VALID), "city", "f", "2") != same
+    monkeypatch.setattr("drivecal.bundles.fingerprints.VERSIONS", {"process": "of another adapter"})
+    assert setup_document(checked(VALID), "city", "f") != same
 
 
 def test_the_smallest_range_of_a_score_is_a_thousandth() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.domain.errors import InvalidInputError
+from drivecal.plugins import registry
 
 VALID: dict[str, Any] = {
     "problem": "acc",
@@ -274,3 +276,13 @@ def test_vehicles_of_users_pass() -> None:
 )  # fmt: skip
 def test_faults_of_vehicles_are_named(vehicle: dict[str, Any], field: str) -> None:
     assert faults(changed("simulator/vehicle", vehicle), FILES) == {f"simulator.vehicle.{field}"}
+
+
+def test_a_setup_with_the_built_in_planner_holds_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = {"kind": "planner", "values": dict.fromkeys([name for name in NAMES if name != "P1"], 1)}
+    planner = changed("simulator/controller", controller) | {"parameters": {"P1": {"lower": 0, "upper": 10}}}
+    said = setup_document(checked(planner, FILES), "merge", "")
+    assert said["controller"] == registry.simulator("highway").controllers["planner"]
+    assert "controller" not in setup_document(checked(VALID), "merge", "")
+    monkeypatch.setattr(registry, "simulator", lambda _: SimpleNamespace(controllers={"planner": "another"}))
+    assert setup_document(checked(planner, FILES), "merge", "") == said | {"controller": "another"}

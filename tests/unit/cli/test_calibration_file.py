@@ -201,6 +201,8 @@ def test_other_weights_are_named_and_hold_for_the_baseline(monkeypatch: pytest.M
 
 
 def test_the_first_objective_is_named_if_it_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures = exported(monkeypatch, Campaigns(FirstObjective(name="collisions", unit="1", direction="minimise")))
+    assert figures["ranked by"] == "collisions, minimise"
     client = Campaigns(FirstObjective(name="jerk", unit="m/s3", direction="minimise"))
     figures = exported(monkeypatch, client)
     assert figures["ranked by"] == "jerk, minimise, m/s3"
@@ -215,6 +217,7 @@ def test_a_set_of_the_front_has_all_its_objectives(monkeypatch: pytest.MonkeyPat
     figures = exported(monkeypatch, client, table="front")
     assert (figures["objective discomfort"], figures["objective jerk"]) == ("3", "0.5")
     assert figures["scale of objective jerk"] == "minimise, max, m/s3"
+    assert figures["scale of objective discomfort"] == "minimise, mean"
     assert (figures["objective discomfort of the baseline"], figures["rank on the front"]) == ("8.5", "1")
     assert (figures["score follow"], figures["degree of robustness"]) == ("2", "7")
     assert "weights of the objectives" not in figures

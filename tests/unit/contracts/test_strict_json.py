@@ -36,7 +36,7 @@ def test_any_bytes_are_either_read_or_refused(content: bytes) -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b'{"weights": {"S1": NaN}}', r"^weights.S1: NaN is no JSON number"),
+        (b'{"weights": {"S1": NaN}}', r"^weights.S1: NaN is not a JSON number"),
         (b"[Infinity]", r"^\[0\]: .*finite"),
         (b'{"a": [0, -Infinity]}', r"^a\[1\]: .*finite"),
         (b'{"a": 1e999}', "^a: .*finite"),

@@ -7,7 +7,7 @@ import random
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.leases import MemoryLeases
-from tests.unit.execution.test_pool import cells, drain, setup
+from tests.support.pooled import cells, drain, setup
 
 from drivecal.contracts.work import Cell
 from drivecal.domain.errors import UnavailableError

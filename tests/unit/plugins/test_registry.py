@@ -51,12 +51,6 @@ def test_an_unknown_name_is_refused_with_the_installed_ones(find: Callable[[str]
     assert installed in problem.remedy
 
 
-def test_the_field_that_is_blamed_can_be_chosen() -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        registry.optimizer("nonsense", "body.optimizer.kind")
-    assert [problem.field for problem in refused.value.problems] == ["body.optimizer.kind"]
-
-
 def test_a_plugin_of_another_package_is_found(tmp_path: Path) -> None:
     """A package as a user would install it: a module and its entry point, nothing of ours changed."""
     (tmp_path / "their_catalogue.py").write_text("class Theirs:\n    name = 'theirs'\n    scenarios = {}\nPLUGIN = Theirs()\n")

@@ -16,6 +16,7 @@ from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins import registry
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime.bundles import MOST_SESSIONS, BundleSessions
 from drivecal.runtime.cache import BundleCache
@@ -104,6 +105,17 @@ def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: BundleRe
     result = worker(tmp_path, ScriptedSimulator()).run(Batch(request_, (Cell(1, {"x": 2.0}),)))
     assert request_.bundle in (result.refusal or "")
     assert result.results == ()
+
+
+def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    section = {"kind": "highway", "controller": {"kind": "planner"}, "timeout": 10.0}
+    works = worker(tmp_path, ScriptedSimulator())
+    works.store(request_.bundle, archive)
+    for requested in ("1.another", None):
+        setup = replace(request_, simulator=section, document={"adapter": "3", "controller": requested})
+        refusal = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).refusal or ""
+        assert registry.simulator("highway").controllers["planner"] in refusal
+        assert str(requested) in refusal
 
 
 def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

@@ -23,7 +23,7 @@ def wrapped(error: Exception) -> DBAPIError:
 @pytest.mark.parametrize(
     ("error", "expected", "message"),
     [
-        (sqlite_error(sqlite3.SQLITE_NOTADB), DatabaseError, "the file is no SQLite database"),
+        (sqlite_error(sqlite3.SQLITE_NOTADB), DatabaseError, "the file is not an SQLite database"),
         (sqlite_error(sqlite3.SQLITE_CORRUPT), DatabaseError, "the file is a damaged SQLite database"),
         (sqlite_error(sqlite3.SQLITE_CANTOPEN), DatabaseError, "the file cannot be opened for writing"),
         (sqlite_error(sqlite3.SQLITE_READONLY_DIRECTORY), DatabaseError, "the file cannot be opened for writing"),

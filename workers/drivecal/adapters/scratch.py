@@ -57,7 +57,7 @@ def discard(path: Path) -> None:
 def environment(home: Path, named: Collection[str] = (), inherited: Mapping[str, str] | None = None) -> dict[str, str]:
     """Returns the environment of a child: a few of the worker's variables, and those that the manifest has `named`.
 
-    A list of what is kept and not of what is dropped: no pattern knows all secrets. This prevents accidents, not theft: a child of the same
+    An allow list, because no pattern knows all secrets. This prevents accidents, not theft: a child of the same
     user can read the worker's memory and files.
     """
     kept = {

@@ -1,4 +1,4 @@
-"""Compilation of kernels. All are stored, and compiled anew when their own file or one whose kernels they call has changed.
+"""Compilation of kernels. All are stored, and compiled again when their own file, or one whose kernels they call, has changed.
 
 numba itself takes a stored function for current as long as its own file does not change; a kernel that it called from another module may
 have changed long since. And it writes the index of stored functions before the function, to a file that an earlier source may have left:

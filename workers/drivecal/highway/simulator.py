@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from importlib import import_module
+from types import MappingProxyType
 
 from drivecal.contracts.work import CertificateMemory
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.certification.memory import Memory
+from drivecal.highway.planner.frenet import corridor_version
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
 from drivecal.plugins.runners import DriveSession, DriveSimulator, Runner
 
@@ -38,6 +40,7 @@ class Highway:
     """The closed loop of planner, vehicle and SUMO's traffic."""
 
     name = "highway"
+    controllers: Mapping[str, str] = MappingProxyType({"planner": corridor_version()})
 
     def open(self, certificates_mb: int | None) -> DriveSession:
         """Opens a session of this process, which can hold only one SUMO simulation."""

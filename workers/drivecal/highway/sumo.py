@@ -17,7 +17,8 @@ except ImportError as error:
 
 vehicle, edge, lane, simulation = libsumo.vehicle, libsumo.edge, libsumo.lane, libsumo.simulation
 GET_POSITION, GET_SPEED = compiled.vehicle_getPosition, compiled.vehicle_getSpeed
-GET_ROAD, GET_LANE_POSITION = compiled.vehicle_getRoadID, compiled.vehicle_getLanePosition
+GET_ANGLE, GET_ROAD = compiled.vehicle_getAngle, compiled.vehicle_getRoadID
+GET_LANE_POSITION = compiled.vehicle_getLanePosition
 MOVE_TO_XY, SET_SPEED = compiled.vehicle_moveToXY, compiled.vehicle_setSpeed
 STEP, DEPARTED, ARRIVED = compiled.simulation_step, compiled.simulation_getDepartedNumber, compiled.simulation_getArrivedNumber
 SUMO_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -71,7 +72,7 @@ def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
 
 
 def load(arguments: Sequence[str]) -> None:
-    """Starts SUMO, or loads it anew if it runs already. Raises one of `SUMO_ERRORS` if it refuses its files."""
+    """Starts SUMO, or loads it again if it runs already. Raises one of `SUMO_ERRORS` if it refuses its files."""
     if libsumo.isLoaded():
         libsumo.load(list(arguments))
     else:

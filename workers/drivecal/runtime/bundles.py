@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from drivecal.adapters.kinds import simulator
+from drivecal.bundles.fingerprints import controller_version
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
 from drivecal.runtime.cache import BundleCache
@@ -85,12 +86,23 @@ class BundleSessions:
         if setup.key not in self._sessions:
             folder = self._cache.folder(setup.bundle)
             chosen = self._simulators(setup.simulator["kind"])
+            _refuse_other_controllers(setup)
             declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
             self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
             if len(self._sessions) > MOST_SESSIONS:
                 self._sessions.popitem(last=False)[1].close()
         self._sessions.move_to_end(setup.key)
         return self._sessions[setup.key]
+
+
+def _refuse_other_controllers(setup: BundleRequest) -> None:
+    """Raises UnavailableError if the built-in controller of a setup is another one here."""
+    installed, requested = controller_version(setup.simulator), setup.document.get("controller")
+    if setup.document and installed != requested:
+        raise UnavailableError(
+            f"coordinator and worker differ: the controller is {requested} at the coordinator and {installed} at the worker;"
+            " install the same drivecal on both"
+        )
 
 
 def _series(outcome: RunOutcome) -> bytes:

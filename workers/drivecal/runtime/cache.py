@@ -48,7 +48,7 @@ class BundleCache:
         """Returns the folder of a bundle whose content is that of its digest.
 
         The content is read again only if a file's size, mode or times are others than at the last check. Raises UnavailableError if the
-        bundle is not there, if others could change it, and if it was changed: then it is removed, and comes anew to the next worker.
+        bundle is not there, if others could change it, and if it was changed: then it is removed and sent again to the next worker.
         """
         folder = self._folder / digest
         if not self.has(digest):

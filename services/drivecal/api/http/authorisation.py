@@ -117,7 +117,7 @@ def refuse_reader(request: Request) -> None:
 
 
 def refuse_push(request: Request) -> str | None:
-    """Raises HTTPException (403) if the request may not push a problem. To be called before its body is read.
+    """Raises HTTPException (403) if the request may not push a problem. Call it before reading the body.
 
     Sessions and web pages never may. Returns the SHA-256 digest that the body must have, None on a server with tokens.
     """

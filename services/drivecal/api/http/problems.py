@@ -71,7 +71,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         413: "The body, or the campaign that it describes, is too large, or there are too many influence maps or problems",
         414: "The address is too long",
         415: "The body is not declared as JSON (of a problem: application/zip), or is compressed",
-        421: "The Host is none that a server without tokens answers to",
+        421: "A server without tokens does not answer to this Host",
         422: "Fields do not fit; `errors` names each",
         429: "The queue is full, or too many event streams or archives of problems are open",
         431: "The headers are too large",

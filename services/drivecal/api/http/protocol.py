@@ -16,8 +16,8 @@ from drivecal.api.http.problems import MEDIA_TYPE, problem_content
 SECONDS_FOR_A_HEAD = 15.0
 """Limit from the connection, or from the first byte after an answer, to the end of the headers."""
 MOST_CONNECTIONS = 500
-"""Largest number of open connections, idle ones included. Most systems allow a process 1,024 open files, of which the database takes 40 and
-more."""
+"""Largest number of open connections, idle ones included. Most systems allow a process 1,024 open files; the database takes at
+least 40 of them."""
 SECONDS_IDLE = 15
 """Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
@@ -68,7 +68,7 @@ class Protocol(H11Protocol):
         """Refuses invalid HTTP and large heads like every other bad request."""
         error = sys.exception()
         hint = error.error_status_hint if isinstance(error, h11.RemoteProtocolError) else 400
-        detail = "the head of the request is too large" if hint == 431 else f"this is no HTTP request: {error or msg}"
+        detail = "the head of the request is too large" if hint == 431 else f"this is not an HTTP request: {error or msg}"
         if self.conn.our_state in {h11.IDLE, h11.SEND_RESPONSE}:
             self._refuse(hint, detail)
         else:

@@ -43,7 +43,7 @@ def evaluate(
 @router.get("/{evaluation_id}", response_model=None, responses={200: {"model": Evaluation | EvaluationDetail}})
 def read(evaluation_id: str, response: Response, database: DatabaseDependency) -> Evaluation | dict[str, Any]:
     """A single evaluation by the id that posting it gave; or, by the number in the first column of a campaign's table, that row with
-    its measures, its campaign and, where it failed, the cause."""
+    its measures, its campaign and, if it failed, the cause."""
     with database.read() as connection:
         if _is_number(evaluation_id):
             return _detail(connection, int(evaluation_id))

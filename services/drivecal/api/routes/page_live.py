@@ -41,10 +41,10 @@ PROTOCOL = (
     '- `{"campaign": ID, "event": {...}}` with each event after number N, as in the event stream,\n'
     '- `{"campaign": ID, "progress": {...}}` at most once a second,\n'
     '- `{"campaign": ID, "ended": true}` after the last event of a campaign that has ended,\n'
-    '- `{"campaign": ID, "error": "..."}` where it cannot be followed,\n'
-    '- `{"alive": true}` where there was nothing else for a while.\n\n'
+    '- `{"campaign": ID, "error": "..."}` if it cannot be followed,\n'
+    '- `{"alive": true}` if there was nothing else for a while.\n\n'
     f"A page follows {MOST_FOLLOWED} campaigns at most. Browsers are let in from pages of this very origin only; the connection is closed "
-    f"with {NOT_UNDERSTOOD} where a message cannot be understood, and refused where the server has no place for it."
+    f"with {NOT_UNDERSTOOD} if a message cannot be understood, and refused if the server has no place for it."
 )
 """Protocol of the live connection, in Markdown."""
 

@@ -7,22 +7,20 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
+from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.results.front import EARLIER, CampaignFront
 from drivecal.campaigns.results.optima import unit_cube
-from drivecal.contracts.assignments import assignments
 from drivecal.contracts.results import FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.scales import Direction, plain
+from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
-
-LARGEST_WEIGHT = 1e6
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ def front_table(database: Database, campaign: StoredCampaign, front: CampaignFro
     names = [goal.name for goal in front.goals.objectives]
     worths: Sequence[float | None] = [None] * len(front.members)
     if weights is not None:
-        front, sums = front.by_weights(_weights(weights, names))
+        front, sums = front.by_weights(given_weights(weights, names, "objective"))
         worths = sums.tolist()
     with database.read() as connection:
         sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front.members])
@@ -133,9 +131,8 @@ def trade_off(table: FrontTable, resolved: ResolvedSpec, first: int, second: int
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:
-    unit = "" if goal.unit == "1" else f" {goal.unit}"
     gain = difference.gain or 0.0
-    values = f"{difference.first:.6g} to {difference.second:.6g}{unit}"
+    values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
     return f"{goal.name} {'stays as it is' if gain == 0 else 'gets better' if gain > 0 else 'gets worse'}: {values}"
 
 
@@ -175,24 +172,3 @@ def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tup
 
 def _key(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
     return tuple(sorted(parameters.items()))
-
-
-def _weights(text: str, names: Sequence[str]) -> dict[str, float]:
-    """Returns weights by objective; those that are not named have weight 1."""
-    given = assignments(text.split(","), "weights")
-    problems = [
-        Problem(f"weights.{name}", "the campaign has no such objective", f"one of {', '.join(names)}")
-        for name in given
-        if name not in names
-    ]
-    problems += [
-        Problem(f"weights.{name}", f"{weight:g} is no weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}")
-        for name, weight in given.items()
-        if not 0 <= weight <= LARGEST_WEIGHT
-    ]
-    weights = {name: given.get(name, 1.0) for name in names}
-    if not problems and not any(weights.values()):
-        problems.append(Problem("weights", "all weights are 0", "give at least one objective a positive weight"))
-    if problems:
-        raise InvalidInputError(*problems)
-    return weights

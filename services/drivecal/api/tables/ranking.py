@@ -74,7 +74,7 @@ def ranking(
     A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
     that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
     """
-    used = resolved.weights if weights is None else _weights(weights, list(resolved.weights))
+    used = resolved.weights if weights is None else given_weights(weights, list(resolved.weights), "scenario")
     other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
     goals = resolved.goals if weights is None and score is None else None
@@ -92,7 +92,7 @@ def ranking(
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
     """Returns the best set of the `earlier` campaign under the weights and the score of its rerun; None if there is none, before the
     end of the rerun, with objectives or constraints, and if setups, space or constraints differ, or the evaluator of the built-in problem.
-    Reads the answers of the earlier campaign anew."""
+    Reads all answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
@@ -162,19 +162,19 @@ def _rated(connection: Connection, campaign: StoredCampaign, evaluator: str, val
         )
 
 
-def _weights(text: str, simulated: Sequence[str]) -> Mapping[str, float]:
-    """Returns weights by scenario in the campaign's order; scenarios that are not named have weight 1, as in a campaign file."""
+def given_weights(text: str, names: Sequence[str], kind: str) -> Mapping[str, float]:
+    """Returns weights by scenario or objective in the campaign's order; those that are not named have weight 1, as in a campaign file."""
     given = assignments(text.split(","), "weights")
     problems: list[Problem] = []
     for name, weight in given.items():
         where = f"weights.{name}"
-        if name not in simulated:
-            problems.append(Problem(where, "the campaign did not simulate this scenario", f"one of {', '.join(simulated)}"))
+        if name not in names:
+            problems.append(Problem(where, f"the campaign did not examine this {kind}", f"one of {', '.join(names)}"))
         elif not 0 <= weight <= LARGEST_WEIGHT:
-            problems.append(Problem(where, f"{weight:g} is no weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
-    weights = {name: given.get(name, 1.0) for name in simulated}
+            problems.append(Problem(where, f"{weight:g} is not a weight", f"give a number from 0 to {LARGEST_WEIGHT:,.0f}"))
+    weights = {name: given.get(name, 1.0) for name in names}
     if not problems and not any(weights.values()):
-        problems.append(Problem("weights", "all weights are 0", "give at least one scenario a positive weight"))
+        problems.append(Problem("weights", "all weights are 0", f"give at least one {kind} a positive weight"))
     if problems:
         raise InvalidInputError(*problems)
     return weights

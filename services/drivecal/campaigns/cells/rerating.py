@@ -72,10 +72,7 @@ def note_of(database: Database, view: View) -> str | None:
         lacking = "it needs their time series, which is not stored"
         if not bench.needs_series:
             lacking = "they lack metrics that it asks for"
-        parts.append(
-            f"{standing.missing:,} cannot be used ({lacking}); they cost nothing but where this campaign asks for the same cells, "
-            "which are then simulated again"
-        )
+        parts.append(f"{standing.missing:,} cannot be used ({lacking}); cells that this campaign requests are simulated again")
     if not parts:
         return None
     every = standing.anew + standing.again + standing.missing

@@ -77,7 +77,7 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
         changed = [name for name, value in today.document.items() if stored.document.get(name) != value]
         raise ConflictError(
             f"evaluation {number} was simulated with another {', '.join(changed) or 'version'} than is installed now, so its time series"
-            " cannot be repeated; evaluate its parameters anew"
+            " cannot be repeated; evaluate its parameters again"
         )
     return specification, problem.resolution() | ({} if tools is None else {"tools": tools})
 
@@ -97,7 +97,7 @@ def no_trace(connection: Connection, made: StoredCampaign) -> str:
     cause = made.error or (cell and (cell.detail or cell.failure)) or made.state.value
     text = f"it could not be driven again: {cause}"
     if _may_pass(made, cell):
-        return f"{text}. That may have passed: ask again after {AGAIN_AFTER.total_seconds():.0f} s, and it is driven anew"
+        return f"{text}. The cause may have passed: ask again after {AGAIN_AFTER.total_seconds():.0f} s"
     return text
 
 

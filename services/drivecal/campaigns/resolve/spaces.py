@@ -196,7 +196,7 @@ def _value(given: Setting) -> Value:
 
 
 def _check_free(function: Parameterised, usual: Parameter, value: Value, field: str, diagnostics: Diagnostics) -> None:
-    """Adds a problem if a value is no choice or whole number of `usual`, or no exact number within the limits of the function."""
+    """Adds a problem if a value is not a choice or whole number of `usual`, or not an exact number within the function's limits."""
     if usual.choices or isinstance(value, str):
         diagnostics.attempt(lambda: usual.index(value, field))
         return

@@ -24,9 +24,8 @@ def prediction_of(
     campaign: StoredCampaign,
     cell: StoredEvaluation,
     resolved: ResolvedSpec,
-    neighbours: int = NEIGHBOURS,
 ) -> Prediction | None:
-    """Returns the prediction of a calibration's cell with the `neighbours` of most weight; None if no predictor was asked."""
+    """Returns the prediction of a calibration's cell with the stored answers of most weight; None if no predictor was asked."""
     if cell.predicted_score is None or cell.confidence is None:
         return None
     return Prediction(
@@ -35,7 +34,7 @@ def prediction_of(
         sampled=cell.sampled,
         agrees=cell.agrees if cell.sampled else None,
         lot=None if cell.lot is None else inspected_lot(lots.by_id(connection, cell.lot)),
-        neighbours=_neighbours(connection, campaign, cell, resolved, neighbours),
+        neighbours=_neighbours(connection, campaign, cell, resolved),
     )
 
 
@@ -55,7 +54,7 @@ def inspected_lot(lot: StoredLot) -> InspectedLot:
 
 
 def _neighbours(
-    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec, most: int
+    connection: Connection, campaign: StoredCampaign, cell: StoredEvaluation, resolved: ResolvedSpec
 ) -> list[Neighbour]:
     from drivecal.reduction.regression_forest import predictor_on  # scikit-learn loads slowly
 
@@ -80,7 +79,7 @@ def _neighbours(
         return []
     weights = predictor.weights(features([cell.parameters]))
     trained = [each for known in batches for each in known][: learner.trained_on][-len(weights) :]
-    heaviest = np.argsort(-weights, kind="stable")[:most].tolist()
+    heaviest = np.argsort(-weights, kind="stable")[:NEIGHBOURS].tolist()
     neighbours = [(results.by_id(connection, trained[place][0]), trained[place][2], weights[place]) for place in heaviest]
     return [
         Neighbour(

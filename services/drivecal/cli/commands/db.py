@@ -38,7 +38,7 @@ FullOption = Annotated[
 
 @database.command()
 def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) -> None:
-    """Create the database or bring it to this drivecal's revision. Where there is something to do, a server must not work on it."""
+    """Create the database or bring it to this drivecal's revision. Stop its server first, unless it has that revision."""
     from drivecal.storage.engine import locks
 
     with _opened(database_url) as (url, opened):
@@ -67,7 +67,7 @@ def check(full: FullOption = False, database_url: DatabaseOption = None, as_json
 @database.command()
 def backup(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Where the backup goes: one SQLite file.", show_default=False)],
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE where it is there already.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it exists.")] = False,
     database_url: DatabaseOption = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -152,7 +152,7 @@ def export(
             pieces = _pieces(client, campaign_id, table, form, query)
         if output == "-":
             if form == "parquet" and sys.stdout.isatty():
-                raise InvalidInputError(Problem("--output", "Parquet is no text for a terminal", "give -o FILE"))
+                raise InvalidInputError(Problem("--output", "a terminal cannot show Parquet", "give -o FILE"))
             for piece in pieces:
                 sys.stdout.buffer.write(piece)
             sys.stdout.buffer.flush()

@@ -32,7 +32,7 @@ def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[Reductio
     )
     if effects:
         typer.echo(
-            "Objectives are those of sets of which each score was simulated for itself: a search prefers what references make too good.\n"
+            "Objectives are of sets whose scores were all simulated: a search prefers sets that references make too good.\n"
         )
         _print_effects(effects)
 

@@ -104,7 +104,7 @@ def inlined(document: str, name: str, title: str) -> str:
     width = re.search(r'<svg[^>]*? width="([0-9.]+)pt"', body)
     limit = f' style="max-width: {float(width[1]) * 4 / 3:.0f}px"' if width else ""
     attributes = f' width="100%"{limit} role="img" aria-label="{title}"'
-    # By a function: a backslash in the title is no reference.
+    # By a function: a backslash in the title is not a reference.
     return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + attributes, body, count=1)
 
 

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
+from drivecal.domain.scales import unit_text
 from drivecal.plugins.ports import Floats
 from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
 from drivecal.report.sections.optima import constant, count, searched, summary
@@ -141,8 +142,7 @@ def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: floa
 
 
 def _name(parameter: SearchedParameter, same: float | str | None) -> str:
-    unit = "" if parameter.unit in {"", "1"} else parameter.unit
-    below = unit if same is None else f"= {_value(same)} {unit}".rstrip()
+    below = unit_text(parameter.unit, "") if same is None else f"= {_value(same)}{unit_text(parameter.unit)}"
     return f"{parameter.name}\n{below}"
 
 

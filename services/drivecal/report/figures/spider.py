@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon
 
 from drivecal.contracts.tables import InfluenceRow
+from drivecal.domain.scales import unit_text
 from drivecal.report.figures.drawing import INFLUENTIAL, INK, RULE, style
 from drivecal.report.rows import by_scenario, segment
 
@@ -89,8 +90,7 @@ def _label(axes: Axes, row: InfluenceRow, angle: float, size: float, *, with_bou
     if not with_bounds or row.space_lower is None or row.space_upper is None:
         axes.text(1.12 * x, 1.12 * y, row.parameter, ha="center", va="center", fontsize=size)
         return
-    unit = "" if row.unit in {None, "", "1"} else f" {row.unit}"
-    below = [f"{_text(row.space_lower)} … {_text(row.space_upper)}{unit}"]
+    below = [f"{_text(row.space_lower)} … {_text(row.space_upper)}{unit_text(row.unit)}"]
     if row.influential and (row.lower, row.upper) != (row.space_lower, row.space_upper):
         below.append(f"influential {_text(row.lower)} … {_text(row.upper)}")
     side = "left" if x > 0.15 else "right" if x < -0.15 else "center"

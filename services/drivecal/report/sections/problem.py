@@ -6,6 +6,7 @@ from typing import Any
 
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import CampaignSetup
+from drivecal.domain.scales import unit_text
 from drivecal.report.data import ReportData
 from drivecal.report.markup import paragraph, subheading, table, verbatim
 from drivecal.report.rows import Number
@@ -33,7 +34,7 @@ def setting(findings: ReportData) -> list[str]:
     parameters = [
         [
             parameter.name,
-            "" if parameter.unit == "1" else parameter.unit,
+            unit_text(parameter.unit, ""),
             ", ".join(parameter.choices) or parameter.lower,
             None if parameter.choices else parameter.upper,
             "any" if parameter.kind == "continuous" else parameter.n_values,

@@ -94,8 +94,8 @@ def _proved(account: Accounting | None) -> list[str]:
     ]
     header = ["scenario", "reused", "proved", "different", "wrong", "R_err"]
     caption = (
-        "Self-check without a simulation: reused cells of which a worker happened to know, by a certificate, what a simulation would "
-        "have given. Another campaign like this one may know of others"
+        "Self-check without a simulation: reused cells for which a worker happened to know, by a certificate, what a simulation "
+        "would have given. Another campaign like this one may know of others"
     )
     return [table(header, rows, caption)]
 

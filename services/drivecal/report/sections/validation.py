@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
 from drivecal.contracts.tables import InfluenceRow, ValidationRow
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import COMFORT, Scale, unit_text
 from drivecal.report.data import Studied
 from drivecal.report.figures.drawing import BLUE, INK, VERMILION, Drawn, style
 from drivecal.report.markup import paragraph, table
@@ -76,8 +76,7 @@ def validation_figure(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> 
             axes.yaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
             axes.yaxis.set_minor_formatter(NullFormatter())
             axes.grid(visible=False, axis="x")
-        unit = "" if scale.unit == "1" else f", {scale.unit}"
-        figure.supxlabel(f"difference from the basis{unit}", fontsize=8)
+        figure.supxlabel(f"difference from the basis{unit_text(scale.unit, ', ')}", fontsize=8)
         figure.supylabel("variants", fontsize=8)
         handles = [
             Patch(facecolor=BLUE, edgecolor=INK, linewidth=0.4, label=f"up to {scale.amount(scale.tolerance)}"),
@@ -168,8 +167,9 @@ def _histograms(rows: Sequence[ValidationRow], scale: Scale) -> str:
         bins = sorted({0, *(number for row in compared for number in row.histogram)})
     lines = [[row.scenario, *(row.histogram.get(number, 0) for number in bins)] for row in compared]
     header = ["scenario", *(_difference(number, compared[0].histogram_step, scale) for number in bins)]
-    unit = "" if scale.unit == "1" else f", in {scale.unit}"
-    return table(header, lines, f"Figure 14 in numbers: variants by their difference from the basis{unit}")
+    return table(
+        header, lines, f"Figure 14 in numbers: variants by their difference from the basis{unit_text(scale.unit, ', in ')}"
+    )
 
 
 def _rates(rows: Sequence[ValidationRow]) -> str:

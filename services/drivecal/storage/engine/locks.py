@@ -27,9 +27,8 @@ class ServerLock(Protocol):
     """The right to be the server of a database, held from `hold` until `release` or the end of the process."""
 
     def renew(self) -> None:
-        """Raises DatabaseError if the lock was lost, with a connection to PostgreSQL, and another server has taken it since.
-
-        UnavailableError where PostgreSQL does not answer. To be called with every heartbeat.
+        """Raises DatabaseError if another server took the lock after the connection to PostgreSQL was lost, and UnavailableError if
+        PostgreSQL does not answer. Call it with every heartbeat.
         """
 
     def release(self) -> None:
@@ -126,7 +125,7 @@ class _PostgresLock(_Releasing):
 
     def release(self) -> None:
         if not self._connection.closed:
-            self._connection.invalidate()  # ends the session, even where it is broken
+            self._connection.invalidate()  # ends the session, even a broken one
             self._connection.close()
 
     def _alive(self) -> bool:

@@ -12,7 +12,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.scales import plain
 
 Identity = BigInteger().with_variant(Integer(), "sqlite")
-"""64 bits on both; SQLite numbers rows by itself only where the type is spelt INTEGER."""
+"""64 bits on both; SQLite numbers rows by itself only if the type is spelt INTEGER."""
 
 Name = Text().with_variant(Text(collation="C"), "postgresql")
 """Text that is sorted or compared by its bytes on both, whatever the locale of the PostgreSQL cluster."""

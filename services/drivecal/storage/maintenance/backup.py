@@ -62,7 +62,7 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
 def restore(file: Path, database: Database, progress: Progress) -> Copied:
     """Fills an empty database from a backup and brings it to this drivecal's revision. The caller holds the server's lock.
 
-    Raises DatabaseError if the file is no backup or the database has rows, and UnavailableError; the database is then as it was.
+    Raises DatabaseError if the file is not a backup or the database has rows, and UnavailableError; the database is then as it was.
     """
     if not file.is_file():
         raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")
@@ -160,7 +160,7 @@ def _opened(file: Path) -> Iterator[Database]:
 
 def _check_file(partial: Path, rows: dict[str, int]) -> None:
     with translated(str(partial)), closing(sqlite3.connect(partial)) as plain:
-        plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read where nothing can be written too
+        plain.execute("PRAGMA journal_mode = DELETE")  # one file, which can be read from read-only media too
     with _opened(partial) as opened, opened.read() as connection:
         _refuse_damaged(connection, partial)
         _compare(connection, rows, "the backup")

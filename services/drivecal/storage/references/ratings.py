@@ -16,8 +16,8 @@ from drivecal.storage.engine.tables import campaigns, ratings, runs
 
 
 def are_all_by(connection: Connection, evaluator: str) -> bool:
-    """True where every campaign that may have simulated anything used `evaluator` ("name version"): it has rated every run then, for
-    results are stored with their ratings. Found without looking at the runs, of which there may be millions."""
+    """True if every campaign that may have simulated anything used `evaluator` ("name version"): it has rated every run then, for
+    results are stored with their ratings. Reads campaigns only; there may be millions of runs."""
     used = func.coalesce(campaigns.c.resolution["evaluator"].as_string(), "")
     others = exists().where(campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator)
     return not connection.scalar(select(others))
@@ -61,8 +61,8 @@ def unrated(
 
 @dataclass(frozen=True, slots=True)
 class RatingCoverage:
-    """How many runs that were simulated for other evaluators this one has rated by what is stored of them (`anew`), how many runs were
-    simulated again for it (`again`), and how many it has not rated (`missing`)."""
+    """Numbers of runs that were simulated for other evaluators: rated by this one from what is stored of them (`anew`), simulated again
+    for it (`again`), and not rated by it (`missing`)."""
 
     anew: int
     again: int

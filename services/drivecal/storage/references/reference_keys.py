@@ -46,7 +46,7 @@ _COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failu
 def look_up(
     connection: Connection, influence_map_sequence: int, setup_id: int, keys: Sequence[bytes], evaluator: str, watermark: int
 ) -> dict[bytes, Donor]:
-    """The first references of `keys` among the runs that `evaluator` rated, both up to `watermark`. To be called after `sync`."""
+    """The first references of `keys` among the runs that `evaluator` rated, both up to `watermark`. Call it after `sync`."""
     index = connection.scalar(_index(influence_map_sequence, setup_id, evaluator))
     if index is None:
         return {}
@@ -70,9 +70,9 @@ def sync(
     key_function: KeyFunction,
     chunk: int = CHUNK,
 ) -> int:
-    """Computes the missing keys of one setup's runs up to `upto_run_id`, of those that `evaluator` rated; says of how many runs.
+    """Computes the missing keys of one setup's runs up to `upto_run_id`, of those that `evaluator` rated. Returns their number.
 
-    To be called when the evaluator has rated them (`ratings`): one that it rates later is not looked at again. Works
+    Call it when the evaluator has rated the runs (`ratings`): a run that is rated later is not looked at again. Works
     in transactions of `chunk` runs and goes on where it was interrupted.
     """
     total = 0
@@ -91,9 +91,9 @@ def indexes(connection: Connection) -> list[Row[Any]]:
 
 
 def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:
-    """How many of one index's rows would be other ones if they were made anew; looks at each `every`-th run only.
+    """Returns how many rows of an index would differ if they were computed again; looks at each `every`-th run only.
 
-    A run has to have its row where no run of a smaller number comes earlier in the order of origins under the same key, and none elsewhere.
+    A run has a row if no run with a smaller number precedes it in the order of origins under the same key, else none.
     """
     wrong = known = after = 0
     while rows := _rated(connection, index.setup_id, index.evaluator, after, index.run_id, chunk, every):

@@ -41,7 +41,7 @@ export function amend(changes: Record<string, string | null>): void {
   clearTimeout(writing);
   const here = location.hash;
   writing = setTimeout(() => {
-    // Whoever followed a link meanwhile is not to be taken back: browsers say so later than they do it.
+    // A user who followed a link meanwhile is not taken back: browsers report it late.
     if (location.hash === here) history.replaceState(null, "", write(place));
   }, WRITE_MILLISECONDS);
 }

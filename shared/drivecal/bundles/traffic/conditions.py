@@ -71,7 +71,7 @@ class Triggers:
     def _of_entity(self, kind: Element) -> Conditions:
         triggering = kind.only("TriggeringEntities")
         rule = triggering.word("triggeringEntitiesRule", ("any", "all"))
-        entities = [self._vehicle(entity) for entity in triggering.every("EntityRef")[: MOST_CONDITIONS + 1]]
+        entities = [entity.entity(self._ids) for entity in triggering.every("EntityRef")[: MOST_CONDITIONS + 1]]
         if not entities or (rule == "any" and len(entities) > 1):
             raise triggering.fault("any of several entities is not supported", "give one entity")
         condition = kind.only("EntityCondition").only(
@@ -106,13 +106,7 @@ class Triggers:
             raise condition.fault(f"the {axis[:40]} distance is not supported", "give longitudinal")
         names = {"RelativeDistanceCondition": "gap", "TimeHeadwayCondition": "headway", "TimeToCollisionCondition": "ttc"}
         centres = not condition.decides("freespace", "true")
-        return {"quantity": names[kind], "to": self._vehicle(target), "centres": centres} | _limit(condition)
-
-    def _vehicle(self, element: Element) -> str:
-        name = element.text("entityRef")
-        if name not in self._ids:
-            raise element.fault(f"there is no entity {name[:60]!r}", f"give one of {', '.join(list(self._ids)[:10])}")
-        return self._ids[name]
+        return {"quantity": names[kind], "to": target.entity(self._ids), "centres": centres} | _limit(condition)
 
 
 def _limit(condition: Element) -> dict[str, float]:

@@ -68,6 +68,13 @@ class Element(Attributes):
             raise self.fault(message, f"give {' or '.join(f'<{tag}>' for tag in tags)}")
         return child
 
+    def entity(self, ids: Mapping[str, str]) -> str:
+        """Returns the id of the entity that this element refers to. Raises InvalidInputError if it is not in `ids`."""
+        name = self.text("entityRef")
+        if name not in ids:
+            raise self.fault(f"there is no entity {name[:60]!r}", f"give one of {', '.join(list(ids)[:10])}")
+        return ids[name]
+
     def skip(self) -> None:
         """Marks everything in this element as read."""
         self.is_read = True

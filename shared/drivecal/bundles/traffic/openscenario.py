@@ -11,11 +11,12 @@ from typing import Any
 from drivecal.bundles.highway import OpenScenario
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
+from drivecal.bundles.traffic.coordinates import FilePlace
 from drivecal.bundles.traffic.elements import Element, Notes, read_tree
 from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.parameters import declare, substituted
-from drivecal.bundles.traffic.places import FilePlace, Map
+from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.routes import along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.contracts.input_errors import nearest
@@ -25,7 +26,8 @@ from drivecal.roads.corridor import Corridor
 
 MOST_ENTITIES = 200
 BEHIND = 2_000.0
-"""Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there."""
+"""Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there; also the length of
+the road ahead of it, or of the first vehicle, that is the drive until a route is known."""
 SPARE = 1.5
 """A route that the file does not give is longer by this factor than the way at start speed, and at least `SHORTEST`."""
 SHORTEST = 1_000.0
@@ -91,7 +93,7 @@ class ScenarioFile:
 
         def reached(position: Element) -> float:
             corridor: Corridor = corridor_of(route)
-            place = roads.place(position, {name: start.place for name, start in starts.items()})
+            place = roads.place(position, {name: start.place for name, start in starts.items()}, route)
             try:
                 return corridor.position(place.edge, place.index, place.position)[0]
             except InvalidInputError as error:
@@ -107,13 +109,7 @@ class ScenarioFile:
             for name, entity in present.items()
             if name != ego.name
         ]
-        edges = roads.network.edges
-        opposite = {(edges[edge].end, edges[edge].begin) for edge in route if edge in edges}
         for name, entity in entities.items():
-            if name in starts and (edges[starts[name].place.edge].begin, edges[starts[name].place.edge].end) in opposite:
-                self._notes.add(
-                    entity.element, "drives against the route: gaps and collisions are those of one that drives along it"
-                )
             if name not in starts:
                 self._notes.add(entity.element, "left out: it has no place in <Init>")
         self.notes = self._notes.texts(self._root)
@@ -150,6 +146,7 @@ class ScenarioFile:
         """Returns the starts of the entities that have one, in the order of <Init>."""
         starts: dict[str, _Start] = {}
         places: dict[str, FilePlace] = {}
+        ego = self._ego(entities).name
         sections = init.only("Actions")
         for section in sections.every("GlobalAction"):
             ignore_global(section, self._notes)
@@ -158,8 +155,12 @@ class ScenarioFile:
             if name not in entities:
                 raise section.fault(f"there is no entity {shown(name)}", nearest(name, list(entities)))
             kinds = [action.only(*_INIT) for action in section.every("PrivateAction")]
+            # A distance in seconds is that at the start speed, whichever action comes first.
+            kinds.sort(key=lambda kind: any(child.element == "LongitudinalDistanceAction" for child in kind.children))
             for kind in (kind for kind in kinds if kind.element == "TeleportAction"):
-                places[name] = roads.place(kind.only("Position"), places)
+                known = places.get(ego, next(iter(places.values()), None))
+                drive = self._scenario.route or (along(roads.network, known.edge, BEHIND) if known is not None else [])
+                places[name] = roads.place(kind.only("Position"), places, drive)
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
             for kind in kinds:
                 self._init(kind, name, entities, starts, roads)

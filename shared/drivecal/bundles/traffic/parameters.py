@@ -27,7 +27,7 @@ def substituted(element: Element, text: str) -> str:
         return _computed(element, text[2:-1])
     match = _NAME.fullmatch(text)
     if match is None:
-        raise element.fault(f"{shown(text)} is no parameter", "give $name or ${expression}")
+        raise element.fault(f"{shown(text)} is not a parameter", "give $name or ${expression}")
     return _value(element, match[1])
 
 
@@ -74,7 +74,7 @@ def _computed(element: Element, expression: str) -> str:
         name = f"p{len(values)}"
         number = finite(_value(element, match[1]))
         if number is None:
-            raise element.fault(f"the parameter {shown(match[1])} is no number", "give it a number")
+            raise element.fault(f"the parameter {shown(match[1])} is not a number", "give it a number")
         values[name] = number
         return name
 

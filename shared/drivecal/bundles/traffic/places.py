@@ -1,43 +1,22 @@
 """Places of OpenSCENARIO files on SUMO's lanes: by road and lane of the OpenDRIVE file, by coordinates, or from another place."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from math import cos, isfinite, pi, sin
+from math import cos, sin
 
 import numpy as np
 
+from drivecal.bundles.traffic.coordinates import DECIMALS, FilePlace, Ground, nearest
 from drivecal.bundles.traffic.elements import Element
 from drivecal.bundles.traffic.routes import links
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.roads import Floats
-from drivecal.roads.lines import lengths
 from drivecal.roads.network import Lane, Network
 from drivecal.roads.opendrive import FileRoad, RoadFile
 
-FARTHEST = 2.0
-"""Metres between a place of the file and the lane of the network: more, and the place lies in a junction."""
 MOST_LANES = 1_000
 """Lanes in a row over which a relative place may lie."""
-DECIMALS = 6
 LARGEST = 1e6
-
-
-@dataclass(frozen=True, slots=True)
-class FilePlace:
-    """A place on a lane of the network: `position` along it (m, as SUMO counts), `offset` to the left of its centre (m).
-
-    `road`, `lane`, `s`, `t`: in the OpenDRIVE file, if it was given so.
-    """
-
-    edge: str
-    index: int
-    position: float
-    offset: float
-    road: str | None = None
-    lane: int = 0
-    s: float = 0.0
-    t: float = 0.0
 
 
 class Map:
@@ -47,7 +26,7 @@ class Map:
         """`source`: reads the OpenDRIVE file."""
         self.network, self._source = network, source
         roads = [lane for edge in network.edges.values() if edge.function == "" for lane in edge.lanes]
-        self._all = tuple(roads)
+        self._ground = Ground(network)
         self._by_origin: dict[str, list[Lane]] = {}
         for lane in roads:
             for origin in (lane.origin or "").split():
@@ -58,13 +37,15 @@ class Map:
         """The OpenDRIVE file, None if the network was not made of one. Raises InvalidInputError."""
         return None if self._source is None else self._source()
 
-    def place(self, position: Element, places: Mapping[str, FilePlace]) -> FilePlace:
-        """Returns the place of a <Position>. `places`: of the entities that are known so far. Raises InvalidInputError."""
+    def place(self, position: Element, places: Mapping[str, FilePlace], route: Sequence[str]) -> FilePlace:
+        """Returns the place of a <Position>. `places`: of the entities that are known so far; `route`: of the drive, if it is known. Raises
+        InvalidInputError.
+        """
         kind = position.only("LanePosition", "WorldPosition", "RoadPosition", "RelativeLanePosition", "RelativeRoadPosition")
         if kind.element == "WorldPosition":
             x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
             heading = kind.number("h", -10.0, 10.0) if "h" in kind.values else None
-            return self._nearest(self._all, x, y, heading, kind)
+            return self._ground.place(x, y, heading, route, kind)
         if kind.element == "LanePosition":
             road = self._road(kind)
             lane, s = kind.integer("laneId", -64, 64), kind.number("s", 0.0, LARGEST)
@@ -119,7 +100,7 @@ class Map:
 
     def _road(self, element: Element, name: str | None = None) -> FileRoad:
         if self.file is None:
-            raise element.fault("the network is no OpenDRIVE file, so that roads are not known", "give a WorldPosition")
+            raise element.fault("the network is not an OpenDRIVE file, so that roads are not known", "give a WorldPosition")
         name = element.text("roadId") if name is None else name
         if name not in self.file.roads:
             roads = ", ".join(shown(road, 30) for road in list(self.file.roads)[:10])
@@ -145,7 +126,7 @@ class Map:
             raise element.fault(
                 f"lane {lane} of road {shown(road.id)}, of type {shown(kind)}, is not driven on", "give another"
             )
-        there = self._nearest(tuple(candidates), float(points[0, 0]), float(points[0, 1]), None, element)
+        there = nearest(candidates, float(points[0, 0]), float(points[0, 1]), element)
         left = 1.0 if lane < 0 else -1.0
         return replace(there, offset=round(offset * left, DECIMALS), road=road.id, lane=lane, s=s, t=t + offset)
 
@@ -156,7 +137,7 @@ class Map:
             raise element.fault(message, f"give 0 to {road.length:.2f}")
         x, y, heading = (float(column[0]) for column in road.reference(np.array([s])))
         lanes = [lane for name, lanes in self._by_origin.items() if name.rpartition("_")[0] == road.id for lane in lanes]
-        there = self._nearest(tuple(lanes), x - t * sin(heading), y + t * cos(heading), None, element)
+        there = nearest(lanes, x - t * sin(heading), y + t * cos(heading), element)
         origin = (self.network.edges[there.edge].lanes[there.index].origin or "").split()
         lane = next((int(name.rpartition("_")[2]) for name in origin if name.rpartition("_")[0] == road.id), 0)
         return replace(there, road=road.id, lane=lane, s=s, t=t)
@@ -175,45 +156,9 @@ class Map:
         index = reached.index + (lanes if ahead > 0.0 else -lanes)
         if not 0 <= index < len(self.network.edges[reached.edge].lanes):
             raise element.fault(f"there is no lane {lanes:+d} beside that of the other vehicle", "give another dLane")
-        return replace(reached, index=index, offset=round(offset, DECIMALS))
+        return replace(reached, index=index, offset=round(ahead * offset, DECIMALS))
 
     def _road_lane(self, place: FilePlace) -> int:
         """Returns the number of the lane of the file on which a place is, 0 if the network was not made of one."""
         origins = (self.network.edges[place.edge].lanes[place.index].origin or "").split() if self._source is not None else []
         return int(origins[0].rpartition("_")[2]) if origins else 0
-
-    def _nearest(self, lanes: tuple[Lane, ...], x: float, y: float, heading: float | None, element: Element) -> FilePlace:
-        """Returns the place on one of these lanes that is closest to coordinates. Raises InvalidInputError if it lies on none of them."""
-        if not (isfinite(x) and isfinite(y)):
-            raise element.fault("the place is not finite", "correct it")
-        best: tuple[float, FilePlace] | None = None
-        for lane in lanes:
-            along, left, off, direction = _projected(lane.shape, x, y)
-            if heading is not None and cos(heading - direction) < 0.0:
-                continue
-            beyond = max(off - abs(left), 0.0)  # how far they lie before the begin or behind the end
-            if beyond > FARTHEST or abs(left) > 0.5 * lane.width + FARTHEST:
-                continue
-            if best is None or off < best[0] - 1e-9:
-                position = min(along * lane.length, lane.length)
-                best = off, FilePlace(lane.edge, lane.index, round(position, DECIMALS), round(left, DECIMALS))
-        if best is None:
-            turned = f" in the direction {heading * 180.0 / pi:.0f}°" if heading is not None else ""
-            message = f"there is no lane at x = {x:.2f}, y = {y:.2f}{turned}, but perhaps a junction"
-            raise element.fault(message, "give a place on a lane")
-        return best[1]
-
-
-def _projected(shape: Floats, x: float, y: float) -> tuple[float, float, float, float]:
-    """Returns the closest point of a polyline to coordinates: its share of the length, distance to its left, distance, direction there."""
-    starts, steps = shape[:-1], np.diff(shape, axis=0)
-    squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-12)
-    rest = np.array([x, y]) - starts
-    shares = np.clip(np.einsum("ij,ij->i", rest, steps) / squares, 0.0, 1.0)
-    offs = rest - shares[:, None] * steps
-    row = int(np.argmin(np.einsum("ij,ij->i", offs, offs)))
-    s = lengths(shape)
-    along = (s[row] + shares[row] * (s[row + 1] - s[row])) / max(float(s[-1]), 1e-9)
-    size = max(float(np.hypot(*steps[row])), 1e-9)
-    left = float(steps[row, 0] * rest[row, 1] - steps[row, 1] * rest[row, 0]) / size
-    return float(along), left, float(np.hypot(*offs[row])), float(np.arctan2(steps[row, 1], steps[row, 0]))

@@ -153,7 +153,7 @@ class RouteFile:
             return {"speed_factor": kind.number("speedFactor", 0.0, 100.0)}
         values = [None if part is None else finite(part) for part in match.groups()]
         if values[0] is None or values[1] is None or (match[3] is not None and None in values):
-            raise kind.fault(f"speedFactor is {shown(text)}, which is no distribution", "give e.g. normc(1,0.1,0.2,2)")
+            raise kind.fault(f"speedFactor is {shown(text)}, which is not a distribution", "give e.g. normc(1,0.1,0.2,2)")
         if values[2:] not in ([None, None], [0.2, 2.0]):
             self._notes.add(kind, "speedFactor is cut off at 0.2 and 2, SUMO's default")
         return {"speed_factor": values[0], "speed_deviation": values[1]}
@@ -218,7 +218,7 @@ class RouteFile:
         if key == "period" and (match := _RATE.fullmatch(element.text("period").replace(" ", ""))):
             rate = finite(match[1])
             if rate is None or rate <= 0.0:
-                raise element.fault(f"period is {shown(element.text('period'))}, which is no rate", "give e.g. exp(0.2)")
+                raise element.fault(f"period is {shown(element.text('period'))}, which is not a rate", "give e.g. exp(0.2)")
             return amount | {"per_hour": 3600.0 * rate, "random": True}
         value = element.number(key, 1e-6, 1.0 if key == "probability" else LONG)
         if key == "probability":
@@ -258,12 +258,12 @@ def _seconds(element: Element, key: str, default: float | None) -> float:
     parts = element.text(key, None if default is None else repr(default)).split(":")
     values = [finite(part) for part in parts]
     if not 1 <= len(parts) <= 4 or any(value is None for value in values):
-        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is no time", "give seconds, e.g. 12.5")
+        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is not a time", "give seconds, e.g. 12.5")
     seconds = 0.0
     for value, unit in zip(reversed(values), (1.0, 60.0, 3600.0, 86400.0), strict=False):
         seconds += (value or 0.0) * unit
     if not abs(seconds) <= LONG:
-        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is no time", "give seconds, e.g. 12.5")
+        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is not a time", "give seconds, e.g. 12.5")
     return seconds
 
 

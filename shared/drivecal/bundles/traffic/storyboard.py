@@ -66,7 +66,7 @@ class Storyboard:
                     if actors.decides("selectTriggeringEntities", "false"):
                         raise actors.fault("triggering entities as actors are not supported", "name the actors")
                     self._note_order(group)
-                    names = [self._actor(actor) for actor in actors.every("EntityRef")]
+                    names = [actor.entity(self._ids) for actor in actors.every("EntityRef")]
                     for maneuver in group.every("Maneuver"):
                         declare(maneuver, {})
                         for event in maneuver.every("Event"):
@@ -96,12 +96,6 @@ class Storyboard:
         for key in keys:
             self._names.setdefault(key, []).append(name)
         return _Planned(name, vehicle, action, owners[0], owners[3])
-
-    def _actor(self, element: Element) -> str:
-        name = element.text("entityRef")
-        if name not in self._ids:
-            raise element.fault(f"there is no entity {name[:60]!r}", f"give one of {', '.join(list(self._ids)[:10])}")
-        return self._ids[name]
 
     def _skip(self, event: Element, act: Element) -> None:
         event.skip()
@@ -155,7 +149,7 @@ class Storyboard:
     def _target(self, action: Element, vehicle: str) -> dict[str, Any]:
         target = action.only("LaneChangeTarget").only("RelativeTargetLane", "AbsoluteTargetLane")
         if target.element == "RelativeTargetLane":
-            other = self._actor(target)
+            other = target.entity(self._ids)
             lanes = target.integer("value", -30, 30)
             widest = max(len(self._ways.roads.network.edges[edge].lanes) for edge in self._ways.edges[vehicle])
             if abs(lanes) >= widest:
@@ -219,12 +213,10 @@ def target_speed(target: Element, ids: Mapping[str, str]) -> dict[str, Any]:
     value = target.number("value", -100.0, 100.0)
     if target.element == "AbsoluteTargetSpeed":
         return {"speed": value}
-    other = target.text("entityRef")
-    if other not in ids:
-        raise target.fault(f"there is no entity {other[:60]!r}", f"give one of {', '.join(list(ids)[:10])}")
+    other = target.entity(ids)
     kind = target.word("speedTargetValueType", ("delta", "factor"))
     relative = {"speed": value} if kind == "delta" else {"factor": value, "speed": 0.0}
-    return {"like": ids[other], "continuous": target.decides("continuous", "false")} | relative
+    return {"like": other, "continuous": target.decides("continuous", "false")} | relative
 
 
 def ignore_controller(kind: Element, notes: Notes) -> None:

@@ -1,17 +1,17 @@
-"""OpenSCENARIO files as traffic: places, speeds, actions and conditions; what is ignored is noted, what is missing is refused by line."""
+"""OpenSCENARIO files as traffic: places, speeds, actions and conditions; what is ignored is noted."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 from tests.support.scenario_files import (
     BESIDE,
-    BOX,
-    FILES,
+    CARS,
+    EGO,
+    IN,
     NEAR,
+    OTHER,
+    WORLD,
     absolute,
     act,
     change_of_lane,
@@ -30,26 +30,15 @@ from tests.support.scenario_files import (
     trigger,
     vehicle,
     when,
+    when_all,
     when_time,
+    with_events,
 )
 
-from drivecal.bundles.archives import files_of
 from drivecal.bundles.highway_actions import Brake, CutIn, Drift
-from drivecal.client.problems import read_archived, read_bundle_with_notes
-from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.opendrive import read_opendrive
 
-EGO = start("Ego", lane(-3, 150), absolute(30))
-OTHER = start("Other", lane(-2, 200), absolute(25))
-WORLD = '<Position><WorldPosition x="{}" y="{}" h="0.2"/></Position>'
-CARS = {"Ego": vehicle(), "Other": vehicle()}
-IN = change_of_lane(BESIDE)
 ACTION = f'<Action name="also"><PrivateAction>{IN}</PrivateAction></Action>'
-
-
-def with_events(*events: str, other: str = OTHER, stop: str = trigger(when_time(10), tag="StopTrigger")) -> bytes:
-    """A file in which another car does something."""
-    return scenario(CARS, EGO + other, act("Other", *events), stop)
 
 
 def actions(content: bytes) -> list[Brake | CutIn | Drift]:
@@ -106,14 +95,15 @@ def test_lanes_beside_a_vehicle_of_the_other_direction_are_counted_as_in_the_fil
     assert road is not None
     (point,) = road.roads["7"].centre(0, 2, np.array([500.0]))[0]
     world = f'<Position><WorldPosition x="{point[0]}" y="{point[1]}"/></Position>'
-    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30"/></Position>'
+    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="1" ds="30" offset="0.5"/></Position>'
     cars = CARS | {"Third": vehicle()}
     found = []
     for position in (world, lane(2, 500)):
         content = scenario(cars, EGO + start("Other", position, absolute(20)) + start("Third", beside, absolute(20)))
-        found.append([(entry.lane, entry.s) for entry in of_file(content).scenario.traffic])
-    assert [[index for index, _ in places] for places in found] == [[1, 0], [1, 0]]
-    assert [s for _, s in found[0]] == pytest.approx([s for _, s in found[1]], abs=1.0)
+        found.append([(entry.lane, entry.s, entry.offset) for entry in of_file(content).scenario.traffic])
+    assert [[index for index, *_ in places] for places in found] == [[1, 0], [1, 0]]
+    assert [s for _, s, _ in found[0]] == pytest.approx([s for _, s, _ in found[1]], abs=1.0)
+    assert [places[1][2] for places in found] == pytest.approx([-0.5, -0.5], abs=0.05)
 
 
 def test_a_cut_in_has_the_file_s_speeds_lanes_and_conditions() -> None:
@@ -168,14 +158,6 @@ def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
     last = found[-1]
     assert isinstance(last, Brake)
     assert (last.like, last.factor, last.speed, last.continuous) == ("ego", 1.2, 0.0, True)
-
-
-def when_all(edge: str) -> str:
-    """A condition that all vehicles fulfil."""
-    speed = '<SpeedCondition value="3" rule="greaterThan"/>'
-    several = when("Ego", speed, edge).replace('Rule="any">', 'Rule="all"><EntityRef entityRef="Other"/>')
-    assert several.count("<EntityRef") == 2
-    return several
 
 
 def when_done(kind: str, name: str, edge: str = "rising", delay: object = 0) -> str:
@@ -263,6 +245,22 @@ def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
     assert found.traffic[0].s - found.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
 
 
+@pytest.mark.parametrize("is_last", [False, True])
+def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(is_last: bool) -> None:
+    keep = (
+        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="trailingReferencedEntity" '
+        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction>'
+    )
+    other = start("Other", lane(-3, 200), absolute(25))
+    other = (
+        other.replace("</Private>", f"{keep}</Private>")
+        if is_last
+        else other.replace("<PrivateAction>", f"{keep}<PrivateAction>", 1)
+    )
+    found = of_file(scenario(CARS, EGO + other)).scenario
+    assert found.ego.s - found.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
+
+
 def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
     reference = '<CatalogReference catalogName="cars" entryName="long"/>'
     locations = (
@@ -301,119 +299,7 @@ def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:
     assert "duration" in refused(with_events(stop=never))
 
 
-def test_vehicles_behind_the_ego_vehicle_s_edge_lengthen_the_route() -> None:
+def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:
     found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20))))
     assert found.scenario.route == ["-7"]
     assert found.scenario.traffic[0].route == ["7"]
-    assert [note for note in found.notes if "ScenarioObject" in note and "against the route" in note]
-    assert not [note for note in of_file(scenario(CARS, EGO + OTHER)).notes if "against the route" in note]
-
-
-PEDESTRIAN = (
-    f'<Pedestrian name="p" mass="1" pedestrianCategory="pedestrian">{BOX.format(centre=0, length=0.5, width=0.5)}</Pedestrian>'
-)
-ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudinal="true"/></ControllerAction>'
-ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
-GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
-LATERAL = NEAR.replace("$gap", "3").replace("longitudinal", "lateral")
-CASES = {
-    "version": (cut_in().replace(b'revMajor="1"', b'revMajor="2"'), "line 3, <FileHeader>"),
-    "no road": (cut_in().replace(b'"../maps/motorway.xodr"', b'"../../motorway.xodr"'), "leaves the folder"),
-    "unknown road": (cut_in().replace(b'roadId="7" laneId="-2"', b'roadId="8" laneId="-2"'), "no road 8"),
-    "unknown lane": (cut_in().replace(b'laneId="-2"', b'laneId="-9"'), "no lane -9"),
-    "shoulder": (cut_in().replace(b'laneId="-2"', b'laneId="-4"'), "shoulder"),
-    "beyond the road": (cut_in().replace(b'value="120"', b'value="2500"'), "2500"),
-    "unknown parameter": (cut_in().replace(b'"$s"', b'"$t"'), "no parameter t"),
-    "no expression": (cut_in().replace(b"+ 6}", b"+ }"), "AbsoluteTargetSpeed"),
-    "division by zero": (cut_in().replace(b"+ 6}", b"/ 0}"), "AbsoluteTargetSpeed"),
-    "routes": (cut_in().replace(b"</Private>", ROUTING + b"</Private>", 1), "RoutingAction"),
-    "world outside": (with_events(other=start("Other", WORLD.format(0, 999), absolute(1))), "no lane at"),
-    "alternatives": (with_events(event("in", IN)).replace(b"<StartTrigger/>", GROUPS, 1), "alternatives"),
-    "falling": (with_events(event("in", IN, when_time(1, edge="falling"))), "falling"),
-    "lateral": (with_events(event("in", IN, when("Ego", LATERAL))), "lateral"),
-    "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
-    "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),
-    "many conditions": (with_events(event("in", IN, *[when_time(1)] * 21)), "more than 20"),
-    "synchronised": (with_events(event("in", "<SynchronizeAction/>")), "SynchronizeAction"),
-    "controller": (with_events(event("in", ACTIVE)), "controller"),
-    "no such entity": (
-        with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Nobody" value="1"/>'))),
-        "Nobody",
-    ),
-    "two of a name": (scenario(CARS, EGO + OTHER).replace(b'name="Other"', b'name="Ego"'), "another entity"),
-    "walks": (scenario(CARS | {"Other": PEDESTRIAN}, EGO + OTHER), "pedestrian"),
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_what_is_needed_and_not_supported_is_refused_by_line(case: str) -> None:
-    content, part = CASES[case]
-    message = refused(content)
-    assert part in message
-    assert "scenarios/a.xosc: line " in message
-
-
-def test_parameters_and_entities_that_the_file_lacks_are_fields_of_the_scenario() -> None:
-    for data, field in (({"parameters": {"gap": 3}}, "parameters.gap"), ({"ego": "Hero"}, "ego")):
-        with pytest.raises(InvalidInputError) as error:
-            of_file(cut_in(), **data)
-        assert [problem.field for problem in error.value.problems] == [field]
-
-
-def test_values_outside_of_a_parameter_s_constraints_are_refused() -> None:
-    bound = (
-        '<ParameterDeclaration name="x" parameterType="double" value="5"><ConstraintGroup><ValueConstraint rule="greaterThan" value="0"/>'
-        '<ValueConstraint rule="lessOrEqual" value="${2 * $limit}"/></ConstraintGroup></ParameterDeclaration>'
-        '<ParameterDeclaration name="limit" parameterType="double" value="4"/>'
-    )
-    content = scenario(CARS, EGO + OTHER, declarations=bound)
-    assert of_file(content, parameters={"x": 8}).scenario
-    with pytest.raises(InvalidInputError) as error:
-        of_file(content, parameters={"x": 8.5})
-    assert [problem.field for problem in error.value.problems] == ["parameters.x"]
-
-
-def folder(path: Path, content: bytes, **data: object) -> Path:
-    """A bundle with an OpenSCENARIO file in one folder and its road in another."""
-    for name in ("scenarios", "maps"):
-        (path / name).mkdir(parents=True)
-    document = {
-        "problem": "acc",
-        "parameters": {"T": {"lower": 0.8, "upper": 2.5}},
-        "simulator": {"kind": "highway", "controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}},
-        "scenarios": {"x": {"openscenario": "scenarios/a.xosc"} | data},
-        "measures": {"min_ttc_s": "s"},
-        "scores": {"safe": {"formula": "min_ttc_s", "direction": "maximise", "range": [0, 10]}},
-    }
-    (path / "problem.yaml").write_text(yaml.safe_dump(document))
-    (path / "acc.py").write_text("def control(observation, parameters):\n    return 0.0\n")
-    (path / "scenarios" / "a.xosc").write_bytes(content)
-    (path / "maps" / "motorway.xodr").write_bytes(motorway())
-    return path
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_a_folder_with_a_file_and_its_road_is_packed_and_checked_again_in_the_archive(name: str, tmp_path: Path) -> None:
-    manifest, archive, notes = read_bundle_with_notes(folder(tmp_path / "b", FILES[name]()))
-    assert read_archived(files_of(archive)) == manifest
-    assert any("the route is" in note for note in notes)
-
-
-@pytest.mark.parametrize(
-    ("content", "data", "field"),
-    [
-        (cut_in().replace(b'laneId="-2"', b'laneId="-9"'), {}, "openscenario"),
-        (cut_in().replace(b"../maps", b"../map"), {}, "openscenario"),
-        (cut_in(), {"network": "maps/none.xodr"}, "network"),
-        (cut_in(), {"route": ["7"]}, "ego.edge"),
-        (cut_in(), {"duration": 200.0}, "route"),
-        (cut_in(), {"openscenario": "scenarios/b.xosc"}, "openscenario"),
-        (cut_in().replace(b'value="3"', b'value="900"'), {}, "openscenario"),
-    ],
-)
-def test_faults_of_a_folder_have_the_manifest_s_fields(
-    content: bytes, data: dict[str, object], field: str, tmp_path: Path
-) -> None:
-    with pytest.raises(InvalidInputError) as error:
-        read_bundle_with_notes(folder(tmp_path / "b", content, **data))
-    assert [problem.field.rpartition(": ")[2] for problem in error.value.problems] == [f"scenarios.x.{field}"]

@@ -57,6 +57,25 @@ def test_a_condition_holds_when_its_quantity_is_beyond_the_limit(condition: dict
     assert fired(action(when=[condition]), PASSING) == steps
 
 
+MEETING = moments((100, 160), (110, 145), (120, 130), (130, 115), (140, 100), speeds=(20.0, -30.0))
+"""The other vehicle comes towards the ego vehicle."""
+
+
+@pytest.mark.parametrize(
+    ("condition", "steps"),
+    [
+        ({"quantity": "speed", "below": 29}, []),
+        ({"quantity": "speed", "above": 30}, [0, 1, 2, 3, 4]),
+        ({"quantity": "ttc", "below": 0.7}, [1, 2]),
+        ({"quantity": "ttc", "vehicle": "ego", "below": 0.7}, [1, 2]),
+        ({"quantity": "headway", "below": 1.1}, [1, 2]),
+        ({"quantity": "headway", "vehicle": "ego", "to": "other", "below": 2}, [1, 2]),
+    ],
+)
+def test_vehicles_that_meet_are_ahead_of_each_other(condition: dict[str, Any], steps: list[int]) -> None:
+    assert fired(action(when=[condition]), MEETING) == steps
+
+
 def test_all_conditions_must_hold_at_once() -> None:
     assert fired(action(when=[{"quantity": "s", "above": 120}, {"quantity": "gap", "below": 12}]), PASSING) == [2, 3]
 

@@ -41,7 +41,7 @@ def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.nda
 
 
 LANES = lanes_of(0.0, 3.5)
-ENDS = np.array([600.0, 600.0])
+ENDS = np.full(3, 600.0)
 
 
 def pose(s: float, d: float, yaw: float = 0.0, speed: float = 20.0) -> np.ndarray:
@@ -97,6 +97,35 @@ def test_the_road_ends_half_a_metre_beyond_its_outermost_lanes(d: float, on_road
     assert placed(100.0, d)[0] is on_road
 
 
+def test_a_marking_lies_between_lanes_of_unequal_width() -> None:
+    lanes = lanes_of(0.0, 3.375)
+    lanes[:, 0, 1], lanes[:, 1, 1] = 2.85, 3.9  # the marking is at 1.425
+    for d, track in ((1.42, 0), (1.43, 1), (1.6, 1)):
+        _, place, _ = placed(100.0, d, lanes)
+        assert (place[geometry.TRACK], place[geometry.WIDTH]) == (track, (2.85, 3.9)[track])
+        assert abs(place[geometry.OFFSET]) <= 0.5 * place[geometry.WIDTH]
+
+
+def test_of_lanes_that_overlap_the_closer_centre_counts() -> None:
+    merging = lanes_of(0.0, 0.3)
+    merging[:, 1, 1] = 4.5
+    for d, track in ((0.0, 0), (0.14, 0), (0.16, 1), (2.0, 1)):
+        assert placed(100.0, d, merging)[1][geometry.TRACK] == track
+
+
+def test_a_ramp_is_a_road_of_its_own_until_its_lanes_come_close() -> None:
+    ramp = lanes_of(-12.0, 0.0, 3.5)
+    for d, on_road in ((-12.0, True), (-10.8, True), (-10.6, False), (-6.0, False), (-1.3, False), (-1.2, True), (3.5, True)):
+        assert placed(100.0, d, ramp)[0] is on_road
+    for d, left, right in ((-12.0, 0, 0), (0.0, 1, 0), (3.5, 0, 1)):
+        signals = observed([[150.0, -12.0, 20.0, 0.0, 4.0, 2.0]], 100.0, d, ramp)
+        assert (signals["left_lane_exists"], signals["right_lane_exists"]) == (left, right)
+        assert signals["right_gap"] == 1000
+    opening = lanes_of(-7.0, 0.0)  # a lane opens between them
+    assert placed(100.0, -3.5, opening)[0]
+    assert observed([], 100.0, 0.0, opening)["right_lane_exists"] == 1
+
+
 def test_a_lane_that_ends_is_no_road_any_more() -> None:
     lanes = LANES.copy()
     lanes[LINE[:, 0] > 250, 0] = np.nan
@@ -130,7 +159,7 @@ def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_
     d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
     lanes = lanes_of(d)
     x, y, _ = to_cartesian(LINE[:, :5], 340.0, d)
-    raw, others, outlines = np.array([[x, y, 30.0]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    raw, others, outlines = np.array([[x, y, 30.0, np.nan]]), np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
     geometry.locate(LINE, raw, others, outlines, 0.0)
     signals = observed(others, 300.0, d, lanes, speed=30.0)
     assert signals["leader_speed"] == pytest.approx(30.0)
@@ -139,6 +168,42 @@ def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_
     seen = np.zeros(geometry.SIGNALS)
     geometry.observe(LINE, lanes, ENDS, others, place, pose(300.0, d, speed=30.0), 0.0, 2.5, 0.0, 0.1, seen)
     assert dict(zip(NAMES, seen.tolist(), strict=True))["gap"] == pytest.approx(signals["gap"] + 3.0)
+
+
+@pytest.mark.parametrize("turn", [math.pi, -math.pi, 3 * math.pi + 0.1])
+def test_a_vehicle_against_the_route_has_its_own_heading_and_speed(turn: float) -> None:
+    """Its front is before its centre as it drives, and its speed changes by its own acceleration."""
+    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    for step, s, speed in ((0.0, 340.0, 30.0), (0.1, 337.0, 29.8)):
+        x, y, heading = to_cartesian(LINE[:, :5], s, 7.0)
+        heading += turn
+        raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), speed, heading]])
+        geometry.locate(LINE, raw, others, outlines, step)
+        assert others[0, :2] == pytest.approx((s, 7.0), abs=1e-6)
+        assert others[0, 2] == -speed
+        assert outlines[0] == pytest.approx((x, y, heading, 2.5, 1.0, speed))
+    assert others[0, 3] == pytest.approx(2.0)
+    seen = observed(others, 300.0, 0.0)
+    assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is beside the lanes
+
+
+def test_a_vehicle_on_a_ramp_has_its_own_heading() -> None:
+    x, y, heading = to_cartesian(LINE[:, :5], 100.0, -4.0)
+    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
+    heading += 0.3
+    raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 20.0, heading]])
+    geometry.locate(LINE, raw, others, outlines, 0.0)
+    assert others[0, :3] == pytest.approx((100.0, -4.0, 20.0), abs=1e-6)
+    assert outlines[0, :3] == pytest.approx((x, y, heading))
+
+
+def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_is_no_follower() -> None:
+    wrong_way, behind = [160.0, 0.0, -20.0, 0.5, 5.0, 2.0], [60.0, 0.0, -20.0, 0.5, 5.0, 2.0]
+    signals = observed([wrong_way, behind])
+    assert signals["gap"] == pytest.approx(60 - 2.5 - 2.5)
+    assert (signals["leader_speed"], signals["leader_acceleration"]) == (-20, 0.5)
+    assert (signals["rear_gap"], signals["follower_speed"]) == (1000, 20)
+    assert observed([[160.0, 6.7, -20.0, 0.0, 5.0, 2.0]])["left_gap"] == 1000
 
 
 def test_a_vehicle_between_two_lanes_is_in_both() -> None:

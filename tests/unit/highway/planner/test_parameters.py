@@ -20,6 +20,7 @@ from drivecal.highway.planner import frenet
 from drivecal.highway.planner.cost import TERMS, scales, weights
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.simulator import HIGHWAY as HIGHWAY_SIMULATOR
 
 TABLE_6 = {
     "P1": ("-15", "14", 59),
@@ -104,7 +105,8 @@ def test_scales_are_positive() -> None:
 def test_the_version_changes_with_every_file_that_decides_what_is_driven() -> None:
     package = Path(frenet.__file__).parent
     harmless = {"__init__.py", "deciding.py", "frenet.py", "spaces.py"}
-    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC}
+    on_corridors = {path.name for path in frenet.ON_CORRIDORS if path.parent == package}
+    assert {path.name for path in package.glob("*.py")} - harmless == {path.name for path in frenet.ARITHMETIC} | on_corridors
     content = b"".join(path.read_bytes() for path in [*frenet.ARITHMETIC, Path(roads.__file__)])
     assert FRENET.version == frenet.version_of(content)
     edited = content.replace(b"3000.0", b"3001.0")
@@ -122,3 +124,18 @@ def test_a_planner_can_be_made_for_every_built_in_scenario(scenario: Scenario) -
 def test_describing_itself_needs_no_compiler() -> None:
     program = "import sys, drivecal.highway.planner.frenet; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("name", ["kernel.py", "terms.py", "following.py", "trajectories.py"])
+def test_a_change_of_the_planner_s_code_changes_its_version_on_corridors(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    known = frenet.corridor_version()
+    assert HIGHWAY_SIMULATOR.controllers["planner"] == known != FRENET.version
+    for files in ("ARITHMETIC", "ON_CORRIDORS"):
+        paths = []
+        for path in getattr(frenet, files):
+            paths.append(tmp_path / path.name)
+            paths[-1].write_bytes(path.read_bytes() + (b"\n" if path.name == name else b""))
+        monkeypatch.setattr(frenet, files, paths)
+    assert frenet.corridor_version() != known

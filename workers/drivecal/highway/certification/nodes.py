@@ -27,8 +27,8 @@ class Nodes:
     def __init__(self, n_values: int, n_candidates: int, grid: float) -> None:
         """Creates a trie with the root only. Raises ValueError for too many candidates.
 
-        `n_values`: numbers that determine the cost of one of `n_candidates`; `grid`: a power of two, of which most of these numbers are
-        multiples.
+        `n_values`: numbers that determine the cost of one of `n_candidates`; `grid`: a power of two; most of these numbers are multiples
+        of it.
         """
         if n_candidates > INFEASIBLE:
             raise ValueError(f"{n_candidates} candidates are too many to be certified; at most {INFEASIBLE}")

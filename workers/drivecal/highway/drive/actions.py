@@ -173,7 +173,8 @@ class Actions:
         if other not in moment.vehicles or isnan(moment.vehicles[other].s):
             raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the road")
         own, there = moment.vehicles[name], moment.vehicles[other]
-        return self._lateral(there.s, there.d, own.s) - own.d
+        left = self._lateral(there.s, there.d, own.s) - own.d
+        return left if own.speed >= 0.0 else -left
 
     def _speed(self, name: str, moment: Moment, step: float) -> None:
         running, time = self._speeding[name], moment.time
@@ -225,7 +226,7 @@ def _target(brake: Brake, moment: Moment, otherwise: float) -> float:
     if brake.like is None:
         return brake.speed
     other = moment.vehicles.get(brake.like)
-    return otherwise if other is None else max(brake.factor * other.speed + brake.speed, 0.0)
+    return otherwise if other is None else max(brake.factor * abs(other.speed) + brake.speed, 0.0)
 
 
 def _rate(brake: Brake, speed: float, target: float) -> float:

@@ -1,7 +1,7 @@
 """Conditions on which the actions of the traffic's vehicles begin, evaluated once per step of the traffic."""
 
 from collections.abc import Mapping
-from math import isnan
+from math import copysign, isnan
 from typing import NamedTuple
 
 from drivecal.bundles.highway_actions import EGO, Condition, Trigger
@@ -12,7 +12,7 @@ ROUNDING = 1e-9
 
 
 class Moving(NamedTuple):
-    """A vehicle: s and d of its centre (m), its speed (m/s) and half of its length (m)."""
+    """A vehicle: s and d of its centre (m), its speed (m/s, negative against the route) and half of its length (m)."""
 
     s: float
     d: float
@@ -112,7 +112,7 @@ class _Watched:
         if vehicle is None:
             return None
         if quantity == "speed":
-            return vehicle.speed
+            return abs(vehicle.speed)
         if quantity == "s":
             return vehicle.s
         if quantity == "travelled":
@@ -126,8 +126,5 @@ class _Watched:
         if self._condition.quantity == "gap":
             return gap
         speed = vehicle.speed if self._condition.quantity == "headway" else vehicle.speed - other.speed
-        if self._condition.quantity == "ttc" and way < 0.0:
-            speed = -speed
-        elif way < 0.0:
-            return None
+        speed = copysign(speed, speed * way)  # towards the other
         return gap / speed if speed > SLOWEST else None

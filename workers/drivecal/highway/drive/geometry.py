@@ -5,8 +5,8 @@ Arrays:
 `line`, shape (n, 7): the corridor's reference line, as from `with_directions`. `lanes`, shape (n, m, 5): centre, width, limit and slope of
 the centre of each of m tracks at these rows, NaN if the track does not exist, and the position along its lanes as SUMO counts. `pose`: as
 from `highway.vehicle`. `motion`, shape (9,): see `place`. `others`, shape (k, 6): s and d of other vehicles' centres, NaN on other levels,
-their speed (along their own way, as the ego vehicle's), acceleration, length and width. `outlines`, shape (k, 6): their x, y, heading, half
-length, half width, and speed.
+their speed (along their own way, as the ego vehicle's) and acceleration, both negative against the route, length and width. `outlines`,
+shape (k, 6): their x, y, heading, half length, half width, and speed.
 """
 
 from math import atan, cos, inf, isnan, nan, pi, sin
@@ -25,7 +25,9 @@ FARTHEST = 25.0
 OVERLAP = 0.3
 """A vehicle is in each lane into which it reaches by more than this (m)."""
 VERGE = 0.5
-"""Distance (m) beyond the outermost lanes at which a vehicle is off the road."""
+"""Distance (m) beyond a road's lanes at which a vehicle is off it."""
+GORE = 4.0
+"""Largest distance (m) between two lanes of one road, between which another one may open. Ramps farther apart are roads of their own."""
 FAR = 1000.0
 """Gap without a vehicle; `highway_catalogue.FAR`."""
 OWN, BESIDE = 20, 7
@@ -80,14 +82,35 @@ def _lane(lanes: Floats, row: int, share: float, track: int, column: int) -> flo
 
 @compiled
 def track_at(line: Floats, lanes: Floats, s: float, d: float) -> int:
-    """Returns the track whose centre is closest to d, -1 if there is none."""
+    """Returns the track that holds d, of several the one with the closest centre; else the one whose side is closest; -1 without any."""
     row, share = _row(line, s)
     best, least = -1, inf
     for track in range(lanes.shape[1]):
-        distance = abs(d - _lane(lanes, row, share, track, 0))
+        distance, half = abs(d - _lane(lanes, row, share, track, 0)), 0.5 * _lane(lanes, row, 0.0, track, 1)
+        if distance > half:
+            distance += FARTHEST - half
         if distance < least:
             best, least = track, distance
     return best
+
+
+@compiled
+def _borders(lanes: Floats, row: int, share: float, track: int) -> tuple[float, float]:
+    """Returns d of the right and the left border of the road of a track: of all lanes that follow each other without a gap."""
+    centre, half = _lane(lanes, row, share, track, 0), 0.5 * _lane(lanes, row, 0.0, track, 1)
+    right, left = centre - half, centre + half
+    grows = True
+    while grows:
+        grows = False
+        for other in range(lanes.shape[1]):
+            centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
+            if not (centre - half <= left + GORE and centre + half >= right - GORE):
+                continue
+            if centre - half < right:
+                right, grows = centre - half, True
+            if centre + half > left:
+                left, grows = centre + half, True
+    return right, left
 
 
 @compiled
@@ -116,47 +139,56 @@ def place(line: Floats, lanes: Floats, pose: Floats, near: float, size: Floats, 
     motion[LIMIT], motion[WIDTH] = _lane(lanes, row, 0.0, track, 2), _lane(lanes, row, 0.0, track, 1)
     row_ahead, share_ahead = _row(line, s + size[0] / stretch)
     motion[ALONG] = _lane(lanes, row_ahead, share_ahead, track, 4)
-    right, left = inf, -inf
-    for other in range(lanes.shape[1]):
-        centre, half = _lane(lanes, row, share, other, 0), 0.5 * _lane(lanes, row, 0.0, other, 1)
-        if centre - half < right:
-            right = centre - half
-        if centre + half > left:
-            left = centre + half
+    right, left = _borders(lanes, row, share, track)
     reach = size[0] * abs(sin(yaw)) + size[1] * abs(cos(yaw))
     return bool(0.0 <= s <= line[-1, 0] and d - reach >= right - VERGE and d + reach <= left + VERGE)
 
 
 @compiled
 def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: float) -> None:
-    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front and its speed, shape (k, 3 or more).
+    """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front, speed and heading, shape (k, 4).
 
     `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
-    on another level has x = NaN, and no place.
+    on another level has x = NaN, and no place. One that keeps to the route has the heading NaN: the line's, which has no corners.
     """
     for i in range(len(raw)):
         half = 0.5 * others[i, 4]
-        x, y, speed = raw[i, 0], raw[i, 1], raw[i, 2]
+        x, y, speed, heading = raw[i, 0], raw[i, 1], raw[i, 2], raw[i, 3]
         others[i, 3] = (speed - outlines[i, 5]) / step if step > 0.0 else 0.0
         if isnan(x):
             others[i, 0] = others[i, 1] = outlines[i, 0] = outlines[i, 1] = nan
             others[i, 2] = outlines[i, 5] = speed
             continue
-        if step > 0.0 and not isnan(others[i, 0]):
-            s, d, heading, curvature = searched(line, x, y, others[i, 0] + half + others[i, 2] * step)
+        near = others[i, 0] + others[i, 2] * step
+        strays = not isnan(heading)
+        if strays:
+            x -= half * cos(heading)
+            y -= half * sin(heading)
         else:
-            s, d, heading, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
-        stretch = max(1.0 - curvature * d, 0.1)
-        heading -= half * curvature / stretch
-        others[i, 0] = s - half / stretch
+            near = others[i, 0] + half + others[i, 2] * step
+        if step > 0.0 and not isnan(others[i, 0]):
+            s, d, course, curvature = searched(line, x, y, near)
+        else:
+            s, d, course, _, _, curvature, _ = foot(line, x, y, nearest(line, x, y))
+        if strays:
+            others[i, 0] = s
+            if cos(heading - course) < 0.0:
+                speed = -speed
+                others[i, 3] = -others[i, 3]
+        else:
+            stretch = max(1.0 - curvature * d, 0.1)
+            heading = course - half * curvature / stretch
+            x -= half * cos(heading)
+            y -= half * sin(heading)
+            others[i, 0] = s - half / stretch
         others[i, 1] = d
         others[i, 2] = speed
-        outlines[i, 0] = x - half * cos(heading)
-        outlines[i, 1] = y - half * sin(heading)
+        outlines[i, 0] = x
+        outlines[i, 1] = y
         outlines[i, 2] = heading
         outlines[i, 3] = half
         outlines[i, 4] = 0.5 * others[i, 5]
-        outlines[i, 5] = speed
+        outlines[i, 5] = raw[i, 2]
 
 
 @compiled
@@ -173,7 +205,7 @@ def _neighbours(
 ) -> None:
     """Writes gap, speed and acceleration of the leader and of the follower in a track to `seen`, shape (6,).
 
-    `lead`: seconds since `others` were read, for which they are moved on.
+    `lead`: seconds since `others` were read, for which they are moved on. A vehicle against the route is no follower.
     """
     seen[0], seen[1], seen[2] = FAR, speed, 0.0
     seen[3], seen[4], seen[5] = FAR, speed, 0.0
@@ -192,6 +224,8 @@ def _neighbours(
         if not abs(others[i, 1] - _lane(lanes, row, share, track, 0)) < reach:
             continue
         ahead = (s - motion[S]) * motion[STRETCH]
+        if ahead < 0.0 and others[i, 2] < 0.0:
+            continue
         gap = abs(ahead) - half - 0.5 * others[i, 4]
         first = 0 if ahead >= 0.0 else 3
         if gap < seen[first]:
@@ -235,13 +269,13 @@ def observe(
     for i, seconds in enumerate((0.0, 1.0, 2.0, 4.0)):
         signals[16 + i] = _curvature(line, lanes, track, min(s + seconds * speed, line[-1, 0]))
     row, share = _row(line, s)
-    own = _lane(lanes, row, share, track, 0)
+    own, half_width = _lane(lanes, row, share, track, 0), 0.5 * motion[WIDTH]
     left, right, above, below = -1, -1, inf, -inf
     for other in range(lanes.shape[1]):
-        centre = _lane(lanes, row, share, other, 0)
-        if own + 0.5 < centre < above:
+        centre, reach = _lane(lanes, row, share, other, 0), half_width + 0.5 * _lane(lanes, row, 0.0, other, 1) + GORE
+        if own + 0.5 < centre < min(above, own + reach):
             left, above = other, centre
-        if own - 0.5 > centre > below:
+        if own - 0.5 > centre > max(below, own - reach):
             right, below = other, centre
     _neighbours(line, lanes, others, track, motion, half, speed, lead, signals[OWN : OWN + 6])
     first = OWN + 6

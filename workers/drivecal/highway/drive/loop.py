@@ -147,7 +147,7 @@ class Loop:
                 )
                 observed = signals.tolist()
                 if plans is not None:
-                    trajectory, planned = plans.plan(observed, pose, motion.item(geometry.S), traffic), index
+                    trajectory, planned = plans.plan(observed, pose, motion.item(geometry.S), traffic, lead), index
                 elif isinstance(controller, Checked):
                     commands = controller.step(observed)
                     acceleration = (

@@ -45,6 +45,16 @@ def is_exact(scenario: HighwayScenario) -> bool:
     )
 
 
+def strays(scenario: HighwayScenario) -> frozenset[str]:
+    """Returns the ids of vehicles and flows that also drive on edges beside the scenario's route, e.g. against it.
+
+    Raises InvalidInputError as `routes_file` does.
+    """
+    vehicles, flows = drivers(scenario)
+    own = set(scenario.route)
+    return frozenset(name for name, entry in (vehicles | flows).items() if not own.issuperset(_route(scenario, entry, name)))
+
+
 def route_id(name: str) -> str:
     """Returns the id of a vehicle's or flow's route."""
     return f"route-{name}"

@@ -1,10 +1,11 @@
 """SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
 
 libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
-between runs if nothing is random; else SUMO loads everything anew, with the same seed.
+between runs if nothing is random; else SUMO loads everything again, with the same seed.
 """
 
 from dataclasses import replace
+from math import cos, radians, sin
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,14 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file
+from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, strays
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
     DEPARTED,
     EGO,
     FREE,
+    GET_ANGLE,
     GET_LANE_POSITION,
     GET_POSITION,
     GET_ROAD,
@@ -67,6 +69,7 @@ class Traffic:
         route_file = folder / "traffic.rou.xml"
         try:
             route_file.write_bytes(routes_file(scenario))
+            self._strays = strays(scenario)
         except InvalidInputError as error:
             raise _prefixed(error, field) from error
         self._options = options(scenario, str(network), str(route_file), step)
@@ -92,6 +95,8 @@ class Traffic:
         self._track, self._placed = -1, 0.0
         """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
         self.names: list[str] = []
+        self._turned: list[tuple[int, str]] = []
+        """Rows and names of the vehicles whose heading is SUMO's."""
         self.raw: Floats = np.zeros((0, sumo.COLUMNS))
         self.others: Floats = np.zeros((0, 6))
         self.outlines: Floats = np.zeros((0, 6))
@@ -119,6 +124,7 @@ class Traffic:
         self._actions.reset()
         self._track, self._ego = -1, self._ego_start
         self._read()
+        self._set_off()
         geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
 
     def advance(self, index: int, motion: Floats, front: Floats, speed: float) -> bool:
@@ -154,7 +160,7 @@ class Traffic:
         """Lets SUMO move the ego vehicle's front to its place at the end of the step.
 
         Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
-        by name; by coordinates if SUMO has it elsewhere, and inside of junctions into which it changed lanes.
+        by name; by coordinates if SUMO has it elsewhere, and if its way in this step began inside of a junction or on another edge.
         """
         track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
         if track == self._track and index % CHECKED_STEPS:
@@ -164,24 +170,28 @@ class Traffic:
             return
         edge, lane, position = self._road.sumo.place(track, along)
         self._track = track
-        if edge.startswith(":"):
+        if edge.startswith(":") or position < speed * self._step:
             self._track = -1
             MOVE_TO_XY(EGO, edge, lane, *front.tolist(), MAPPED_ANYWHERE, MAPPED_WITHIN)
             return
-        begin = max(position - speed * self._step, 0.0)
-        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", begin)
-        SET_SPEED(EGO, (position - begin) / self._step)
+        sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", position - speed * self._step)
+        SET_SPEED(EGO, speed)
         self._placed = along
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
-        raw, others, outlines = np.zeros((len(names), sumo.COLUMNS)), np.zeros((len(names), 6)), np.zeros((len(names), 6))
+        raw, others, outlines = (
+            np.full((len(names), sumo.COLUMNS), np.nan),
+            np.zeros((len(names), 6)),
+            np.zeros((len(names), 6)),
+        )
+        self._turned = [(row, name) for row, name in enumerate(names) if self._driver(name) in self._strays]
         rows = {name: row for row, name in enumerate(self.names)}
         for row, name in enumerate(names):
             if name in rows:
                 others[row], outlines[row] = self.others[rows[name]], self.outlines[rows[name]]
                 continue
-            driver = self._drivers[name if name in self._drivers else name.rpartition(".")[0]]
+            driver = self._drivers[self._driver(name)]
             others[row, 4:] = driver.length, driver.width
             others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
             outlines[row, 5] = GET_SPEED(name)
@@ -193,10 +203,23 @@ class Traffic:
         self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
         self._cells = raw.reshape(-1).data
 
+    def _driver(self, name: str) -> str:
+        """Returns the id of a vehicle's driver: its own, or its flow's."""
+        return name if name in self._drivers else name.rpartition(".")[0]
+
     def _read(self) -> None:
         sumo.read(self.names, self._cells)
+        for row, name in self._turned:
+            self._cells[sumo.COLUMNS * row + 3] = radians(90.0 - GET_ANGLE(name))
         if self._road.levels:
             self._leave_out_other_levels()
+
+    def _set_off(self) -> None:
+        """Moves the vehicles that start beside the centre of their lane there: SUMO does so in the first step only."""
+        for row, start in enumerate(self._starts[:-1]):
+            if start.offset:
+                heading = radians(90.0 - GET_ANGLE(start.name))
+                self.raw[row, :2] += -start.offset * sin(heading), start.offset * cos(heading)
 
     def _leave_out_other_levels(self) -> None:
         """Gives vehicles above or below the road no place on it."""

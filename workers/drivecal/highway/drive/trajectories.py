@@ -14,6 +14,7 @@ from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.manoeuvres import Manoeuvre
+from drivecal.highway.planner.following import follow
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.plans import SPACING
 from drivecal.plugins.ports import Observation
@@ -29,6 +30,8 @@ SLOWEST = 0.5
 """Speed (m/s) below which a trajectory has the road's heading."""
 LANE_TOLERANCE = 0.5
 """Share of a lane's width by which a track may lie off the planner's equally wide lanes."""
+SAME = 1e-6
+"""Largest difference (s) of times that are the same but for rounding."""
 TRACK = NAMES.index("lane")
 
 
@@ -45,8 +48,8 @@ class TrajectorySource(Protocol):
     def begin(self, parameters: Mapping[str, Any]) -> None:
         """Starts a run."""
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
-        """Returns the trajectory from now on. `pose`: as the vehicle's; `position`: its s."""
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
+        """Returns the trajectory from now on. `pose`: as the vehicle's; `position`: its s; `lead`: seconds since `traffic` was read."""
 
 
 class ControllerTrajectories(TrajectorySource):
@@ -59,8 +62,8 @@ class ControllerTrajectories(TrajectorySource):
     def begin(self, parameters: Mapping[str, Any]) -> None:
         self._controller.begin(parameters)
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
-        del pose, position, traffic
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
+        del pose, position, traffic, lead
         points = checked_points(self._controller.step(signals)[0], self._needed, signals[0])
         return trajectory_of(self._road, int(signals[TRACK]), points, self._needed)
 
@@ -73,7 +76,7 @@ def checked_points(answer: Any, needed: float, time: float) -> Floats:
         points = np.zeros(0)
     fault = ""
     if points.ndim != 2 or points.shape[1:] != (3,) or not 2 <= len(points) <= MOST_POINTS:
-        fault = f"is no list of 2 to {MOST_POINTS:,} points of time, position and offset"
+        fault = f"is not a list of 2 to {MOST_POINTS:,} points of time, position and offset"
     elif not np.all(np.isfinite(points)) or np.max(np.abs(points)) > 1e7:
         fault = "has a number that is not finite, or beyond 1e7"
     elif np.any(np.diff(points[:, 0]) <= 1e-6):
@@ -137,19 +140,17 @@ class PlannerTrajectories(TrajectorySource):
         self, section: PlannerController, scenario: HighwayScenario, road: HighwayRoad, start: tuple[float, float]
     ) -> None:
         """`start`: s and d of the ego vehicle."""
-        self._values, self._road, self._period = dict(section.values), road, section.period
-        self._start = start[0]
+        self._values, self._road = dict(section.values), road
         self._planner = _CorridorPlanner(_task(section, scenario.ego, road, start), road.line)
         self._observation = Observation(0.0, np.zeros(6), np.zeros((0, 6)))
-        self._before: dict[str, float] = {}
-        self._position = 0.0
+        self._read, self._offsets, self._drifts = 0.0, dict[str, float](), dict[str, float]()
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         given = self._values | dict(parameters)
         self._planner.reset([float(given[name]) for name in PLANNER_PARAMETERS])
-        self._before, self._position = {}, self._start
+        self._read, self._offsets, self._drifts = 0.0, {}, {}
 
-    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic) -> Floats:
+    def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
         x, y, heading, speed, slip, _, forward, left = pose.tolist()
         course, cosine, sine = heading + slip, np.cos(heading), np.sin(heading)
         velocity = speed * np.cos(course), speed * np.sin(course)
@@ -158,21 +159,31 @@ class PlannerTrajectories(TrajectorySource):
         here = ~np.isnan(traffic.others[:, 0])  # not above or below the road
         rows = traffic.others[here]
         names = [name for name, is_here in zip(traffic.names, here.tolist(), strict=True) if is_here]
-        drift = [row[1] - self._before.get(name, row[1]) for name, row in zip(names, rows.tolist(), strict=True)]
-        self._before = dict(zip(names, rows[:, 1].tolist(), strict=True))
+        self._follow_drifts(dict(zip(names, rows[:, 1].tolist(), strict=True)), signals[0] - lead)
+        drift = np.array([self._drifts.get(name, 0.0) for name in names])
         curvature = np.interp(rows[:, 0], self._road.line[:, 0], self._road.line[:, 4])
         along = rows[:, 2] / np.maximum(1.0 - curvature * rows[:, 1], 0.1)
-        neighbours = np.column_stack([rows[:, 0], rows[:, 1], along, np.array(drift) / self._period, rows[:, 4], rows[:, 5]])
+        s, d = rows[:, 0] + lead * along, rows[:, 1] + lead * drift
+        neighbours = np.column_stack([s, d, along, drift, rows[:, 4], rows[:, 5]])
         observation = self._observation
         observation.time, observation.ego, observation.neighbours = signals[0], np.array(motion), neighbours
         try:
+            self._planner.follow(observation, rows[:, 3])
             return self._planner.plan(observation)
         except ValueError as error:
             raise ControllerError(f"the planner failed at {signals[0]:g} s: {error}") from error
 
+    def _follow_drifts(self, offsets: dict[str, float], read: float) -> None:
+        """Takes the lateral speeds (m/s) of the other vehicles from their d, read at a time."""
+        elapsed = read - self._read
+        if elapsed > SAME:
+            self._drifts = {name: (d - self._offsets.get(name, d)) / elapsed for name, d in offsets.items()}
+        if elapsed > SAME or not self._offsets:
+            self._read, self._offsets = read, offsets
+
 
 class _CorridorPlanner(FrenetPlanner):
-    """The planner along a given line in the place of the scenario's."""
+    """The planner along a given line in the place of the scenario's, which slows down behind any leader."""
 
     def __init__(self, scenario: Scenario, line: Floats) -> None:
         super().__init__(scenario)
@@ -180,6 +191,12 @@ class _CorridorPlanner(FrenetPlanner):
         rows = min(len(line), len(self._road))
         columns = [line[:rows, :5], self._road[:rows, 5], np.cos(line[:rows, 3]), np.sin(line[:rows, 3])]
         self._road = np.ascontiguousarray(np.column_stack([*columns, *(change[:rows] for change in changes)]))
+        self._wanted_speeds = self._road[:, 5].copy()
+
+    def follow(self, observation: Observation, accelerations: Floats) -> None:
+        """Lowers the desired speed of the next plan behind a leader. `accelerations`: of the neighbours."""
+        scene = self._scenes[self._wanted(observation.time)]
+        follow(self._road, self._wanted_speeds, scene, observation.ego, observation.neighbours, accelerations)
 
 
 def _task(section: PlannerController, ego: Ego, road: HighwayRoad, start: tuple[float, float]) -> Scenario:

@@ -83,7 +83,7 @@ class CertifiedRunner(EpisodeRunner):
     def learn(self, known: Sequence[RecordedRun]) -> None:
         """Records runs of other workers, and from now on keeps its own for `recorded`.
 
-        A run that contradicts a recorded run is no proof of anything: the worker forgets all runs, and learns from no worker any more.
+        A run that contradicts a recorded run refutes all proofs: the worker forgets its runs and stops learning from other workers.
         """
         if not self._certifiable or self.contradicted:
             return

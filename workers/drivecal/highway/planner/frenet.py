@@ -11,6 +11,8 @@ from drivecal.plugins.ports import DrivingFunction, Planner
 ARITHMETIC = [
     Path(__file__).with_name(name) for name in ("candidates.py", "cost.py", "kernel.py", "planner.py", "plans.py", "terms.py")
 ]
+ON_CORRIDORS = [Path(__file__).with_name("following.py"), Path(__file__).parents[1] / "drive" / "trajectories.py"]
+"""Further code that decides what the planner drives on a corridor."""
 SAME_RESULTS = {"d80864d6": "969d1885", "69bd3933": "969d1885", "cce8d9c3": "969d1885", "2fc59067": "969d1885"}
 """Digests of code that gives the results of an earlier digest bit for bit; `tests/golden` holds it to that."""
 
@@ -41,3 +43,8 @@ class Frenet:
 
 
 FRENET: DrivingFunction = Frenet()
+
+
+def corridor_version() -> str:
+    """Returns the version of the planner as a controller on corridors."""
+    return version_of(b"".join(path.read_bytes() for path in [*ARITHMETIC, Path(roads.__file__), *ON_CORRIDORS]))

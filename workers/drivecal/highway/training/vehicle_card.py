@@ -72,7 +72,7 @@ def error_table(residual: Residual, kinds: Sequence[str], drives: Drives) -> str
 
 
 def range_table(residual: Residual) -> str:
-    """Returns the table of the residual's training range, outside of which the vehicle is the plain one."""
+    """Returns the table of the residual's training range; outside of it the vehicle is the plain one."""
     centre, reach = residual.speed
     rows = []
     for (name, unit), limit in zip(INPUTS, residual.limits, strict=True):

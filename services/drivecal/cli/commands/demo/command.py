@@ -75,7 +75,7 @@ def _first(client: Client, as_json: bool) -> Campaign:
     optimizer = CAMPAIGN["optimizer"]
     tell(
         f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
-        f"{expected.calibration_proposed:,} cells, of which the optimizer changes at most {expected.calibration_at_most:,}"
+        f"{expected.calibration_proposed:,} cells; the optimizer changes at most {expected.calibration_at_most:,} of them"
     )
     campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:

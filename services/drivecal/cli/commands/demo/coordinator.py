@@ -98,7 +98,7 @@ def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         time.sleep(0.1)
     raise DrivecalError(
-        f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; where the machine was busy, try again:\n{_end_of(home / LOG)}"
+        f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; if the machine was busy, try again:\n{_end_of(home / LOG)}"
     )
 
 

@@ -32,6 +32,12 @@ export function parameterOf<T extends { name: string }>(column: string, paramete
   return parameters.find(({ name }) => name === column) ?? parameters.find(({ name }) => `parameter_${name}` === column);
 }
 
+/** The parameter of a column with its unit and meaning; the column's name for others. */
+export function meaningOf(column: string, parameters: readonly Ranged[]): string {
+  const known = parameterOf(column, parameters);
+  return known ? [titled(known.name, known.unit), known.description].filter(Boolean).join(": ") : column;
+}
+
 /** An axis for each column of a parameter. Texts stand in the order of the parameter's choices, then of the alphabet. */
 export function parameterAxes(table: Table, columns: readonly string[], parameters: readonly Ranged[]): Axis[] {
   return columns.flatMap((name): Axis[] => {
@@ -72,7 +78,7 @@ export function colouring(name: string, scale: Scale, range: readonly [number, n
   return isMinimised(scale) ? { name, worst: high, best: low } : { name, worst: low, best: high };
 }
 
-/** The values of a column along its axis: texts by their place among the choices, NaN where there is none. */
+/** The values of a column along its axis: texts by their place among the choices, NaN if there is none. */
 export function positions(table: Table, axis: Pick<Axis, "name" | "choices">): Float64Array {
   const column = table.columns[axis.name];
   if (column === undefined) return new Float64Array(0);

@@ -11,7 +11,7 @@ const DASHES = [undefined, "6 3", "2 2", "8 2 2 2"];
 /** Pixels between the outermost of lines that would lie on each other. */
 const SPREAD = 10;
 
-/** How the runs of one optimizer differ besides their seed: by population, and by reduction where there are several. */
+/** How the runs of one optimizer differ besides their seed: by population, and by reduction if there are several. */
 export function kindOf(run: ComparedRun, several: boolean): string {
   return several ? `${run.population} individuals, ${run.reduction}` : `${run.population} individuals`;
 }

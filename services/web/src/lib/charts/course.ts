@@ -21,7 +21,7 @@ export function courseOf(generations: readonly Pick<Generation, "iteration" | "b
   return { x, series };
 }
 
-/** By how much the best is better than the baseline, in units of the score; negative where it is worse. */
+/** How much better the best is than the baseline, in units of the score; negative if it is worse. */
 export function gain(best: number | null | undefined, baseline: number | null | undefined, minimised: boolean): number | null {
   if (best === null || best === undefined || baseline === null || baseline === undefined) return null;
   return minimised ? baseline - best : best - baseline;

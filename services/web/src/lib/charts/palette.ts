@@ -26,7 +26,7 @@ export function shade(share: number, dark: boolean): string {
   return VIRIDIS[at] ?? VIRIDIS[0];
 }
 
-/** A colour of the above as a thin line shows it best: the strong blue is too dark on a dark ground. */
+/** The shade of a colour for thin lines: the strong blue is too dark on a dark ground. */
 export function onGround(colour: string, dark: boolean): string {
   return dark && colour === "#0072b2" ? "#3f9fe0" : colour;
 }

@@ -8,7 +8,7 @@ export interface Series {
   colour: string;
   dash?: string;
   kind?: "line" | "area" | "bar";
-  /** Its own places, where it does not share those of the chart. */
+  /** Its own places, if it does not share those of the chart. */
   x?: readonly number[];
   /** Series of one group have one entry in the legend. */
   group?: string;
@@ -40,7 +40,7 @@ export function scales(frame: Frame): { px: (value: number) => number; py: (valu
   return { px: (value) => frame.left + (value - x0) * across, py: (value) => frame.height - frame.bottom - (height(value) - y0) * up };
 }
 
-/** What lies below each value where areas and bars lie on each other. */
+/** The base of each value, if areas and bars are stacked. */
 export function floors(series: readonly Series[], length: number, stacked: boolean): number[][] {
   const base = Array.from({ length }, () => 0);
   return series.map((line) => {
@@ -50,7 +50,7 @@ export function floors(series: readonly Series[], length: number, stacked: boole
   });
 }
 
-/** From where to where a chart reaches upwards so that everything is on it. */
+/** The vertical range that holds everything on a chart. */
 export function reach(series: readonly Series[], below: readonly (readonly number[])[], log: boolean): [number, number] {
   let low = Infinity;
   let high = -Infinity;
@@ -72,7 +72,7 @@ export function isLine(line: Series): boolean {
   return line.kind === undefined || line.kind === "line";
 }
 
-/** From where to where the places of all series reach; `half`: the room that a bar takes beside its place. */
+/** The range of the places of all series; `half`: half a bar's width. */
 export function across(x: readonly number[], series: readonly Series[], half: number): [number, number] {
   let low = Infinity;
   let high = -Infinity;
@@ -85,7 +85,7 @@ export function across(x: readonly number[], series: readonly Series[], half: nu
   return low > high ? [0, 1] : [low - half, Math.max(high + half, low - half + 1e-9)];
 }
 
-/** Powers of ten, with what lies between them where there are few. */
+/** Powers of ten, with numbers between them if there are few. */
 export function logTicks(low: number, high: number): number[] {
   const powers: number[] = [];
   for (let power = Math.ceil(Math.log10(low) - 1e-9); power <= Math.log10(high) + 1e-9; power++) powers.push(10 ** power);

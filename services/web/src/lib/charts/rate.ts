@@ -4,7 +4,7 @@ export class Rate {
 
   constructor(private readonly seconds = 10) {}
 
-  /** Per second; null until a second has been seen. A counter that falls begins anew. */
+  /** Per second; null until a second has been seen. A counter that falls has begun again. */
   at(moment: number, value: number): number | null {
     const last = this.seen.at(-1);
     if (last && value < last.value) this.seen = [];

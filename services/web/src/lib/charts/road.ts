@@ -38,7 +38,7 @@ const BEHIND = 60;
 const SMALLEST = 4.6;
 /** Pixels beyond the view at which a line is not followed any more. */
 const BEYOND = 1200;
-/** A car of which nothing but its place is known. */
+/** A car with a known place and nothing else. */
 const USUAL = { length_m: 4.6, width_m: 1.9 };
 
 export function colours(dark: boolean) {
@@ -47,7 +47,7 @@ export function colours(dark: boolean) {
     : { ground: "#e9edf1", road: "#c9d0d8", line: "#ffffff", mark: "#ffffff", ego: "#0072b2", plan: "#d55e00", other: "#5d6874", glass: "#ffffff", way: "#0072b2", name: "#1b2129" };
 }
 
-/** What is seen at a moment, from the ground up; the view looks along the road at the ego vehicle. */
+/** The picture at a moment, from the ground up; the view looks along the road at the ego vehicle. */
 export function seen(trace: Trace, scene: Scene, moment: number, width: number, colour: Colours): Shape[] {
   const scale = Math.max(SMALLEST, width / (AHEAD + BEHIND));
   const ego = poseAt(trace.time_s, trace.ego, moment);

@@ -5,13 +5,13 @@ import type { BoxTrial, RobustnessRow } from "../server/types";
 export interface Piece {
   from: number;
   to: number;
-  /** The largest deviation in any scenario; null where a vehicle has no result. */
+  /** The largest deviation in any scenario; null if a vehicle has no result. */
   worst: number | null;
   looks: "same" | "changes" | "fails";
   box: number;
 }
 
-/** The largest deviation over all scenarios and vehicles of a box; null where one has no result. */
+/** The largest deviation over all scenarios and vehicles of a box; null if one has no result. */
 export function worst(trial: BoxTrial): number | null {
   const deviations = Object.values(trial.deviations);
   return deviations.length === 0 || deviations.some((entry) => entry === null) ? null : Math.max(...(deviations as number[]));

@@ -18,7 +18,7 @@ const TIMES = ["time", "time_s", "t", "t_s"];
 const FLAT = 6;
 const MOST_LINES = 6;
 
-/** The series over which the others are drawn: a time that never goes back. Null where there is none. */
+/** The series over which the others are drawn: a time that never goes back. Null if there is none. */
 export function timeOf(series: Reported): string | null {
   return TIMES.find((name) => {
     const values = series[name];

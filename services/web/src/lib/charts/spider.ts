@@ -4,7 +4,7 @@ import type { InfluenceRow } from "../server/types";
 
 export const HUB = 0.2;
 
-/** The influential part of a parameter's range, from 0 to 1; null where nothing is. */
+/** The influential part of a parameter's range, from 0 to 1; null if nothing is. */
 export function segment(row: InfluenceRow): [number, number] | null {
   if (!row.influential) return null;
   if (row.space_lower === null || row.space_upper === null || row.space_upper === row.space_lower) return [0, 1];

@@ -7,7 +7,7 @@ import type { Schema } from "./schema";
 /** By the path of a field, `[]` for any place in a list. */
 export type Choices = Readonly<Record<string, readonly string[]>>;
 
-/** Built-in plug-ins; the API lists the names of others only where it refuses one, so that any name can be written as well. */
+/** Built-in plug-ins; the API lists the names of others only when it refuses one, so any name can be typed. */
 export const BUILT_IN: Choices = fields.names;
 const HELP: Readonly<Record<string, string>> = fields.help;
 

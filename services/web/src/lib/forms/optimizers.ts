@@ -12,7 +12,7 @@ export function suiting(optimizers: readonly OptimizerAnswer[], shape: Shape | n
   return optimizers.filter(({ supports }) => needed.every((ability) => supports.includes(ability))).map(({ name }) => name);
 }
 
-/** The schema of the section for the chosen optimizer; that of all optimizers where it declares none. */
+/** The schema of the section for the chosen optimizer; that of all optimizers if it declares none. */
 export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[], settings: unknown): Schema {
   const kind = kindOf(settings);
   const own = optimizers.find(({ name }) => name === kind)?.settings as Schema | undefined;

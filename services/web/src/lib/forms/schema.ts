@@ -70,14 +70,14 @@ export function describe(given: Schema, definitions: Definitions): Described {
   return make("json", only);
 }
 
-/** The definitions with another default of one property, where it depends on what else is wanted. */
+/** The definitions with another default of a property that depends on other settings. */
 export function withDefault(definitions: Definitions, model: string, property: string, value: unknown): Definitions {
   const known = definitions[model];
   if (!known?.properties?.[property]) return definitions;
   return { ...definitions, [model]: { ...known, properties: { ...known.properties, [property]: { ...known.properties[property], default: value } } } };
 }
 
-/** Words and numbers as people write them, `100, 200`; JSON where it is any, for lists that hold more than that. */
+/** Words and numbers as people write them, `100, 200`; JSON for lists that hold anything else. */
 export function writtenList(text: string): unknown[] | Broken | undefined {
   if (text.trim() === "") return undefined;
   const parsed = /^\s*[[{]/.test(text) ? written(text) : undefined;
@@ -121,7 +121,7 @@ function leaves(value: unknown, path = ""): Record<string, string> {
   return { [path]: typeof value === "string" ? value : JSON.stringify(value) };
 }
 
-/** The paths at which documents differ, with the value of each; null where one has none. */
+/** The paths at which documents differ, with the value of each; null if one has none. */
 export function differences(...documents: readonly unknown[]): { path: string; values: (string | null)[] }[] {
   const known = documents.map((document) => leaves(document));
   const paths = [...new Set(known.flatMap((each) => Object.keys(each)))];

@@ -89,7 +89,7 @@ export async function all<T>(path: string): Promise<T[]> {
   return items;
 }
 
-/** Asks again and again with the tag of the last answer; `undefined` where nothing changed. */
+/** Asks again and again with the tag of the last answer; `undefined` if nothing changed. */
 export class Tagged<T> {
   private tag: string | null = null;
   constructor(private readonly path: string) {}

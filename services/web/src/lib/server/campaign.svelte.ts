@@ -82,7 +82,7 @@ export class CampaignState {
       }
       this.problem = null;
     } catch (error) {
-      // Where the server is away for a moment, what is known stays on the page.
+      // While the server is away, the page keeps what it knows.
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
     } finally {
       this.reading = false;

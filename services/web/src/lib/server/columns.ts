@@ -3,14 +3,14 @@
 export interface NumberColumn {
   kind: "number";
   name: string;
-  /** NaN where there is none. */
+  /** NaN if there is none. */
   values: Float64Array;
 }
 
 export interface TextColumn {
   kind: "text";
   name: string;
-  /** Indices of `words`; -1 where there is none. */
+  /** Indices of `words`; -1 if there is none. */
   codes: Int32Array;
   words: string[];
 }
@@ -134,7 +134,7 @@ function quotedFields(row: string): string[] {
   return Array.from(fields, ([, quoted, plain]) => quoted?.replaceAll('""', '"') ?? plain ?? "");
 }
 
-/** Value of a cell for people and for comparisons; null where there is none. */
+/** Value of a cell for people and for comparisons; null if there is none. */
 export function cell(table: Table, name: string, row: number): number | string | null {
   const column = table.columns[name];
   if (column === undefined) return null;
@@ -143,7 +143,7 @@ export function cell(table: Table, name: string, row: number): number | string |
   return value === undefined || Number.isNaN(value) ? null : value;
 }
 
-/** The smallest and the largest number of a column; null where it has none. */
+/** The smallest and the largest number of a column; null if it has none. */
 export function extent(table: Table, name: string): [number, number] | null {
   const column = table.columns[name];
   if (column?.kind !== "number") return null;

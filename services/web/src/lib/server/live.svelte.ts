@@ -7,7 +7,7 @@ export interface Follower {
   event?: (event: CampaignEvent) => void;
   progress?: (moving: Moving) => void;
   ended?: () => void;
-  /** The connection is there again: what was missed and is not told anew has to be asked for. */
+  /** Called when the connection is back: what was missed and is not sent again must be requested. */
   again?: () => void;
 }
 
@@ -58,7 +58,7 @@ export function follow(campaign: string, follower: Follower): () => void {
   };
 }
 
-/** Tries at once, where it waits to try again: after logging in, for example. */
+/** Retries at once instead of waiting: after logging in, for example. */
 export function reconnect(): void {
   wait = FIRST_WAIT;
   clearTimeout(timer);
@@ -69,7 +69,7 @@ function connect(): void {
   if (socket !== null) return;
   clearTimeout(timer);
   if (followers.size === 0) {
-    // Nobody waits for it any more: what was lost is not missed.
+    // No view waits for it any more.
     state = "idle";
     wasLost = false;
     return;

@@ -1,8 +1,8 @@
-/** What is wrong with a form: what the API says of its fields, and JSON that is none. */
+/** What is wrong with a form: what the API says of its fields, and invalid JSON. */
 
 import type { FieldProblem } from "./types";
 
-/** What stands in a field that ought to be JSON and cannot be read; it is never sent. */
+/** Invalid JSON in a field; it is never sent. */
 export class Broken {
   constructor(
     readonly text: string,
@@ -24,14 +24,14 @@ export function inside(problem: FieldProblem, path: string): boolean {
   return problem.field.startsWith(`${path}.`) || problem.field.startsWith(`${path}[`);
 }
 
-/** What to say at the field of `path`: what is about itself and, where it has no `fields` of its own, what is about anything inside it. */
+/** The problems to show at the field of `path`: its own and, if it has no `fields`, those of anything inside it. */
 export function at(problems: readonly FieldProblem[], path: string, fields = false): string[] {
   return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${problem.field.slice(path.length).replace(/^\./, "")}: ${said(problem)}`] : []));
 }
 
-/** The fields of a form in which no JSON stands where there ought to be. */
+/** The fields of a form with invalid JSON. */
 export function brokenIn(value: unknown, path = ""): FieldProblem[] {
-  if (value instanceof Broken) return [{ field: path, message: `this is no valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
+  if (value instanceof Broken) return [{ field: path, message: `this is not valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
   if (Array.isArray(value)) return value.flatMap((entry, place) => brokenIn(entry, `${path}[${place}]`));
   if (typeof value !== "object" || value === null) return [];
   return Object.entries(value).flatMap(([name, entry]) => brokenIn(entry, path === "" ? name : `${path}.${name}`));

@@ -1,4 +1,4 @@
-/** Whether the server can be reached. While it cannot, it is asked for again and again; views read anew what they missed when it is back. */
+/** Whether the server can be reached. While it cannot, the page retries; views read what they missed when it is back. */
 
 import { ask, whenHeard } from "./api";
 

@@ -5,7 +5,7 @@ import type { Axis } from "../charts/polylines";
 import type { Table } from "./columns";
 
 export interface Wanted {
-  /** By column, the words that are wanted; any where it is not named. */
+  /** By column, the words that are wanted; any if it is not named. */
   words: Readonly<Record<string, readonly string[]>>;
   /** By column, the inclusive range; rows without a number are not in it. */
   ranges: Readonly<Record<string, readonly [number, number]>>;

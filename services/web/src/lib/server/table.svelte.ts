@@ -1,4 +1,4 @@
-/** A table of a campaign as the page holds it: whole, and read anew when there is more of it. */
+/** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";

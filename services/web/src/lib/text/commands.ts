@@ -1,4 +1,4 @@
-/** What the page shows, as something to be typed: on the command line, in Python, with curl. */
+/** What the page shows, as commands: for the command line, Python and curl. */
 
 export interface Commands {
   cli: string;

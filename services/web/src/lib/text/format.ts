@@ -50,6 +50,11 @@ export function clock(moment: string): string {
   return new Date(moment).toLocaleTimeString("en-GB");
 }
 
+/** A unit as a cell of a table; nothing for values without unit. */
+export function unitText(unit: unknown): string {
+  return typeof unit === "string" && unit !== "1" ? unit : "";
+}
+
 /** A score with its unit; of points the unit goes without saying. */
 export function scored(value: number | null | undefined, scale: { unit: string }, digits = 3): string {
   const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${scale.unit}`;

@@ -1,4 +1,4 @@
-/** Campaigns as a table lists them: found, sorted, studies below what they examine. */
+/** Campaigns as rows of a table: filtered, sorted, studies below what they examine. */
 
 import { withoutSimulation } from "./words";
 import { calibrates } from "./studies";

@@ -1,4 +1,4 @@
-/** What a campaign was asked to do, row by row, for people. */
+/** The settings of a campaign as rows for readers. */
 
 import { number, percent } from "./format";
 import { settingsText, studiesOf } from "./studies";

@@ -12,7 +12,7 @@ const BOXES = ["delta", "steps", "samples", "eta", "condition", "refinements", "
 
 type Known = Pick<Campaign, "kind" | "spec">;
 
-/** Whether it searches for parameters. In a list, long specifications are left out: then it is taken to. */
+/** Whether it searches for parameters; assumed if a list leaves out a long specification. */
 export function calibrates(campaign: Known): boolean {
   return campaign.kind !== "calibration" || campaign.spec.optimizer !== null;
 }
@@ -22,7 +22,7 @@ export function studiesOf(campaign: Known): StudyStage[] {
   return STAGES.filter((stage) => typeof campaign.spec[stage] === "object" && campaign.spec[stage] !== null);
 }
 
-/** What a campaign is called where a calibration would show its best objective. */
+/** The kind of a campaign without a calibration, shown in place of its best objective. */
 export function kindOf(campaign: Known): string {
   if (campaign.kind !== "calibration") return campaign.kind;
   if (calibrates(campaign)) return "";
@@ -42,7 +42,7 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
 /** What the 95 % intervals of a validation take as independent. */
 export function intervalText(rows: readonly Pick<ValidationRow, "interval_over">[]): string {
   if (rows.every((row) => row.interval_over === "bases")) return "95 % intervals of the mean over base sets, because variants of one base set are alike: more base sets narrow them, more variants hardly do.";
-  return "These 95 % intervals are too narrow: an earlier version took the variants of one base set as independent. drivecal validate ID --again makes the study anew.";
+  return "These 95 % intervals are too narrow: an earlier version took the variants of one base set as independent. drivecal validate ID --again repeats the study.";
 }
 
 /** Whether the degrees of two robustness studies mean the same. */

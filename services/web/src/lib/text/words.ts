@@ -74,7 +74,7 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   return "Running.";
 }
 
-/** What the evaluation beside a cell is to it, by the reason of its explanation. */
+/** How the evaluation beside a cell relates to it, by the reason of its explanation. */
 export function referenceWords(reason: string): string {
   if (reason === "blocked") return "Nearest stored:";
   if (reason === "audited") return "Simulated to check the reduction, which would have taken";

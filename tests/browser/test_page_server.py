@@ -1,0 +1,115 @@
+"""The page beside a server of its own: followed live, asked for a token, gone and back."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from playwright.sync_api import expect
+from tests.browser.conftest import TABS, Opening, barriers
+from tests.support.computed import ComputedBackend
+from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
+from tests.support.server import free_port, serving
+
+TOKEN = "reader-0123456789abcdef"
+
+
+def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        campaign = submit(api.database, **SMALL)
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}")
+        expect(page.get_by_text("Waiting for its turn.").first).to_be_visible()
+        working = dispatcher(api.database)
+        while get(api.database, campaign).cells.requested < 60:
+            working.step()
+        expect(page.get_by_text(re.compile(r"Searching: iteration \d"))).to_be_visible()
+        run(api.database, campaign)
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        requested = get(api.database, campaign).cells.requested
+        expect(page.get_by_role("img", name=f"{requested} requested")).to_be_visible()
+        page.close()
+
+
+def test_a_study_is_started_from_the_page(tmp_path: Path, opening: Opening) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}")
+        page.get_by_role("button", name="Robustness").click()
+        expect(page.get_by_text(re.compile(r"At most [\d,]+ simulations"))).to_be_visible()
+        page.get_by_role("button", name="Validate").click()
+        page.get_by_role("button", name="Start the study").click()
+        expect(page.get_by_role("heading", name="A validation")).to_be_visible()
+        made = api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
+        assert made["spec"]["optimizer"] is None
+        assert made["spec"]["sensitivity"] == {"map": campaign.influence_map_id or get(api.database, campaign).influence_map_id}
+        page.get_by_role("link", name="Campaigns").click()
+        rows = page.get_by_role("table").get_by_role("row")
+        expect(rows.nth(2)).to_contain_text("test (validation)")
+        expect(rows.nth(1)).to_contain_text(campaign.id[:8])
+        page.close()
+
+
+def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_path: Path, opening: Opening) -> None:
+    (tmp_path / "tokens").write_text(f"anna read {TOKEN}\n")
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
+        campaign = run(api.database, submit(api.database, optimizer={"kind": "genetic", "population": 6, "iterations": 2}))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403", "WebSocket"))
+        assert barriers(page) == []
+        page.get_by_label("Token").fill("wrong-0123456789abcdef")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_text("does not know this token")).to_be_visible()
+        page.get_by_label("Token").fill(TOKEN)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        expect(page.get_by_text("anna (may read)")).to_be_visible()
+        page.reload()
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        page.goto(f"{api.url}/#/evaluations/1")
+        expect(page.get_by_text("Your token is read-only.")).to_be_visible()
+        kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
+        assert json.loads(kept) == ["", {}, {}]
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_label("Token")).to_be_visible()
+        page.reload()
+        expect(page.get_by_label("Token")).to_be_visible()
+        page.close()
+
+
+def test_every_view_comes_back_with_the_server(tmp_path: Path, opening: Opening) -> None:
+    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
+    with serving(url, port) as api:
+        campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
+        others = ["evaluations/1", "", "submit", "problems", "compare", "workers"]
+        views = [*(f"campaigns/{campaign.id}/{tab}" for tab in TABS), *others]
+        away = ("ERR_CONNECTION_REFUSED", "WebSocket", "409", "ERR_CONNECTION_RESET", "Failed to load")
+        pages = [opening(f"{api.url}/#/nowhere", expected=away) for _ in views]
+        for page in pages:
+            page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
+        address = api.url
+    for page, view in zip(pages, views, strict=True):
+        page.evaluate("window.neverReloaded = true")
+        page.goto(f"{address}/#/{view}")
+        expect(page.get_by_text("cannot be reached").first).to_be_visible()
+        expect(page.get_by_text(re.compile("^(Nothing to rank|No evaluation|No campaign|No problem) "))).to_have_count(0)
+        expect(page.get_by_text("Connection lost")).to_be_visible()
+    with serving(url, port):
+        for page in pages:
+            expect(page.get_by_text("Connection lost")).to_have_count(0)
+            expect(page.get_by_text(re.compile("cannot be reached"))).to_have_count(0)
+            expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting"))
+            assert page.evaluate("window.neverReloaded")
+
+
+def test_a_connection_that_nobody_waits_for_is_not_reported_as_lost(tmp_path: Path, opening: Opening) -> None:
+    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
+    with serving(url, port) as api:
+        campaign = run(api.database, submit(api.database, **SMALL))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("ERR_CONNECTION_REFUSED", "WebSocket", "409"))
+        expect(page.get_by_text("Finished.")).to_be_visible()
+        address = api.url
+    expect(page.get_by_text("Connection lost")).to_be_visible()
+    page.goto(f"{address}/#/evaluations/1")
+    with serving(url, port):
+        expect(page.get_by_text("Connection lost")).to_have_count(0)
+        expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation 1")

@@ -1,0 +1,179 @@
+"""Exceptions, spoilt workers and refusals: no good cell pays for them."""
+
+from __future__ import annotations
+
+import pytest
+from tests.support.fake_backend import Behaviour, FakeBackend
+from tests.support.pooled import TAGS, cells, drain, setup
+
+from drivecal.contracts.work import Cell
+from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
+from drivecal.execution.scheduling.in_flight import WITNESSES, Work
+from drivecal.execution.scheduling.scheduler import ATTEMPTS
+from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
+
+
+def test_an_exception_is_tried_once_more_alone_on_another_worker(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend()
+    pool = WorkPool(backend)
+    pool.submit(Work(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL])), tag="campaign-7")
+    [failed] = [entry for entry in drain(pool) if entry.result.breakdown is not None]
+    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", WITNESSES)
+    assert failed.result.detail == "ValueError: as asked for"
+    assert backend.replaced == []
+    [(line, campaign)] = [(record.getMessage(), record.__dict__["campaign"]) for record in caplog.records]
+    assert campaign == "campaign-7"
+    assert line.startswith("cell 2 has no result after 2 attempts (error, at last on worker-")
+    assert line.endswith("; failure 1 of this campaign): ValueError: as asked for")
+
+
+def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    behaviours = [Behaviour.WELL] * 500
+    for index in (3, 77, 200, 431):
+        behaviours[index] = Behaviour.ERROR
+    pool.submit(Work(setup(), cells(behaviours)), tag="a")
+    failed = {entry.result.id: entry for entry in drain(pool) if entry.result.breakdown is not None}
+    assert sorted(failed) == [4, 78, 201, 432]
+    assert {entry.worker for entry in failed.values()} == {"worker-1.2"}
+    assert backend.replaced == [("worker-1", None)]
+    assert pool.trouble() is None
+
+
+def test_exceptions_at_the_only_worker_are_settled_while_others_keep_it_busy() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    pool.submit(Work(setup(), cells([Behaviour.ERROR])), tag="a")
+    first, settled_after = 2, None
+    while settled_after is None:
+        assert first < 50_000, "the suspect starves"
+        if sum(pool.held(tag) for tag in TAGS) < 1000:
+            pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=first)), tag="b")
+            first += 1000
+        settled_after = next((backend.now for entry in pool.poll(1.0) if entry.tag == "a"), None)
+    assert settled_after < 120.0
+
+
+@pytest.mark.parametrize(("workers", "bad"), [(4, {1}), (4, {2, 3}), (4, {1, 2, 4}), (2, {2})])
+def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
+    backend = FakeBackend(workers, bad=bad)
+    pool = WorkPool(backend)
+    behaviours = [Behaviour.WELL] * 6000
+    behaviours[1234] = Behaviour.ERROR
+    pool.submit(Work(setup(), cells(behaviours)), tag="a")
+    completed = drain(pool)
+    assert len(completed) == 6000
+    assert [entry.result.id for entry in completed if entry.result.breakdown is not None] == [1235]
+    assert {worker.split("-")[1].split(".")[0] for worker, _ in backend.replaced} == {str(place) for place in bad}
+    for _, fault in backend.replaced:
+        count, words = (fault or "").split(maxsplit=1)
+        assert int(count) in {BATCHES_WITHOUT_RESULT, BATCHES_WITHOUT_RESULT + 1}
+        assert words.endswith(": SUMO is gone")
+    spoilt = sum(count - 1 for count in backend.attempts.values())
+    assert spoilt < 1500, "bad workers are given little"
+
+
+def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None:
+    backend = FakeBackend(1)
+    pool = WorkPool(backend)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 1000)), tag="a")
+    completed = pool.poll(1.0)
+    backend.bad = {1}
+    while not backend.replaced:
+        completed += pool.poll(1.0)
+    assert "SUMO is gone" in (pool.trouble() or "")
+    backend.bad = set()
+    completed += drain(pool)
+    assert len(completed) == 1000
+    assert all(entry.result.breakdown is None for entry in completed)
+    assert pool.trouble() is None
+
+
+def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(4)
+    pool = WorkPool(backend)
+    pool.submit(Work(setup(), cells([Behaviour.ERROR] * 1000)), tag="a")
+    completed = drain(pool)
+    assert len(completed) == 1000
+    assert {(entry.result.breakdown, entry.attempts) for entry in completed} == {("error", WITNESSES)}
+    assert len(backend.replaced) <= 8
+    assert len(caplog.records) < 40
+
+
+def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
+    backend = FakeBackend(3, refusing={1: "it has no frenet", 3: "it has no frenet"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.ERROR, *[Behaviour.WELL] * 99, Behaviour.CRASH])), tag="a")
+    completed = pool.poll(0.0)
+    while "2 workers refuse" not in (pool.trouble() or ""):
+        completed += pool.poll(0.01)
+    assert pool.trouble() == "2 workers refuse S1: it has no frenet"
+    completed += drain(pool)
+    assert sorted(entry.result.id for entry in completed) == list(range(1, 102))
+    failed = {entry.result.id: entry.attempts for entry in completed if entry.result.breakdown is not None}
+    assert failed == {1: WITNESSES, 101: ATTEMPTS}
+    assert {entry.worker.split(".")[0] for entry in completed} == {"worker-2"}
+    assert pool.trouble() is None
+
+
+def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(2, refusing={1: "it has version 2", 2: "it has version 2"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a")
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 50, first=101)), tag="b")
+    troubles = set()
+    while backend.now < 5 * PATIENCE_WITH_REFUSALS:
+        assert pool.poll(1.0) == []
+        if backend.now > 1.0:
+            troubles.add(pool.trouble())
+    assert pool.held("a") == 50
+    assert troubles == {f"{number} workers refuse S1, S2: it has version 2" for number in (2, 3, 4)} & troubles
+    assert "worker-1 refuses: it has version 2" in caplog.text
+    assert pool.withdraw("b") == 0
+    backend.refusing.clear()
+    completed = drain(pool)
+    assert len(completed) == 50
+    assert {entry.attempts for entry in completed} == {1}
+    assert pool.trouble() is None
+    assert backend.now < 7 * PATIENCE_WITH_REFUSALS
+
+
+def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:
+    backend = FakeBackend(1, refusing={1: "it has version 2"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL])), tag="a")
+    while pool.trouble() is None:
+        pool.poll(1.0)
+    pool.withdraw("a")
+    while backend.now < 3 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    backend.refusing[1] = "it has no model"
+    begin = backend.now
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL])), tag="b")
+    while backend.now < begin + 0.9 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    assert backend.replaced == []
+    assert "worker-1 refuses: it has no model" in caplog.text
+    while not backend.replaced:
+        assert backend.now < begin + 2 * PATIENCE_WITH_REFUSALS
+        pool.poll(1.0)
+
+
+@pytest.mark.parametrize("behaviour", [Behaviour.ERROR, Behaviour.CRASH])
+@pytest.mark.parametrize("workers", [1, 2, 12])
+def test_where_everything_fails_the_first_sets_fail_first_in_all_scenarios(workers: int, behaviour: Behaviour) -> None:
+    backend = FakeBackend(workers)
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    work = [
+        Work(
+            setup(f"S{scenario}"),
+            [Cell(100 * scenario + number, {"behaviour": behaviour, "x": number}) for number in range(50)],
+        )
+        for scenario in range(1, 7)
+    ]
+    pool.submit(*work, tag="a")
+    completed: list[int] = []
+    while len(completed) < 60:
+        completed += [entry.result.id for entry in pool.poll(0.002)]
+    assert {100 * scenario + number for scenario in range(1, 7) for number in range(5)} <= set(completed)
