@@ -32,7 +32,7 @@ def files() -> list[str]:
 
 
 def own_scale(tree: ast.Module) -> list[int]:
-    """The lines with the upper end of the comfort score, or words of it."""
+    """The lines with the upper end of the comfort score, or words and names of it."""
     constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
     numbers = [node.lineno for node in constants if type(node.value) in {int, float} and node.value == 7]
     texts = [node for node in constants if isinstance(node.value, str)]
