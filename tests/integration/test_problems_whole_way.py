@@ -124,20 +124,17 @@ def by_cell(client: Client, campaign: str) -> dict[tuple[int, str], dict[str, An
     return {(row["individual"], row["scenario"]): row for row in table}
 
 
-@pytest.fixture(scope="module")
-def server(home: Path) -> Iterator[Server]:
-    with serving(home, workers=2, DRIVECAL_BUNDLE_CACHE=str(home / "cache")) as running:
-        yield running
-
-
-def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(server: Server, tmp_path: Path) -> None:
+def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On workers of Ray."""
+    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     folder, version = problem("python-function", tmp_path), tmp_path / "version"
     manifest = yaml.safe_load((folder / "problem.yaml").read_text())
     manifest["problem"], manifest["simulator"]["probe"] = "probed", ["cat", str(version)]
     (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
     spec = {**SPEC, "problem": "probed", "optimizer": {**SPEC["optimizer"], "iterations": 1}}
     simulated = []
-    with Client(server.url) as client:
+    ray = {"DRIVECAL_BACKEND": "ray", "DRIVECAL_BUNDLE_CACHE": str(tmp_path / "cache")}
+    with serving(tmp_path, workers=2, **ray) as server, Client(server.url) as client:
         client.push_problem(folder)
         for number in ("1.0", "1.0", "2.0", "1.0"):
             version.write_text(f"mysim {number}\n")
