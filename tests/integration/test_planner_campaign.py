@@ -36,8 +36,10 @@ def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
     ):
         client.push_problem(folder)
         ended = client.wait(client.submit(SPEC).id)
-        query = {"measures": "true", "limit": 1000}
-        rows = httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query).raise_for_status().json()["items"]
+        query: dict[str, str | int] = {"measures": "true", "limit": 1000}
+        rows = (
+            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query).raise_for_status().json()["items"]
+        )
     assert (ended.state, ended.error, ended.cells.failed) == ("succeeded", None, 0)
     assert {row["outcome"] for row in rows} == {"simulated"}
     assert {row["scenario"] for row in rows} == {"merge", "cut_in"}

@@ -133,8 +133,11 @@ def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(tmp_path: Path
     (folder / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
     spec = {**SPEC, "problem": "probed", "optimizer": {**SPEC["optimizer"], "iterations": 1}}
     simulated = []
-    ray = {"DRIVECAL_BACKEND": "ray", "DRIVECAL_BUNDLE_CACHE": str(tmp_path / "cache")}
-    with serving(tmp_path, workers=2, **ray) as server, Client(server.url) as client:
+    cache = str(tmp_path / "cache")
+    with (
+        serving(tmp_path, workers=2, DRIVECAL_BACKEND="ray", DRIVECAL_BUNDLE_CACHE=cache) as server,
+        Client(server.url) as client,
+    ):
         client.push_problem(folder)
         for number in ("1.0", "1.0", "2.0", "1.0"):
             version.write_text(f"mysim {number}\n")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import libsumo
 import numpy as np
@@ -17,6 +18,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
+from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.episode.loop import ClosedLoop
 from drivecal.highway.episode.runner import EpisodeRunner
@@ -254,12 +256,17 @@ def test_a_vehicle_that_the_network_has_no_room_for_is_named() -> None:
         simulation().load(replace(S1, traffic=(outside,)))
 
 
-def test_a_simulator_that_died_between_two_runs_costs_one_run() -> None:
+@pytest.mark.parametrize("other", ["load", "close"])
+def test_a_scenario_is_loaded_again_if_another_user_of_the_process_loaded_or_ended_sumo(other: str, tmp_path: Path) -> None:
     subject = runner(S1)
     before = subject.run(changes_lane(S1))
-    libsumo.close()
-    with pytest.raises(SimulationError, match="place"):
-        subject.run(changes_lane(S1))
+    if other == "load":
+        network, vehicles = tmp_path / "a.net.xml", tmp_path / "a.rou.xml"
+        network.write_bytes(SCENARIOS[1].network)
+        vehicles.write_text("<routes/>")
+        sumo.load(sumo.options(str(network), str(vehicles), S1.step, S1.seed))
+    else:
+        libsumo.close()
     assert subject.run(changes_lane(S1)) == before
 
 

@@ -5,6 +5,7 @@ has thousands. The namespaces `vehicle`, `edge`, `lane` and `simulation` are lib
 """
 
 from collections.abc import Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 from drivecal.domain.errors import UnavailableError
@@ -71,12 +72,25 @@ def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
     return [text for name, value in values.items() for text in (f"--{name}", value)]
 
 
-def load(arguments: Sequence[str]) -> None:
-    """Starts SUMO, or loads it again if it runs already. Raises one of `SUMO_ERRORS` if it refuses its files."""
+_loads = count(1)
+_current = 0
+
+
+def load(arguments: Sequence[str]) -> int:
+    """Starts SUMO, or loads it again if it runs already; returns the number of this load. Raises one of `SUMO_ERRORS` if it refuses its
+    files."""
+    global _current  # noqa: PLW0603  # a process holds one simulation, too
+    _current = next(_loads)
     if libsumo.isLoaded():
         libsumo.load(list(arguments))
     else:
         libsumo.start(["sumo", *arguments])
+    return _current
+
+
+def is_current(load: int) -> bool:
+    """Whether SUMO still runs as of this load: the process's other simulator may have loaded another network since."""
+    return load == _current and bool(libsumo.isLoaded())
 
 
 def clear() -> None:

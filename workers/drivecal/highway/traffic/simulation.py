@@ -46,6 +46,7 @@ class Simulation:
 
     def __init__(self) -> None:
         self._scenario: Scenario | None = None
+        self._load = 0
         self._step = 0.0
         self._line: Floats = np.zeros((0, 7))
         self._starts: list[sumo.Start] = []
@@ -64,7 +65,7 @@ class Simulation:
 
     def load(self, scenario: Scenario) -> None:
         """Loads `scenario` unless it is loaded already. Raises SimulationError if SUMO rejects it."""
-        if scenario is self._scenario:
+        if scenario is self._scenario and sumo.is_current(self._load):
             return
         self._scenario = None
         with tempfile.TemporaryDirectory() as folder:
@@ -75,7 +76,7 @@ class Simulation:
             except InvalidInputError as error:
                 raise SimulationError(f"scenario {scenario.id}: {error}") from error
             try:
-                sumo.load(sumo.options(str(network), str(route_file), scenario.step, scenario.seed))
+                self._load = sumo.load(sumo.options(str(network), str(route_file), scenario.step, scenario.seed))
             except SUMO_ERRORS as error:
                 raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
