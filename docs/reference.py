@@ -91,6 +91,9 @@ TABLE
 
 `DRIVECAL_BUNDLE_CACHE` (default `~/.cache/drivecal/bundles`, else a temporary folder) is a folder of each worker's machine: unpacked
 problems by digest. It belongs to the worker's user, mode 0700; others are refused.
+
+`DRIVECAL_SIMULATOR_FOLDERS` (a variable of each worker's machine; default none) names folders, separated by colons, that simulators may
+change besides their own; `/` means no confinement. See [Security](../concepts/security.md).
 """
 MOTORWAY_TEXT = """\
 # The built-in motorway

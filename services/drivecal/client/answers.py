@@ -1,5 +1,7 @@
-"""Errors of HTTP answers, as drivecal's own exceptions."""
+"""HTTP answers: without what steers a terminal, and their errors as drivecal's own exceptions."""
 
+import json
+import re
 from http import HTTPStatus
 
 import httpx
@@ -15,6 +17,20 @@ from drivecal.domain.errors import (
 )
 
 GATEWAY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS}
+
+
+_STEERING = re.compile(
+    rb"\\\\"  # a backslash in a text, so that what follows is no escape
+    rb"|\\u(?:00(?:0[0-8bcef]|1[0-9a-f]|7f|[89][0-9a-f])|200[ef]|202[a-e]|206[6-9])"
+    rb"|\x7f|\xc2[\x80-\x9f]|\xe2\x80[\x8e\x8f\xaa-\xae]|\xe2\x81[\xa6-\xa9]",
+    re.IGNORECASE,
+)
+"""Control characters but tab and line ends, and marks that change the direction of text, in JSON: escaped or as UTF-8."""
+
+
+def harmless(content: bytes) -> bytes:
+    """Returns a JSON text with a replacement character for each that a terminal would obey: names and messages come from others."""
+    return _STEERING.sub(lambda match: match[0] if match[0] == b"\\\\" else "\ufffd".encode(), content)
 
 
 def unreachable(url: str, error: Exception) -> UnavailableError:
@@ -61,7 +77,7 @@ def _unknown(response: httpx.Response) -> str:
 
 def _document(response: httpx.Response) -> dict[str, object]:
     try:
-        document = response.json()
+        document = json.loads(harmless(response.content))
     except ValueError:
         document = None
     if not isinstance(document, dict) or "status" not in document:

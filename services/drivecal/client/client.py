@@ -10,7 +10,7 @@ from typing import Any, Literal
 import httpx
 from pydantic import RootModel, ValidationError
 
-from drivecal.client.answers import raise_for, unreachable
+from drivecal.client.answers import harmless, raise_for, unreachable
 from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
@@ -175,9 +175,10 @@ class Client(Transport):
 
     def _sent(self, event: ServerSentEvent) -> Sent:
         try:
+            data = harmless(event.data.encode())
             if event.event == PROGRESS:
-                return CampaignProgress.model_validate_json(event.data)
-            document = json.loads(event.data)
+                return CampaignProgress.model_validate_json(data)
+            document = json.loads(data)
             return CampaignEvent.model_validate({**document, "id": event.id})
         except (TypeError, ValueError) as error:
             raise self._strange() from error
@@ -230,7 +231,7 @@ class Client(Transport):
             place = ("campaigns", identifier, table)
             response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
             raise_for(response, *named(place))
-            page = response.json()
+            page = json.loads(harmless(response.content))
             yield from page["items"]
             cursor = page["next_cursor"]
             if cursor is None:

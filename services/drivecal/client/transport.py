@@ -9,7 +9,7 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from drivecal.client.answers import raise_for, unreachable
+from drivecal.client.answers import harmless, raise_for, unreachable
 from drivecal.client.documents import Document, plain
 from drivecal.domain.errors import UnavailableError
 
@@ -97,7 +97,7 @@ class Transport:
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
         raise_for(response, *named(place))
         try:
-            return model.model_validate_json(response.content)
+            return model.model_validate_json(harmless(response.content))
         except ValidationError as error:
             raise self._strange() from error
 

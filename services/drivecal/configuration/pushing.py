@@ -58,7 +58,7 @@ def create_secret(home: Path) -> bytes:
         return known
     secret = secrets.token_urlsafe(SHORTEST).encode()
     try:
-        home.mkdir(parents=True, exist_ok=True)
+        home.mkdir(parents=True, exist_ok=True, mode=0o700)
         path.unlink(missing_ok=True)  # the file of another user, or one that others could read
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "wb") as file:

@@ -1,12 +1,18 @@
 """The settings of server and command line: flags, then `DRIVECAL_*` environment variables, then a config file, then defaults.
 
-The config file is `drivecal.toml` in the working directory or `config.toml` in the home folder; what the first one says wins.
+The config file is `drivecal.toml` in the working directory or `config.toml` in the home folder; what the first one says wins. It may have
+come with other people's files: a file of another user, or that every user may write, is refused, and no secret from elsewhere goes to an
+address that it names.
+
 Unknown environment variables beginning with `DRIVECAL_` are ignored, because container platforms derive some from names of services. An
 unknown key in a config file is refused.
 """
 
+import os
 import re
+import stat
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
@@ -19,6 +25,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 PREFIX = "DRIVECAL_"
 CONFIG_FILE = Path("drivecal.toml")
 MOST_WORKERS = 10_000
+DESTINATIONS = {"token": "url", "database_password_file": "database_url"}
+"""Secrets, and the settings that say where each is sent."""
 _PASSWORD = re.compile(r":[^/@]*@")
 
 Line = Annotated[str, StringConstraints(min_length=1, max_length=4096, pattern=r"^[^\x00-\x1f\x7f]+$")]
@@ -121,6 +129,9 @@ class Settings(BaseSettings):
         if "home" in at_home:
             message = f"{home / 'config.toml'} lies in the home folder and cannot move it"
             raise InvalidInputError(Problem("home", message, "set DRIVECAL_HOME instead"))
+        given = init_settings() | env_settings()
+        trusted = {name: value for name, value in at_home.items() if "home" in given and name not in here}
+        _refuse_to_send(given, trusted, here | at_home)
         return init_settings, env_settings, InitSettingsSource(settings_cls, at_home | here)
 
     @property
@@ -161,14 +172,38 @@ def _with_password(url: str, file: Path) -> str:
     return f"{scheme}://{user}:{quote(password, safe='')}@{host}{slash}{path}"
 
 
+def _refuse_to_send(given: Mapping[str, Any], trusted: Mapping[str, Any], files: Mapping[str, Any]) -> None:
+    """Raises InvalidInputError if a config file sends a secret that it does not hold to an address of its own.
+
+    `given`: flags and environment; `trusted`: the config file of a home folder that these name; `files`: all config files.
+    """
+    for secret, place in DESTINATIONS.items():
+        if secret in given.keys() | trusted.keys() and place in files.keys() - given.keys() - trusted.keys():
+            message = f"a config file in this folder names the address, and your environment the {secret}, which would go there"
+            raise InvalidInputError(Problem(place, message, f"if you trust it, set {PREFIX}{place.upper()} as well"))
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            _refuse_others(path, os.fstat(file.fileno()))
+            return tomllib.load(file)
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except (OSError, ValueError) as error:  # TOMLDecodeError and UnicodeDecodeError are ValueErrors
         problem = Problem(str(path), f"the config file cannot be read: {error}", "mend or remove it")
         raise InvalidInputError(problem) from None
+
+
+def _refuse_others(path: Path, status: os.stat_result) -> None:
+    """Raises InvalidInputError if another user could have written a config file: it decides what this user runs."""
+    if not hasattr(os, "geteuid"):  # Windows
+        return
+    remedy = f"if it is yours, type: chown $USER {path} && chmod go-w {path}"
+    if status.st_uid not in {0, os.geteuid()}:
+        raise InvalidInputError(Problem(str(path), f"the config file belongs to another user (uid {status.st_uid})", remedy))
+    if status.st_mode & stat.S_IWOTH:
+        raise InvalidInputError(Problem(str(path), "every user may write to the config file", remedy))
 
 
 def _explain(error: dict[str, Any]) -> Problem:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from drivecal.contracts.tables import spreadsheet_text
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.report.figures.drawing import Drawn, inlined, png, svg
 from drivecal.report.markup import figure
@@ -40,7 +41,9 @@ class Folder:
     def table(self, name: str, rows: Iterable[Sequence[object]]) -> None:
         """Writes `tables/name.csv`; the first row is its header."""
         stream = io.StringIO()
-        csv.writer(stream).writerows(rows)
+        csv.writer(stream).writerows(
+            [spreadsheet_text(value) if isinstance(value, str) else value for value in row] for row in rows
+        )
         self.write(f"tables/{name}.csv", [stream.getvalue().encode()])
 
     def draw(self, drawn: Drawn) -> str:

@@ -15,6 +15,20 @@ Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
 
 
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def spreadsheet_text(value: str) -> str:
+    """Returns a text of a CSV file that no spreadsheet takes for a formula: with an apostrophe before it, unless it is a number."""
+    if not value.startswith(_FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """A column of a file and what it holds; every value may be missing."""

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
+import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
@@ -161,6 +163,19 @@ def test_a_missing_file_is_not_created_by_looking_for_it(tmp_path: Path) -> None
     with pytest.raises(DatabaseError, match="`drivecal db upgrade`"):
         Database.open(f"sqlite:///{file}").check()
     assert not file.exists()
+
+
+def test_a_new_database_belongs_to_its_user_alone_whatever_the_umask(tmp_path: Path) -> None:
+    file = tmp_path / "home" / "drivecal.db"
+    database, before = Database.open(f"sqlite:///{file}"), os.umask(0)
+    try:
+        database.upgrade()
+        with database.transaction():
+            modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (file.parent, *file.parent.iterdir())}
+    finally:
+        os.umask(before)
+        database.dispose()
+    assert modes == {"home": 0o700, "drivecal.db": 0o600, "drivecal.db-wal": 0o600, "drivecal.db-shm": 0o600}
 
 
 def test_a_folder_in_place_of_the_file_is_refused(tmp_path: Path) -> None:

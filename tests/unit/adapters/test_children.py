@@ -24,6 +24,7 @@ from tests.support.simulators import (
 )
 
 from drivecal.adapters import children, keeper
+from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
 
@@ -78,14 +79,22 @@ def test_a_child_that_ignores_signals_ends(tmp_path: Path, mark: str) -> None:
         assert running(mark) == []
 
 
-def test_a_child_that_is_asked_to_end_may_clean_up(tmp_path: Path) -> None:
+def test_a_child_that_is_asked_to_end_may_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
     body = f"signal.signal(15, lambda *_: (open({str(out)!r}, 'w').write('cleaned'), os._exit(1)))\ntime.sleep(600)"
     with served(tmp_path, body, timeout=1.0) as session:
         lost(session, {"x": 1.0}, Breakdown.HANG)
     assert out.read_text() == "cleaned"
 
 
+@pytest.fixture
+def unconfined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Children may do what Linux permits without Landlock."""
+    monkeypatch.setenv(GRANTED, "/")
+
+
+@pytest.mark.usefixtures("unconfined")
 def test_a_child_that_kills_its_keeper_costs_its_run_only(tmp_path: Path, mark: str) -> None:
     spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
     with served(tmp_path, f"if x == 1.0:\n    {spawn}\n    os.kill(os.getppid(), 9)\n    time.sleep(600)") as session:
@@ -94,6 +103,7 @@ def test_a_child_that_kills_its_keeper_costs_its_run_only(tmp_path: Path, mark: 
     eventually(lambda: running(mark) == [])
 
 
+@pytest.mark.usefixtures("unconfined")
 def test_a_child_that_stops_its_keeper_costs_its_run_only(tmp_path: Path, mark: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(children, "REPLY_SECONDS", 5.0)
     spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"

@@ -9,6 +9,7 @@ import pytest
 from tests.support.simulators import DECLARED, eventually, lost, opened, running, scratch_of, write_script
 
 from drivecal.adapters.kinds import longest_seconds, simulator
+from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.errors import NotFoundError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import VERSIONS
@@ -32,8 +33,9 @@ def test_messages_show_paths_in_the_bundle_and_no_temporary_folders(tmp_path: Pa
         assert lost(session, {"x": 1}, Breakdown.CRASH).endswith("messages: .: mesh.dat part deep/mesh.dat")
 
 
-def test_a_command_reads_files_and_writes_one(tmp_path: Path) -> None:
+def test_a_command_reads_files_and_writes_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "seen"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
     write(tmp_path, f'cat "$1" "$2" >> {out}')
     with opened("command", tmp_path, command=COMMAND) as session:
         assert session.evaluate({"x": 4}).measures == {"y": 8.0}
@@ -78,7 +80,8 @@ def test_a_failure_needs_no_measures(tmp_path: Path) -> None:
     assert (outcome.failure, outcome.measures) == ("collision", {})
 
 
-def test_each_run_starts_in_an_empty_folder_with_links_to_the_bundle(tmp_path: Path) -> None:
+def test_each_run_starts_in_an_empty_folder_with_links_to_the_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(GRANTED, str(tmp_path))
     bundle = tmp_path / "bundle"
     bundle.mkdir()
     (bundle / "mesh").write_text("")

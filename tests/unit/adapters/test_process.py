@@ -11,7 +11,7 @@ import pytest
 from tests.support.simulators import DECLARED, PYTHON, eventually, lost, opened, scratch_of, served, write_script, write_server
 
 from drivecal.adapters import pipes, process
-from drivecal.adapters.scratch import environment
+from drivecal.adapters.scratch import GRANTED, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError
@@ -223,8 +223,9 @@ def test_closing_twice_and_after_faults_leaves_nothing(tmp_path: Path) -> None:
     assert {path.name for path in Path("/proc/self/fd").iterdir()} == before
 
 
-def test_a_process_may_end_by_itself(tmp_path: Path) -> None:
+def test_a_process_may_end_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
     with served(tmp_path, ending=f"open({str(out)!r}, 'w').write('saved')"):
         pass
     assert out.read_text() == "saved"

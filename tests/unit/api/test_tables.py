@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import pyarrow.parquet as pq
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.api.tables.files import download
-from drivecal.contracts.tables import Column, EvaluationRow, Kind, Solution, columns_of
+from drivecal.contracts.tables import Column, EvaluationRow, Kind, Solution, columns_of, spreadsheet_text
 
 COLUMNS = [
     Column("id", "integer"),
@@ -66,9 +67,21 @@ def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> 
     for line, row in zip(lines[1:], written, strict=True):
         assert line[0] == ("" if row["id"] is None else str(row["id"]))
         assert (float(line[1]) if line[1] else None) == row["score"]
-        assert line[2] == (row["name"] or "")
+        assert line[2] == spreadsheet_text(row["name"] or "")
         assert line[3] == {None: "", True: "true", False: "false"}[row["audited"]]
         assert (json.loads(line[4]) if line[4] else None) == row["effects"]
+
+
+@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1+1", "-x", "@SUM(A1)", "\t=1", "\r=1"])
+def test_a_text_that_a_spreadsheet_would_carry_out_begins_with_an_apostrophe(text: str) -> None:
+    row = {"id": 1, "score": -1.5, "name": text, "audited": None, "effects": None}
+    [_, line] = csv.reader(io.StringIO(content("csv", [[row]]).decode(), newline=""))
+    assert line[1:3] == ["-1.5", f"'{text}"]
+
+
+@pytest.mark.parametrize("text", ["-1.5", "+2", "x=1", "", "'=1"])
+def test_numbers_and_other_texts_are_written_as_they_are(text: str) -> None:
+    assert spreadsheet_text(text) == text
 
 
 def test_scores_have_whole_columns_on_whole_scales_only() -> None:

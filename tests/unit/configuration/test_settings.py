@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,62 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
 def test_a_config_file_that_is_wrong_is_refused_with_the_setting(content: bytes, message: str) -> None:
     Path("drivecal.toml").write_bytes(content)
     with pytest.raises(InvalidInputError, match=message):
+        load_settings()
+
+
+@pytest.mark.parametrize("file", ["drivecal.toml", ".drivecal/config.toml"])
+@pytest.mark.parametrize(
+    ("secret", "place"),
+    [("token", "url = 'http://elsewhere'"), ("database_password_file", "database_url = 'postgresql://me@elsewhere/drivecal'")],
+)
+def test_a_config_file_of_a_cloned_repository_gets_no_secret_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, secret: str, place: str
+) -> None:
+    (tmp_path / "secret").write_text("word")
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text(place)
+    name = place.partition(" ")[0]
+    value = str(tmp_path / "secret")
+    with monkeypatch.context() as patch:
+        patch.setenv(f"DRIVECAL_{secret.upper()}", value)
+        with pytest.raises(InvalidInputError, match=f"^{name}: .*DRIVECAL_{name.upper()}"):
+            load_settings()
+        patch.setenv(f"DRIVECAL_{name.upper()}", place.partition("'")[2].rstrip("'"))
+        assert "elsewhere" in getattr(load_settings(), name)
+    (tmp_path / file).write_text(f"{place}\n{secret} = '{value}'\n")
+    assert "elsewhere" in getattr(load_settings(), name)
+
+
+def test_a_secret_of_the_users_home_folder_goes_to_its_own_address_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.setenv("DRIVECAL_HOME", str(home))
+    (home / "config.toml").write_text("token = 'mine'\nurl = 'http://mine'\n")
+    assert load_settings().url == "http://mine"
+    Path("drivecal.toml").write_text("url = 'http://elsewhere'")
+    with pytest.raises(InvalidInputError, match=r"^url: "):
+        load_settings()
+    Path("drivecal.toml").write_text("url = 'http://elsewhere'\ntoken = 'theirs'")
+    assert (load_settings().url, load_settings().token) == ("http://elsewhere", "theirs")
+
+
+def test_a_config_file_that_others_could_have_written_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "drivecal.toml"
+    file.write_text("workers = 2")
+    file.chmod(0o666)
+    with pytest.raises(InvalidInputError, match="chmod"):
+        load_settings()
+    file.chmod(0o664)
+    assert load_settings().workers == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_config_file_of_another_user_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "drivecal.toml").write_text("workers = 2")
+    os.chown(tmp_path / "drivecal.toml", 12345, 12345)
+    with pytest.raises(InvalidInputError, match="another user"):
         load_settings()
 
 

@@ -27,6 +27,12 @@ MOST_PROCESSES = 256
 
 RLIMIT_NPROC is not used: it counts all processes of the user, so that others' processes would fail the child's, and it does not hold root.
 """
+MOST_DISK_MB = 16_384
+"""Limit of the files in a scratch folder. If less of the disk is free when the session opens, nine tenths of that."""
+MOST_FILES = 1_000_000
+"""Limit of the files and folders in a scratch folder."""
+NOTICED_MB, NOTICED_FILES = 64, 10_000
+"""Loss of the disk's free room after which the files in the scratch folder are counted."""
 LOOK_SECONDS = 1.0
 """Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
 REPLY_SECONDS = 30.0
@@ -35,16 +41,34 @@ REPLY_SECONDS = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """Command of a child, found beside the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits."""
+    """Command of a child, found beside the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits.
+
+    `writable`: folders outside of its scratch folder that it may change.
+    """
 
     command: Sequence[str]
     memory_mb: int
     environment: Sequence[str] = ()
+    writable: Sequence[str] = ()
 
     @classmethod
-    def of(cls, command: Sequence[str], section: Mapping[str, Any]) -> Launch:
+    def of(cls, command: Sequence[str], section: Mapping[str, Any], writable: Sequence[str] = ()) -> Launch:
         """Returns a launch with the settings of a manifest's section `simulator`."""
-        return cls(command, section["memory_mb"], section.get("environment") or ())
+        return cls(command, section["memory_mb"], section.get("environment") or (), writable)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Free megabytes and files of a disk."""
+
+    megabytes: int
+    files: int
+
+    @classmethod
+    def of(cls, folder: Path) -> Room:
+        """Returns what is free on a folder's disk."""
+        disk = os.statvfs(folder)
+        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +90,9 @@ class Children:
         self._pid: int | None = None
         self._family: tuple[int, ...] = ()
         self._next_look = 0.0
+        self._room = Room.of(scratch.folder)
+        self._most_disk_mb = min(MOST_DISK_MB, self._room.megabytes * 9 // 10)
+        self._overflows = False
         self._lost_seconds = self._ended_seconds = 0.0
         """CPU time of children of earlier keepers, and of ended children of this keeper."""
 
@@ -109,8 +136,13 @@ class Children:
             self._control.sendall(keeper.END)
         except OSError:
             self._lose()
-            return Ended(-signal.SIGKILL)
-        return self.ended()
+            ended = Ended(-signal.SIGKILL)
+        else:
+            ended = self.ended()
+        if self._overflows:
+            self._scratch.empty()
+            self._overflows = False
+        return ended
 
     def cpu_seconds(self) -> float:
         """Returns the CPU time of all children so far, the living included."""
@@ -136,9 +168,10 @@ class Children:
             self.look()
 
     def look(self) -> None:
-        """Looks for descendants. Raises NoMeasuresError if they take too much memory or are too many."""
+        """Looks for descendants and their files. Raises NoMeasuresError if these take too much memory or disk, or are too many."""
         if self._keeper is None:
             return
+        self._look_at_disk()
         start = time.monotonic()
         family = keeper.descendants(self._keeper)
         self._family = tuple(process.pid for process in family)
@@ -150,6 +183,18 @@ class Children:
         if resident > self._launch.memory_mb:
             detail = f"its processes take {resident:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
             raise NoMeasuresError(Breakdown.MEMORY, detail)
+
+    def _look_at_disk(self) -> None:
+        room = Room.of(self._scratch.folder)
+        if room.megabytes > self._room.megabytes - NOTICED_MB and room.files > self._room.files - NOTICED_FILES:
+            return
+        taken, files = self._scratch.written()
+        self._room = room
+        if taken >> 20 > self._most_disk_mb or files > MOST_FILES:
+            self._overflows = True
+            most = f"{self._most_disk_mb:,} MB or {MOST_FILES:,} files"
+            detail = f"its files take {taken >> 20:,} MB of disk ({files:,} files), more than {most}"
+            raise NoMeasuresError(Breakdown.ERROR, detail)
 
     def close(self) -> None:
         """Ends everything. Idempotent."""
@@ -169,6 +214,7 @@ class Children:
             "folder": str(self._scratch.work),
             "scratch": str(self._scratch.folder),
             "memory": self._launch.memory_mb << 20,
+            "confinement": self._scratch.confinement(self._launch.writable),
         }
         with theirs:
             subprocess.run(  # noqa: S603  # our own program, which goes on in another process

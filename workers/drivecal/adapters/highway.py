@@ -63,8 +63,17 @@ class HighwayAdapter:
         }
         file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
         file.write_text(json.dumps(settings, allow_nan=False))
-        launch = Launch.of([sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)], section)
+        command = [sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)]
+        launch = Launch.of(command, section, _compiled(os.environ.get("NUMBA_CACHE_DIR")))
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS
         return ProcessSession(
             launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
         )
+
+
+def _compiled(folder: str | None) -> list[str]:
+    """Returns the folders of numba's compiled kernels: numba neither stores nor loads them if it may not write there."""
+    if folder is not None:
+        return [folder]
+    highway = Path(__file__).parents[1] / "highway"
+    return [str(path) for path in (highway, *highway.rglob("*/")) if path.name == "__pycache__"]

@@ -4,8 +4,9 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library only. FD is a socket of messages (SOCK_SEQPACKET): the worker sends
-`s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see `Keeper`.
+Runs by path, `python -I -S keeper.py FD`, with the standard library and `confinement` only. FD is a socket of messages (SOCK_SEQPACKET):
+the worker sends `s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see
+`Keeper`.
 """
 
 import contextlib
@@ -23,6 +24,11 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+if __name__ == "__main__":  # isolated, without site-packages
+    sys.path.append(str(Path(__file__).parents[2]))
+
+from drivecal.adapters.confinement import confine, ruleset
+
 START, END = b"s", b"t"
 GRACE_SECONDS = 0.3
 """Time between SIGTERM and SIGKILL."""
@@ -30,6 +36,8 @@ SWEEP_SECONDS = 5.0
 """Time after which processes that cannot be killed are given up."""
 LARGEST_FILE = 4 << 30
 """Size limit of each file that a child writes, in bytes."""
+MOST_KILLABLE = "1000"
+"""The system ends children before workers, servers and databases if the machine's memory runs out."""
 IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """The keeper ends with its worker only."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
@@ -86,8 +94,10 @@ class Keeper:
     """
 
     def __init__(self, control: socket.socket, settings: dict[str, Any]) -> None:
-        """`settings`: `command`, `environment`, `folder` (working directory) and `memory` (bytes of data of each process)."""
+        """`settings`: `command`, `environment`, `folder` (working directory), `memory` (bytes of data of each process), and `confinement`:
+        the arguments of `ruleset`, or None."""
         self._control, self._settings = control, settings
+        self._rules = None if settings["confinement"] is None else ruleset(**settings["confinement"])
         self._library = ctypes.CDLL(None, use_errno=True)
         self._library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
         self._child: int | None = None
@@ -155,6 +165,8 @@ class Keeper:
         for number in IGNORED:
             signal.signal(number, signal.SIG_DFL)
         self._library.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+        with contextlib.suppress(OSError):
+            Path("/proc/self/oom_score_adj").write_text(MOST_KILLABLE)
         for limit, value in (
             (resource.RLIMIT_DATA, self._settings["memory"]),
             (resource.RLIMIT_CORE, 0),
@@ -163,6 +175,8 @@ class Keeper:
             hard = resource.getrlimit(limit)[1]
             value = value if hard == resource.RLIM_INFINITY else min(value, hard)
             resource.setrlimit(limit, (value, value))
+        if self._settings["confinement"] is not None:
+            confine(self._rules)
 
     def _notice(self) -> None:
         """Reaps orphans, and reports the child if it has ended."""

@@ -111,9 +111,10 @@ class Pipes:
         return bytes(self._received)
 
     def tail(self) -> str:
-        """Returns the last lines of standard error, for an error message."""
+        """Returns the last lines of standard error, printable, for an error message: control characters could steer a terminal."""
         lines = [line.strip() for line in self._tail.decode(errors="replace").splitlines() if line.strip()]
-        return " | ".join(lines[-3:])[-300:]
+        shown = " | ".join(lines[-3:])[-300:]
+        return "".join(character if character.isprintable() else "?" for character in shown)
 
     def stop(self, farewell: bytes = b"", seconds: float = 0.0) -> None:
         """Ends the child, at once or after it had some time to end by itself after a last line. Idempotent."""

@@ -2,14 +2,24 @@
 
 import os
 import re
+import sys
 import tempfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
+import drivecal
 from drivecal.adapters.keeper import remove
+
+GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
+"""Environment variable: folders, separated by colons, that simulators may change besides their scratch folder. `/`: no confinement."""
+_SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH_TOKEN_PATH")
+"""Variables that name files with secrets."""
 
 _INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|PYTHONHASHSEED|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
+_REFUSALS = ("ermission denied", "EACCES")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """A worker is one of several on its machine, so that a simulator gets one thread if nothing else is set."""
 
@@ -35,10 +45,60 @@ class Scratch:
         for path in self._bundle.iterdir():
             (self.work / path.name).symlink_to(path)
 
+    def empty(self) -> None:
+        """Empties the working directory and the folder of temporary files."""
+        self.renew()
+        discard(self.home)
+        self.home.mkdir()
+
+    def written(self) -> tuple[int, int]:
+        """Returns how many bytes of disk all files take, and how many files and folders there are."""
+        taken = entries = 0
+        folders = [str(self.folder)]
+        while folders:
+            try:
+                with os.scandir(folders.pop()) as listed:
+                    for entry in listed:
+                        entries += 1
+                        if entry.is_dir(follow_symlinks=False):
+                            folders.append(entry.path)
+                        else:
+                            taken += entry.stat(follow_symlinks=False).st_blocks * 512
+            except OSError:  # removed meanwhile, or made unreadable
+                continue
+        return taken, entries
+
+    def confinement(self, writable: Collection[str] = ()) -> dict[str, Any] | None:
+        """Returns what the keeper's `ruleset` takes; None if the machine's owner wants no confinement. `writable`: further folders."""
+        granted = [path for path in os.environ.get(GRANTED, "").split(":") if path]
+        if "/" in granted:
+            return None
+        installed = (sys.prefix, sys.base_prefix, *(str(Path(root).parent) for root in drivecal.__path__))
+        return {
+            "writable": [str(self.folder), *granted, *writable],
+            "readable": [str(self._bundle), *installed],
+            "hidden": [str(path.expanduser().absolute()) for path in self._hidden()],
+        }
+
+    def _hidden(self) -> list[Path]:
+        """Files and folders with secrets of the server and of other users' problems."""
+        paths = [Path(os.environ.get("DRIVECAL_HOME") or ".drivecal"), Path("drivecal.toml"), Path("~/.ray/auth_token")]
+        paths.extend(Path(os.environ[name]) for name in _SECRETS if os.environ.get(name))
+        scheme, _, file = os.environ.get("DRIVECAL_DATABASE_URL", "").partition(":///")
+        if scheme.startswith("sqlite") and file:
+            paths.extend(Path(file + ending) for ending in ("", "-wal", "-shm"))
+        if _DIGEST.fullmatch(self._bundle.name):
+            paths.append(self._bundle.parent)  # the cache, with others' bundles
+        return paths
+
     def shown(self, text: str) -> str:
         """Returns a message for people, whose paths begin in the bundle and not in temporary folders."""
         for folder in (self.work, self.home, self.folder, self._bundle):
             text = text.replace(f"{folder}/", "").replace(str(folder), ".")
+        if any(refusal in text for refusal in _REFUSALS):
+            text += (
+                f"; it may change files below its working directory and $TMPDIR, and in the folders of {GRANTED} on the worker"
+            )
         return text
 
     def remove(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fastapi.responses import StreamingResponse
 
 from drivecal.api.http.queries import PARQUET
-from drivecal.contracts.tables import Column
+from drivecal.contracts.tables import Column, spreadsheet_text
 
 Row = Mapping[str, Any]
 
@@ -25,7 +25,10 @@ def download(
 
 
 def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip."""
+    """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip.
+
+    Texts that a spreadsheet would carry out as a formula begin with an apostrophe.
+    """
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow([column.name for column in columns])
@@ -42,7 +45,7 @@ def _plain(value: object) -> object:
         return "true" if value else "false"
     if isinstance(value, list):
         return json.dumps(value)
-    return value
+    return spreadsheet_text(value) if isinstance(value, str) else value
 
 
 def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:

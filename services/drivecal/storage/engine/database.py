@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -41,11 +43,36 @@ PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
 """Limits for requests, for which a client waits."""
 
 
+class Turns:
+    """Turns of the threads that write to a SQLite file.
+
+    SQLite itself lets writers try again after growing pauses, so that one of many may try in vain until its time is up.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def take(self) -> Iterator[float]:
+        """Yields how many seconds are left for the lock of other processes. Raises UnavailableError if the others take too long."""
+        deadline = time.monotonic() + self._seconds
+        if not self._lock.acquire(timeout=self._seconds):
+            raise UnavailableError("the database is busy with other changes; try again")
+        try:
+            yield max(deadline - time.monotonic(), 0.0)
+        finally:
+            self._lock.release()
+
+
 class Database:
     """An open database. Threads share it; processes each open their own. Functions of the other modules take its connections."""
 
-    def __init__(self, url: URL, engine: Engine, fence: Callable[[Connection], None] | None = None) -> None:
+    def __init__(
+        self, url: URL, engine: Engine, fence: Callable[[Connection], None] | None = None, turns: Turns | None = None
+    ) -> None:
         self.url = url
+        self._turns = turns
         self.name = urls.shown(url)
         """The URL in messages, without the password."""
         self._engine = engine
@@ -58,14 +85,15 @@ class Database:
         if parsed.get_backend_name() == "sqlite" and sqlite3.sqlite_version_info < OLDEST_SQLITE:
             needed = ".".join(map(str, OLDEST_SQLITE))
             raise DatabaseError(f"SQLite {sqlite3.sqlite_version} is too old; drivecal needs {needed} or PostgreSQL")
-        return cls(parsed, make_engine(parsed, patience))
+        turns = Turns(patience.lock) if parsed.get_backend_name() == "sqlite" else None
+        return cls(parsed, make_engine(parsed, patience), turns=turns)
 
     def fenced(self, fence: Callable[[Connection], None]) -> Database:
         """Returns the same database for a process that may lose the right to write.
 
         Every transaction begins with `fence`, which raises once the right is lost.
         """
-        return Database(self.url, self._engine, fence)
+        return Database(self.url, self._engine, fence, self._turns)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -80,11 +108,12 @@ class Database:
     def transaction(self) -> Iterator[Connection]:
         """Yields a connection whose writes are committed together at the end, or not at all if the body raises.
 
-        On SQLite it has the write lock from its start. After UnavailableError the writes may have been committed all the same (the
-        answer to the commit may be what got lost): read again before writing once more.
+        On SQLite it has the write lock from its start, and threads of this process get it one after the other. After UnavailableError
+        the writes may have been committed all the same (the answer to the commit may be what got lost): read again before writing
+        once more.
         """
-        with translated(self.name), self._engine.connect() as connection:
-            connection = connection.execution_options(drivecal_writes=True)
+        with translated(self.name), self._turn() as left, self._engine.connect() as connection:
+            connection = connection.execution_options(drivecal_writes=True, drivecal_seconds=left)
             with connection.begin():
                 if self._fence is not None:
                     self._fence(connection)
@@ -115,6 +144,9 @@ class Database:
         """Closes the pool's connections."""
         self._engine.dispose()
 
+    def _turn(self) -> AbstractContextManager[float]:
+        return nullcontext(0.0) if self._turns is None else self._turns.take()
+
     @contextmanager
     def _plain_errors(self) -> Iterator[None]:
         try:
@@ -143,7 +175,7 @@ def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
     )
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", _prepare_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
+        event.listen(engine, "begin", partial(_begin_sqlite, patience.lock))
         return engine
     if patience.watched:
         watch = ServerLiveness(urls.shown(url))
@@ -161,9 +193,14 @@ def _prepare_sqlite(connection: Any, _record: Any) -> None:
         connection.execute(f"PRAGMA {pragma}")
 
 
-def _begin_sqlite(connection: Connection) -> None:
-    """Begins a transaction; writers take the lock at once: two readers that both write later would end in a deadlock."""
-    writes = connection.get_execution_options().get("drivecal_writes", False)
+def _begin_sqlite(seconds: float, connection: Connection) -> None:
+    """Begins a transaction; writers take the lock at once: two readers that both write later would end in a deadlock.
+
+    `seconds`: longest wait for a lock, unless the connection has another.
+    """
+    options = connection.get_execution_options()
+    writes = options.get("drivecal_writes", False)
+    connection.exec_driver_sql(f"PRAGMA busy_timeout = {round(1000 * options.get('drivecal_seconds', seconds))}")
     connection.exec_driver_sql(f"PRAGMA query_only = {'OFF' if writes else 'ON'}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 

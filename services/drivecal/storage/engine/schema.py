@@ -35,18 +35,20 @@ def refuse_missing(url: URL) -> None:
 
 
 def prepare_file(url: URL) -> None:
-    """Creates the folder of an SQLite database. Raises DatabaseError if that or writing in it is not possible."""
+    """Creates a new SQLite database and its folder, for this user alone. Raises DatabaseError if that or writing there is not possible."""
     file = sqlite_file(url)
     if file is None:
         return
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError as error:
         raise DatabaseError(f"the folder {file.parent} cannot be created: {error.strerror}; name another file") from error
     if file.exists():
         refuse_missing(url)
     elif not os.access(file.parent, os.W_OK):
         raise DatabaseError(f"{file.parent} is not writable; give the user that runs drivecal the right to write there")
+    else:
+        file.touch(mode=0o600)  # SQLite gives the files beside it the same mode
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:

@@ -55,17 +55,3 @@ export function downloadPng(name: string, drawing: SVGSVGElement): void {
   };
   image.src = address;
 }
-
-/** The numbers beside a drawing. */
-export interface Sheet {
-  head: readonly string[];
-  rows: readonly (readonly (string | number | null)[])[];
-}
-
-export function csvOf(sheet: Sheet): string {
-  const field = (value: string | number | null): string => {
-    const text = value === null ? "" : String(value);
-    return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
-  };
-  return [sheet.head, ...sheet.rows].map((row) => row.map(field).join(",")).join("\n") + "\n";
-}

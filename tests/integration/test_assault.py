@@ -1,0 +1,127 @@
+"""What a web page, another user, a cloned repository and a crowd of connections try against a server as a user starts it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import psutil
+import pytest
+from tests.support.serve import Server, environment, serving
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from websockets.typing import Origin
+
+from drivecal.client import Client
+
+pytestmark = pytest.mark.slow
+NAMES = {
+    "formula": '=HYPERLINK("http://elsewhere","x")',
+    "script": "<script>alert(1)</script><img src=x onerror=alert(1)>",
+    "direction": "abc\u202egnp.exe\u2066",
+    "terminal": "\x9b2J\x9b31m",
+}
+SPEC = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 1}, "catalogue": ["S1"]}
+CROWD = 300
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A server of a user whose files everybody may write by default."""
+    folder, before = tmp_path_factory.mktemp("assault"), os.umask(0)
+    (folder / "temporary").mkdir()
+    try:
+        with serving(folder, DRIVECAL_BACKEND="processes", TMPDIR=str(folder / "temporary")) as started:
+            yield started
+    finally:
+        os.umask(before)
+
+
+@pytest.mark.parametrize(
+    "content_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data; boundary=x", None]
+)
+def test_a_simple_post_of_a_foreign_page_stores_nothing(server: Server, content_type: str | None) -> None:
+    headers = {"Origin": "https://elsewhere.example"} | ({} if content_type is None else {"Content-Type": content_type})
+    response = httpx.post(f"{server.url}/api/v1/campaigns", content=b'{"name": "foreign"}', headers=headers)
+    assert response.status_code == 403
+    assert not [name for name in response.headers if name.startswith("access-control")]
+    assert httpx.get(f"{server.url}/api/v1/campaigns").json()["items"] == []
+
+
+def test_a_name_that_was_bent_to_loopback_gets_nothing(server: Server) -> None:
+    assert httpx.get(f"{server.url}/api/v1/campaigns", headers={"Host": "elsewhere.example"}).status_code == 421
+
+
+def test_a_foreign_page_gets_no_live_connection(server: Server) -> None:
+    address = f"{server.url.replace('http', 'ws')}/api/v1/live"
+    with pytest.raises((WebSocketException, OSError)), connect(address, origin=Origin("https://elsewhere.example")):
+        pass
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, name: str) -> None:
+    with Client(server.url) as client:
+        posted = httpx.post(f"{server.url}/api/v1/campaigns", json=SPEC | {"name": NAMES[name]}, timeout=60)
+        assert posted.status_code == 202
+        shown = client.campaign(posted.json()["id"]).name
+        assert not any(0x7F <= ord(character) < 0xA0 or character in "\u202e\u2066" for character in shown)
+        client.act(posted.json()["id"], "cancel")
+
+
+def test_a_name_of_ten_thousand_letters_is_refused(server: Server) -> None:
+    assert httpx.post(f"{server.url}/api/v1/campaigns", json=SPEC | {"name": "x" * 10_000}).status_code == 422
+
+
+def test_other_users_may_write_to_no_file_and_read_no_secret(server: Server) -> None:
+    home = server.folder / "home"
+    for path in (home, *home.rglob("*"), *(server.folder / "temporary").glob("drivecal-*")):
+        mode = stat.S_IMODE(path.stat().st_mode)
+        assert not mode & (stat.S_IWOTH | stat.S_IWGRP), (path, oct(mode))
+    assert stat.S_IMODE(home.stat().st_mode) == 0o700
+    assert {path.name for path in home.iterdir() if stat.S_IMODE(path.stat().st_mode) & 0o077 and path.is_file()} == set()
+
+
+def test_nothing_listens_on_another_address_than_loopback(server: Server) -> None:
+    for process in (server.process.pid, *(child.pid for child in server.family())):
+        for connection in psutil.Process(process).net_connections("inet"):
+            assert connection.laddr.ip in {"127.0.0.1", "::1"}, connection
+
+
+def test_hundreds_of_half_open_connections_leave_the_server_to_others(server: Server) -> None:
+    """Some send half a head, the others nothing."""
+    address = urlsplit(server.url)
+    starts = [b"", *(f"{method} /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nAccep".encode() for method in ("POST", "GET"))]
+    crowd = []
+    try:
+        for number in range(CROWD):
+            connection = socket.create_connection((str(address.hostname), int(address.port or 80)), timeout=10)
+            connection.sendall(starts[number % len(starts)])
+            crowd.append(connection)
+        assert server.alive()
+        with Client(server.url) as client:
+            assert client.campaigns(limit=1) is not None
+    finally:
+        for connection in crowd:
+            connection.close()
+
+
+def test_a_cloned_repository_sends_no_token_anywhere(tmp_path: Path) -> None:
+    """The address of its file gets no connection at all."""
+    with socket.create_server(("127.0.0.1", 0)) as elsewhere:
+        elsewhere.settimeout(0.2)
+        port = elsewhere.getsockname()[1]
+        (tmp_path / "drivecal.toml").write_text(f"url = 'http://127.0.0.1:{port}'\n")
+        given = environment(tmp_path) | {"DRIVECAL_TOKEN": "a-token-of-the-user-0123456789"}
+        command = [sys.executable, "-m", "drivecal.cli", "list"]
+        ended = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True, text=True, check=False, timeout=120)
+        assert ended.returncode == 2
+        assert "DRIVECAL_URL" in ended.stderr
+        with pytest.raises(TimeoutError):
+            elsewhere.accept()

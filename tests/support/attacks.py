@@ -1,0 +1,161 @@
+"""A user's simulator that attacks its neighbours, copied into a bundle by tests. Bounded, in case that nothing holds it."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import mmap
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Data = Mapping[str, Any]
+SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(600)"]
+
+
+def fork_bomb(_data: Data) -> None:
+    for _ in range(9):  # 512 processes
+        if os.fork() == 0:
+            os.setsid()
+    time.sleep(600)
+
+
+def daemon(data: Data) -> None:
+    subprocess.run(
+        [sys.executable, "-S", "-c", f"import os, subprocess; os.setsid(); subprocess.Popen({[*SLEEPER, data['mark']]!r})"],
+        check=True,
+    )
+
+
+def memory_of_one(_data: Data) -> None:
+    hold = [bytearray(50 << 20) for _ in range(40)]
+    time.sleep(len(hold) * 600)
+
+
+def memory_of_many(_data: Data) -> None:
+    for _ in range(3):
+        if os.fork() == 0:
+            break
+    hold = bytearray(b"1") * (150 << 20)
+    time.sleep(len(hold))
+
+
+def memory_that_is_shared(_data: Data) -> None:
+    hold = mmap.mmap(-1, 600 << 20)
+    for _ in range(30):
+        hold.write(bytes(20 << 20))
+    time.sleep(600)
+
+
+def hang(_data: Data) -> None:
+    for number in set(signal.Signals) - {signal.SIGKILL, signal.SIGSTOP}:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, set(signal.Signals))
+    time.sleep(600)
+
+
+def flood(_data: Data) -> None:
+    for _ in range(2000):
+        os.write(1, b"out" * 10_000)
+        os.write(2, b"\x1b]0;owned\x07\x9b31m" * 3000)
+    time.sleep(600)
+
+
+def answers_for_others(_data: Data) -> None:
+    for descriptor in range(3, 64):
+        for number in range(100):
+            try:
+                os.write(descriptor, b'{"id": %d, "measures": {"y": -1.0}}\n' % number)
+            except OSError:
+                break
+    time.sleep(0.2)
+
+
+def null_pointer(_data: Data) -> None:
+    ctypes.string_at(0)
+
+
+def leaves_at_once(_data: Data) -> None:
+    os._exit(0)
+
+
+def ends_with_a_crash(_data: Data) -> None:
+    atexit.register(lambda: ctypes.string_at(0))
+
+
+class _Crashing:
+    def __del__(self) -> None:
+        ctypes.string_at(0)
+
+
+def crashes_when_collected(_data: Data) -> None:
+    sys.modules["kept"] = _Crashing()  # type: ignore[assignment]
+
+
+class _Unprintable(BaseException):
+    def __str__(self) -> str:
+        raise ValueError
+
+    __repr__ = __str__
+
+
+def unprintable_error(_data: Data) -> None:
+    raise _Unprintable
+
+
+def overwrites_the_database(data: Data) -> None:
+    with Path(data["home"], "drivecal.db").open("r+b") as file:
+        file.write(bytes(4096))
+
+
+def reads_the_secret(data: Data) -> None:
+    raise RuntimeError(Path(data["home"], "push.secret").read_text())
+
+
+def reads_the_environment(data: Data) -> None:
+    raise RuntimeError(Path(f"/proc/{data['server']}/environ").read_text())
+
+
+def writes_to_the_cache(data: Data) -> None:
+    Path(data["cache"], "0" * 64).mkdir()
+
+
+def kills_the_server(data: Data) -> None:
+    os.kill(data["server"], signal.SIGTERM)
+
+
+def kills_everything(_data: Data) -> None:
+    os.kill(-1, signal.SIGCONT)  # as harmless as a signal can be; a confined process reaches itself only
+    os.kill(os.getppid(), signal.SIGCONT)
+
+
+def pushes_a_problem(data: Data) -> None:
+    request = urllib.request.Request(f"{data['url']}/api/v1/problems", b"PK", {"Content-Type": "application/zip"})
+    urllib.request.urlopen(request, timeout=5)
+
+
+def listens(data: Data) -> None:
+    server = socket.socket()
+    server.bind(("127.0.0.1", data["port"]))
+    server.listen()
+    subprocess.Popen([*SLEEPER, data["mark"]], pass_fds=[server.fileno()])
+
+
+ATTACKS: dict[str, Callable[[Data], None]] = {
+    name: value for name, value in list(globals().items()) if name.islower() and getattr(value, "__module__", "") == __name__
+}
+
+
+def evaluate(parameters: Mapping[str, Any], data: Data) -> dict[str, float]:
+    """Attacks and answers 1, or answers 0 at once."""
+    if parameters["attack"] == "none":
+        return {"y": 0.0}
+    ATTACKS[parameters["attack"]](data)
+    return {"y": 1.0}

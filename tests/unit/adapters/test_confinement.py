@@ -1,0 +1,186 @@
+"""What a simulator cannot do to its neighbours where the kernel has Landlock, and what it may do all the same."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from tests.support.simulators import lost, opened, scratch_of, served, write_server
+
+from drivecal.adapters import children, confinement, keeper
+from drivecal.adapters.scratch import GRANTED
+from drivecal.domain.evaluations import Breakdown
+from drivecal.plugins.simulators import Declared
+
+landlock = pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+
+FORBIDDEN = {
+    "create": "open('{outside}/new', 'w')",
+    "overwrite": "open('{outside}/file', 'w')",
+    "append": "open('{outside}/file', 'a')",
+    "remove": "os.remove('{outside}/file')",
+    "rename": "os.rename('{outside}/file', '{outside}/other')",
+    "take": "os.rename('{outside}/file', 'taken')",
+    "folder": "os.mkdir('{outside}/deep')",
+    "link": "os.symlink('/', '{outside}/link')",
+    "hard_link": "os.link('{outside}/file', 'hard')",
+    "socket": "socket.socket(socket.AF_UNIX).bind('{outside}/socket')",
+    "bundle": "open('deep/data', 'w')",
+    "beside": "open(os.path.join(os.path.dirname(os.path.dirname(os.getcwd())), 'drivecal-run-x'), 'w')",
+    "secret": "open('{home}/push.secret').read()",
+    "database": "open('{home}/drivecal.db', 'rb').read(1)",
+    "secret_by_link": "(os.symlink('{home}', 'way'), open('way/push.secret').read())",
+    "secret_by_root": "open('/proc/self/root{home}/push.secret').read()",
+    "tokens": "open('{outside}/tokens').read()",
+    "environment": "open('/proc/%d/environ' % os.getppid(), 'rb').read()",
+    "memory": "open('/proc/%d/mem' % os.getppid(), 'rb').read(0)",
+    "debug": "check(ctypes.CDLL(None, use_errno=True).ptrace(16, os.getppid(), 0, 0) == 0)",  # PTRACE_ATTACH
+    "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",
+}
+LATER = {"truncate": "os.truncate('{outside}/file', 0)"}
+SIGNALS = {"signal": "os.kill(os.getppid(), 0)", "signal_worker": "os.kill({worker}, 0)"}
+ALLOWED = {
+    "work": "open('file', 'w').write('1')",
+    "temporary": "__import__('tempfile').TemporaryFile().write(b'1')",
+    "move": "(os.mkdir('sub'), open('moved', 'w'), os.rename('moved', 'sub/moved'))",
+    "device": "open('/dev/null', 'w').write('1')",
+    "semaphore": "__import__('multiprocessing').Lock()",
+    "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
+    "program": "check(subprocess.run(['sh', '-c', 'echo x > file2; kill $$']).returncode == -15)",
+    "system": "open('/etc/passwd').read()",
+    "module": "__import__('decimal')",
+    "bundle_file": "open('deep/data').read()",
+    "listen": "(s := socket.socket(), s.bind(('127.0.0.1', 0)), s.listen())",
+    "standard_error": "check(os.system('echo message > /dev/stderr') == 0)",
+}
+
+
+def attempts(codes: dict[str, str], **places: object) -> str:
+    """Returns a body that tries each code and answers 1 for each that works."""
+    filled = {name: code.format(**places) for name, code in codes.items()}
+    return f"""
+import ctypes, socket
+def check(condition):
+    if not condition: raise OSError
+worked = {{}}
+for name, code in {filled!r}.items():
+    try:
+        eval(code)
+    except OSError:
+        worked[name] = 0.0
+    else:
+        worked[name] = 1.0
+answer(id=request["id"], measures=worked)
+continue
+"""
+
+
+@landlock
+def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bundle, outside, home = tmp_path / "bundle", tmp_path / "outside", tmp_path / "home"
+    for folder in (bundle / "deep", outside, home):
+        folder.mkdir(parents=True)
+    for path in (bundle / "deep" / "data", outside / "file", home / "push.secret", home / "drivecal.db", outside / "tokens"):
+        path.write_text("content")
+    monkeypatch.setenv("DRIVECAL_HOME", str(home))
+    monkeypatch.setenv("DRIVECAL_TOKENS_FILE", str(outside / "tokens"))
+    forbidden = dict(FORBIDDEN)
+    if confinement.version() >= confinement.TRUNCATION_SINCE:
+        forbidden |= LATER
+    if confinement.version() >= confinement.SIGNALS_SINCE:
+        forbidden |= SIGNALS
+    codes = forbidden | ALLOWED
+    command = write_server(bundle, attempts(codes, outside=outside, home=home, worker=os.getpid()))
+    before = sorted(tmp_path.rglob("*"))
+    with opened("process", bundle, Declared("trial", tuple(codes)), command=command) as session:
+        worked = session.evaluate({"x": 1.0}).measures
+    assert {name for name, success in worked.items() if success} == set(ALLOWED)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (outside / "file").read_text() == "content"
+
+
+@landlock
+def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
+    own, other = tmp_path / ("a" * 64), tmp_path / ("b" * 64)
+    for folder in (own, other):
+        folder.mkdir()
+        (folder / "data").write_text("content")
+    codes = {"own": f"open({str(own / 'data')!r}).read()", "other": f"open({str(other / 'data')!r}).read()"}
+    command = write_server(own, attempts(codes))
+    with opened("process", own, Declared("trial", tuple(codes)), command=command) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"own": 1.0, "other": 0.0}
+
+
+@landlock
+def test_a_refusal_names_the_folders_that_may_be_changed_and_the_owner_can_grant_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    body = f"open({str(tools / 'cache')!r}, 'w').write('1')"
+    with served(tmp_path, body) as session:
+        assert GRANTED in lost(session, {"x": 1.0}, Breakdown.CRASH)
+    monkeypatch.setenv(GRANTED, f"/nowhere:{tools}")
+    with served(tmp_path, body) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
+    assert (tools / "cache").read_text() == "1"
+
+
+def test_a_machine_whose_owner_wants_no_confinement_has_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(GRANTED, "/")
+    with served(tmp_path, f"open({str(tmp_path / 'out')!r}, 'w').write('1')") as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
+
+
+@pytest.mark.parametrize("most", [{"MOST_DISK_MB": 100}, {"MOST_FILES": 50}])
+def test_files_that_fill_the_disk_cost_their_run_and_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: dict[str, int]
+) -> None:
+    """The disk loses its room to files of others, too, so that only what the session wrote counts."""
+    for name, limit in (most | {"NOTICED_MB": 50, "NOTICED_FILES": 20, "LOOK_SECONDS": 0.1}).items():
+        monkeypatch.setattr(children, name, limit)
+    size = 2_000_000 if "MOST_DISK_MB" in most else 1
+    fill = f"[open(os.path.join(os.environ['TMPDIR'], 'f%d' % n), 'wb').write(bytes({size})) for n in range(100)]"
+    with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
+        assert "of disk" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+        assert sum(1 for _ in scratch_of(session).home.rglob("*")) == 0
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_child_is_the_first_that_a_machine_without_memory_kills(tmp_path: Path) -> None:
+    with served(tmp_path, "x = float(open('/proc/self/oom_score_adj').read())") as session:
+        assert session.evaluate({"x": 0.0}).measures == {"y": 2.0 * int(keeper.MOST_KILLABLE)}
+
+
+def test_a_child_gains_no_privileges(tmp_path: Path) -> None:
+    with served(tmp_path, "x = float('NoNewPrivs:\\t1' in open('/proc/self/status').read())") as session:
+        assert session.evaluate({"x": 0.0}).measures == {"y": 2.0}
+
+
+def test_a_kernel_without_landlock_confines_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(confinement, "version", lambda: 0)
+    assert confinement.ruleset([str(tmp_path)]) is None
+
+
+@landlock
+@pytest.mark.parametrize("known", range(1, 8))
+def test_rules_suit_every_version_of_landlock(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, known: int) -> None:
+    """A kernel takes the rules of all versions before its own."""
+    if known > confinement.version():
+        pytest.skip("this kernel is older")
+    monkeypatch.setattr(confinement, "version", lambda: known)
+    rules = confinement.ruleset([str(tmp_path)], [], [str(tmp_path / "hidden")])
+    assert rules is not None
+    os.close(rules)
+
+
+@landlock
+def test_too_many_neighbours_of_a_hidden_file_leave_it_readable(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(confinement, "MOST_RULES", 1)
+    assert confinement._beside({str(tmp_path / "hidden")}) == []
+    monkeypatch.undo()
+    (tmp_path / "beside").write_text("")
+    beside = confinement._beside({str(tmp_path / "hidden")})
+    assert str(tmp_path / "beside") in beside
+    assert not any(tmp_path.is_relative_to(path) for path in beside)
