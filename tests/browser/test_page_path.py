@@ -10,6 +10,8 @@ from tests.browser.conftest import Opening, barriers
 from tests.support.serve import serving
 from tests.support.server import free_port
 
+from drivecal.client import Client
+
 
 def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, opening: Opening) -> None:
     port = free_port()
@@ -72,3 +74,29 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
             page.get_by_role("link", name="CSV").click()
         assert table.value.path().read_text().startswith("id,stage,iteration,individual,scenario,P1")
         assert page.evaluate("window.neverReloaded")
+
+        campaign = searched_for_two(f"http://127.0.0.1:{port}")
+        page.goto(f"http://127.0.0.1:{port}/#/campaigns/{campaign}/front?row=2&with=1")
+        page.get_by_role("button", name="Replay in S3").click()
+        expect(page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_have_count(2)
+        both = page.get_by_role("group", name="Both in S3")
+        both.get_by_role("slider", name="Moment").fill("2")
+        expect(both.get_by_role("img", name=re.compile("Top view of the road at 2 s"))).to_have_count(2)
+        for name in ("Set 1", "Set 2"):
+            expect(both.get_by_role("table", name="Measures of both")).to_contain_text(name)
+        assert barriers(page) == []
+
+
+def searched_for_two(url: str) -> str:
+    """The id of a small search for comfort and little jerk that has ended."""
+    spec = {
+        "catalogue": ["S3"],
+        "objectives": [{"score": "comfort"}, {"measure": "peak_lateral_jerk_mps3", "direction": "minimise", "failed": 20.0}],
+        "optimizer": {"kind": "nsga2", "population": 8, "iterations": 2, "seed": 3},
+        "sensitivity": None,
+        "reduction": {"mode": "exact"},
+    }
+    with Client(url) as client:
+        campaign = client.wait(client.submit(spec).id)
+        assert len(client.front(campaign.id)) > 1
+        return campaign.id

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import campaigns
 
+MAPPINGS = {"objectives", "scores", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
 
 
@@ -38,7 +39,7 @@ class Ended:
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
         changes: list[dict[str, Any]] = [
-            {},
+            {"baseline": {f"P{i}": 0.5 for i in range(1, 12)}},
             {"optimizer": NSGA2 | {"seed": 9}},
             {"objectives": None, "optimizer": SMALL["optimizer"]},
         ]
@@ -147,9 +148,52 @@ def test_files_hold_the_same_rows(ended: Ended) -> None:
     assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
     assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]
     assert "weights" not in listed[0]
-    assert {name for name in FrontRow.model_fields if name not in {"objectives", "scores", "parameters", "weights"}} <= listed[
-        0
-    ].keys()
+    assert {name for name in FrontRow.model_fields if name not in MAPPINGS} <= listed[0].keys()
+    assert [row["answer_S1"] for row in listed] == [row.answers["S1"] for row in rows]
+
+
+def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
+    query = f"/api/v1/campaigns/{ended.first}/front/evaluated"
+    listed = ended.api.http.get(query, params={"limit": 1000}).json()["items"]
+    with Client(ended.api.url) as client:
+        summary, rows = client.front_summary(ended.first), client.front(ended.first)
+    assert len(listed) == summary.evaluated
+    front = [each["objectives"] for each in listed if each["on_front"]]
+    assert len(front) == sum(row.alternatives for row in rows)
+    assert all(row.objectives in front for row in rows)
+    exported = ended.api.http.get(query, params={"format": "csv", "where": "on_front=true"}).text
+    assert len(list(csv.DictReader(io.StringIO(exported)))) == len(front)
+    with_others = ended.api.http.get(query, params={"limit": 1000, "everything": "true"}).json()["items"]
+    assert len(with_others) > len(listed)
+
+
+def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        baseline, own = client.front_summary(ended.first).baseline, client.campaign(ended.first).baseline
+        listed = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front/evaluated", params={"limit": 1000}).json()["items"]
+        assert client.front_summary(ended.plain).baseline is None
+    assert baseline is not None
+    assert own is not None
+    assert baseline.objectives["comfort"] == own.objective
+    [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]
+    assert (first["objectives"], first["on_front"]) == (baseline.objectives, baseline.rank is not None)
+
+
+def test_rows_say_how_each_scenario_was_answered(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        rows = client.front(ended.first)
+        evaluations = list(client.rows(ended.first, "evaluations"))
+        whole = client.front(ended.second, everything=True)
+
+    def place(values: Mapping[str, Any]) -> tuple[Any, ...]:
+        return tuple(values[f"P{i}"] for i in range(1, 12))
+
+    asked = {(place(each), each["scenario"]): each["outcome"] for each in reversed(evaluations)}
+    for row in rows:
+        assert row.answers == {name: asked[place(row.parameters), name] for name in row.scores}
+    others = [row for row in whole if row.iteration is None]
+    assert others
+    assert all(set(row.answers.values()) == {"stored"} for row in others)
 
 
 @pytest.mark.parametrize("weights", ["comfort=-1", "gap=1", f"comfort=0,{JERK}=0", "comfort"])
@@ -173,6 +217,9 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     )
     assert written.exit_code == 0, written.stderr
     assert target.stat().st_size > 0
+    whole = command("export", ended.first, "--table", "front", "--everything", "--json", "--url", ended.api.url)
+    assert json.loads(whole.stdout) == rows_of(ended, ended.first, everything="true", limit=1000)
+    assert command("export", ended.first, "--everything", "--url", ended.api.url).exit_code == 2
 
 
 def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: Ended) -> None:

@@ -14,7 +14,7 @@ from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import front_of
+from drivecal.campaigns.results.front import answers_of, front_of
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import results, studies
@@ -114,7 +114,10 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     ended = run(database, submit(database, stored_map=stored_map, **spec), backend())
     assert ended.cells.reused > 0
     assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
-    assert not any(member.solution.reused for member in ranking_of(database, ended).front())
+    front = ranking_of(database, ended).front()
+    assert not any(member.solution.reused for member in front)
+    answers = answers_of(database, ended, [member.solution for member in front])
+    assert "confirmed" in {answer for each in answers.values() for answer in each.values()}
 
 
 def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:
@@ -151,7 +154,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     examined = [item["parameters"] for item in study["items"]]
     assert len(examined) == len(front) > 1
     assert all(each.floats in examined for each in sets.values())
-    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)), None).rows
+    rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)))
     assert [row.degree for row in rows].count(None) == 0
 
 

@@ -14,7 +14,7 @@ from drivecal.plugins.ports import Floats
 MOST_EXACT = 3
 """Objectives up to which hypervolumes and winning weights are computed."""
 MOST_WINNING = 1_000
-"""Sets of a front up to which winning weights are computed: the work grows with its square."""
+"""Sets of a front of three objectives up to which winning weights are computed: a thousand take seconds."""
 FLAT = 1e-9
 """Smallest distance beyond the plane through the extremes that makes a knee, in shares of the front's ranges."""
 
@@ -149,12 +149,26 @@ def winning_weights(points: Floats) -> list[WinningWeights] | None:
     """Returns where each point of a front wins: an interval for two objectives, a polygon for three, empty for one that never wins.
 
     Exact, by cutting the simplex of all weights with the half plane of each other point. Points win together where they are equal. None
-    for more than MOST_EXACT objectives or MOST_WINNING points.
+    for more than MOST_EXACT objectives, and for more than MOST_WINNING points of three.
     """
-    if points.shape[1] > MOST_EXACT or len(points) > MOST_WINNING:
+    if points.shape[1] > MOST_EXACT or (points.shape[1] == MOST_EXACT and len(points) > MOST_WINNING):
         return None
     shares = scaled(points)
-    return [_region(shares, place) for place in range(len(points))]
+    region = _interval if points.shape[1] == 2 else _region
+    return [region(shares, place) for place in range(len(points))]
+
+
+def _interval(shares: Floats, place: int) -> WinningWeights:
+    """Cuts the interval of the first of two weights by all rivals at once."""
+    first, second = (shares[place] - shares).T
+    rises, falls = (first > 0) & (second < 0), (first < 0) & (second > 0)
+    lower = float((second[rises] / (second[rises] - first[rises])).max(initial=0.0))
+    upper = float((second[falls] / (second[falls] - first[falls])).min(initial=1.0))
+    beaten = ((first < -FLAT) & (second <= 0)) | ((second < -FLAT) & (first <= 0))
+    if lower > upper + FLAT or bool(beaten.any()):
+        return WinningWeights((), 0.0)
+    corners = ((upper, 1 - upper), (lower, 1 - lower)) if upper - lower > FLAT else ((lower, 1 - lower),)
+    return WinningWeights(corners, max(0.0, upper - lower))
 
 
 def _region(shares: Floats, place: int) -> WinningWeights:

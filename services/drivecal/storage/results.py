@@ -1,6 +1,6 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -25,6 +25,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, lots, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
@@ -281,6 +282,17 @@ def reference_of(connection: Connection, campaign_sequence: int, scenario: str, 
         table.outcome == Outcome.REUSED,
     )
     return connection.scalar(query.order_by(*_PLACE).limit(1))
+
+
+def outcomes_of(connection: Connection, campaign_sequence: int, sets: Sequence[int]) -> Iterator[tuple[int, str, Outcome]]:
+    """The answered cells of a calibration by the ids of their parameter sets: id, scenario and outcome, in the order of their request."""
+    table = evaluations.c
+    query = select(table.parameter_set_id, table.scenario, table.outcome, *_PLACE[1:3]).where(
+        table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.outcome.is_not(None)
+    )
+    rows = rows_among(connection, query, table.parameter_set_id, list(sets))
+    for row in sorted(rows, key=lambda row: (row.iteration, row.individual)):
+        yield row.parameter_set_id, row.scenario, Outcome(row.outcome)
 
 
 def is_requested(

@@ -53,9 +53,18 @@ class FrontGrowth(Answer):
     size: int
 
 
+class FrontBaseline(Answer):
+    """The campaign's baseline among its objectives; `rank`: its place on the front, null if it is dominated. `violation` as in `Best`."""
+
+    objectives: dict[str, float]
+    violation: float
+    rank: int | None
+
+
 class FrontSummary(Answer):
     """The front of a campaign: `evaluated` sets have a value of every objective, `feasible` ones keep all constraints, `size` make the
-    front; `copied` of these have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one."""
+    front; `copied` of these have a score of a reference. `knee` and `extremes` are ranks in the table; the knee is null without one.
+    `baseline`: null without one, and until it has a value of every objective."""
 
     objectives: list[FrontObjective]
     constraints: list[str]
@@ -65,6 +74,7 @@ class FrontSummary(Answer):
     copied: int
     knee: int | None
     extremes: dict[str, int] = Field(default_factory=dict)
+    baseline: FrontBaseline | None = None
     hypervolume: float | None
     growth: list[FrontGrowth]
 

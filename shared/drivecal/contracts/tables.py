@@ -239,8 +239,8 @@ class FrontRow(Answer):
 
     `alternatives`: sets with the same objectives, this one included. `knee`: it gives the most for what it costs; `best_in`: the objectives
     in which no set is better. `wins`: its share of all weightings of the objectives, scaled to the front, and `weights` the corners of that
-    region; null for more than three objectives or 1,000 sets. `violation`: of the constraints, in shares; above 0 only if no set keeps
-    them all. `degree`: that of the robustness stage if it examined the set.
+    region; null for more than three objectives, and for more than 1,000 sets of three. `violation`: of the constraints, in shares; above 0
+    only if no set keeps them all. `degree`: that of the robustness stage if it examined the set.
     """
 
     rank: int
@@ -257,7 +257,22 @@ class FrontRow(Answer):
     scores: Annotated[dict[str, Score], Spread("score_")]
     reused: list[str]
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
+    answers: Annotated[dict[str, str], Spread("answer_")] = Field(default_factory=dict)
+    """How the set was answered in each scenario: simulated, repeated or certified; reused: its score is that of a reference; confirmed: a
+    copied or predicted score that a simulation of this very set replaced; stored: by a run of another campaign."""
     parameters: Annotated[dict[str, float | str], Spread()]
+    iteration: int | None
+    """Null for a set that only other campaigns evaluated."""
+    individual: int | None
+
+
+class JudgedSet(Answer):
+    """An evaluated set by its objectives, on the front or not; `violation` of the constraints in shares, 0 if all are kept."""
+
+    objectives: Annotated[dict[str, float], Spread("objective_")]
+    violation: float
+    on_front: bool
+    """Whether no other set dominates it."""
     iteration: int | None
     """Null for a set that only other campaigns evaluated."""
     individual: int | None

@@ -82,6 +82,10 @@ class SummaryOf(Parameters):
     everything: bool = False
 
 
+class EvaluatedOf(TableOf, SummaryOf):
+    """A page of all evaluated sets by their objectives."""
+
+
 class FrontOf(TableOf, SummaryOf):
     """A page of a front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
 
@@ -111,6 +115,7 @@ TableQuery = Annotated[TableOf, Query()]
 EvaluationsQuery = Annotated[EvaluationsOf, Query()]
 SolutionsQuery = Annotated[SolutionsOf, Query()]
 SummaryQuery = Annotated[SummaryOf, Query()]
+EvaluatedQuery = Annotated[EvaluatedOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
 TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]

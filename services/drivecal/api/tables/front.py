@@ -1,21 +1,20 @@
 """Rows and summary of a campaign's front."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
-from drivecal.campaigns.results.front import EARLIER, CampaignFront
+from drivecal.campaigns.results.front import EARLIER, CampaignFront, answers_of
 from drivecal.campaigns.results.optima import unit_cube
-from drivecal.contracts.results import FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
-from drivecal.contracts.tables import FrontRow
+from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
+from drivecal.contracts.tables import FrontRow, JudgedSet
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -23,32 +22,25 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 
-@dataclass(frozen=True)
-class FrontTable:
-    """A front by rank, under weights of the objectives if they are given."""
-
-    front: CampaignFront
-    rows: Sequence[FrontRow]
-    sets: Mapping[int, ParameterSet]
-
-    def set_of(self, rank: int, field: str) -> tuple[FrontRow, ParameterSet]:
-        """Returns a set of the front. Raises InvalidInputError naming `field` for a rank that it does not have."""
-        if not 1 <= rank <= len(self.rows):
-            raise InvalidInputError(Problem(field, f"the front has no set of rank {rank}", f"give 1 to {len(self.rows)}"))
-        return self.rows[rank - 1], self.sets[self.front.members[rank - 1].solution.parameter_set]
-
-
-def front_table(database: Database, campaign: StoredCampaign, front: CampaignFront, weights: str | None) -> FrontTable:
-    """Returns the rows of a front. Raises InvalidInputError for unusable `weights` (`comfort=2,gap=1`)."""
+def weighted(front: CampaignFront, weights: str | None) -> tuple[CampaignFront, Sequence[float | None]]:
+    """Returns a front by rank and the weighted sums. Raises InvalidInputError for unusable `weights` (`comfort=2,gap=1`)."""
+    if weights is None:
+        return front, [None] * len(front.members)
     names = [goal.name for goal in front.goals.objectives]
-    worths: Sequence[float | None] = [None] * len(front.members)
-    if weights is not None:
-        front, sums = front.by_weights(given_weights(weights, names, "objective"))
-        worths = sums.tolist()
+    ordered, sums = front.by_weights(given_weights(weights, names, "objective"))
+    return ordered, sums.tolist()
+
+
+def front_table(
+    database: Database, campaign: StoredCampaign, front: CampaignFront, weights: str | None = None
+) -> list[FrontRow]:
+    """Returns the rows of a front. Raises InvalidInputError for unusable `weights`."""
+    names = [goal.name for goal in front.goals.objectives]
+    front, worths = weighted(front, weights)
     with database.read() as connection:
         sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front.members])
         degrees = _degrees(connection, campaign)
-    winning = front.winning
+    winning, answers = front.winning, answers_of(database, campaign, [member.solution for member in front.members])
     rows = []
     for place, member in enumerate(front.members):
         solution, parameters = member.solution, sets[member.solution.parameter_set].floats
@@ -67,15 +59,32 @@ def front_table(database: Database, campaign: StoredCampaign, front: CampaignFro
                 degree=degrees.get(_key(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
                 reused=list(solution.reused),
+                answers=answers[solution.parameter_set],
                 parameters=parameters,
                 iteration=None if solution.iteration == EARLIER else solution.iteration,
                 individual=None if solution.iteration == EARLIER else solution.individual,
             )
         )
-    return FrontTable(front, rows, sets)
+    return rows
 
 
-def summary(front: CampaignFront) -> FrontSummary:
+def judged_sets(front: CampaignFront) -> list[JudgedSet]:
+    """Returns every evaluated set by its objectives, in the order of the ranking."""
+    names = [goal.name for goal in front.goals.objectives]
+    return [
+        JudgedSet(
+            objectives=dict(zip(names, solution.judgement.amounts, strict=True)),
+            violation=solution.shares_violated,
+            on_front=front.holds(solution),
+            iteration=None if solution.iteration == EARLIER else solution.iteration,
+            individual=None if solution.iteration == EARLIER else solution.individual,
+        )
+        for solution in front.ranked
+        if solution.judgement is not None
+    ]
+
+
+def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> FrontSummary:
     """Returns the summary of a front in its own order."""
     growth = [FrontGrowth(iteration=number, hypervolume=volume, size=size) for number, volume, size in front.hypervolumes()]
     listed = [
@@ -91,25 +100,37 @@ def summary(front: CampaignFront) -> FrontSummary:
         copied=sum(bool(member.solution.reused) for member in front.members),
         knee=None if front.knee is None else front.knee + 1,
         extremes={goal.name: best + 1 for goal, best in zip(front.goals.objectives, front.extremes, strict=False)},
+        baseline=None if baseline is None else _baseline(front, baseline),
         hypervolume=growth[-1].hypervolume if growth else None,
         growth=growth,
     )
 
 
-def trade_off(table: FrontTable, resolved: ResolvedSpec, first: int, second: int) -> TradeOff:
+def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | None:
+    if baseline.judgement is None:
+        return None
+    names = [goal.name for goal in front.goals.objectives]
+    alike = front.goals.compared(baseline.judgement)
+    vectors = [tuple(point) for point in front.points.tolist()]
+    return FrontBaseline(
+        objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
+        violation=baseline.shares_violated,
+        rank=vectors.index(alike) + 1 if front.holds(baseline) else None,
+    )
+
+
+def trade_off(database: Database, front: CampaignFront, resolved: ResolvedSpec, first: int, second: int) -> TradeOff:
     """Returns how two sets of a front differ. Raises InvalidInputError for ranks that it does not have."""
-    row, before = table.set_of(first, "first")
-    other, after = table.set_of(second, "second")
+    solutions = [_of_rank(front, rank, field) for field, rank in (("first", first), ("second", second))]
+    with database.read() as connection:
+        stored = parameter_sets.load(connection, [solution.parameter_set for solution in solutions])
+    before, after = (stored[solution.parameter_set] for solution in solutions)
+    amounts = [() if solution.judgement is None else solution.judgement.amounts for solution in solutions]
     places = unit_cube(resolved.space, [before, after])
-    goals = table.front.goals.objectives
+    goals = front.goals.objectives
     compared = [
-        ValuePair(
-            name=goal.name,
-            first=row.objectives[goal.name],
-            second=other.objectives[goal.name],
-            gain=goal.sign * (other.objectives[goal.name] - row.objectives[goal.name]),
-        )
-        for goal in goals
+        ValuePair(name=goal.name, first=own, second=other, gain=goal.sign * (other - own))
+        for goal, own, other in zip(goals, *amounts, strict=True)
     ]
     sign = resolved.scale.sign
     return TradeOff(
@@ -117,17 +138,25 @@ def trade_off(table: FrontTable, resolved: ResolvedSpec, first: int, second: int
         second=second,
         objectives=compared,
         scores=[
-            ValuePair(name=name, first=score, second=other.scores[name], gain=sign * (other.scores[name] - score))
-            for name, score in row.scores.items()
+            ValuePair(name=name, first=plain(score), second=plain(other), gain=sign * (other - score))
+            for name, score in solutions[0].scores.items()
+            for other in [solutions[1].scores[name]]
         ],
         parameters=[
-            ValuePair(name=name, first=value, second=other.parameters[name])
-            for name, value in row.parameters.items()
-            if value != other.parameters[name]
+            ValuePair(name=name, first=value, second=after.floats[name])
+            for name, value in before.floats.items()
+            if value != after.floats[name]
         ],
         distance=float(distances(places[:1], places[1:])[0, 0]),
         text=[_text(goal, each) for goal, each in zip(goals, compared, strict=True)],
     )
+
+
+def _of_rank(front: CampaignFront, rank: int, field: str) -> EvaluatedSet:
+    if not 1 <= rank <= len(front.members):
+        message = f"the front has no set of rank {rank}"
+        raise InvalidInputError(Problem(field, message, f"give 1 to {len(front.members)}"))
+    return front.members[rank - 1].solution
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:

@@ -21,7 +21,7 @@ from drivecal.campaigns.resolve.workbench import find_workbench
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.evaluations import CellScore
+from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
 from drivecal.storage import results
@@ -31,6 +31,7 @@ from drivecal.storage.references import parameter_sets, runs, setups
 
 EARLIER = -1
 """Iteration of sets that other campaigns simulated."""
+_COPIED = {Outcome.REUSED, Outcome.PREDICTED, Outcome.FAILED}
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,12 @@ class CampaignFront:
     def points(self) -> Floats:
         """Values that dominance compares, shape (n, m); higher is better."""
         return self._compared([member.solution for member in self.members])
+
+    @cached_property
+    def _vectors(self) -> set[tuple[float, ...]]:
+        return {
+            self.goals.compared(judgement) for member in self.members if (judgement := member.solution.judgement) is not None
+        }
 
     @cached_property
     def is_feasible(self) -> bool:
@@ -90,6 +97,12 @@ class CampaignFront:
             grown.append((int(iteration), volume, len(front)))
         return grown
 
+    def holds(self, solution: EvaluatedSet) -> bool:
+        """Whether a ranked set is on the front, as a member or as an alternative of one."""
+        if not self.members or solution.judgement is None or solution.violation != self.members[0].solution.violation:
+            return False
+        return self.goals.compared(solution.judgement) in self._vectors
+
     def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:
         """The same front, best first by the weighted sum of the objectives scaled to it, with the sums, shape (n,)."""
         shares = np.array([weights[goal.name] for goal in self.goals.objectives])
@@ -129,6 +142,41 @@ def front_of(
         if constraints is not None:
             ranking.add(_of_others(connection, resolved, constraints, goals, {cell.parameter_set for cell in own}))
     return CampaignFront(goals, ranking.ranking(), ranking.front())
+
+
+def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:
+    """Returns how sets were answered, by their ids and by scenario, in the words of `FrontRow.answers`."""
+    cells: dict[tuple[int, str], list[Outcome]] = {}
+    with database.read() as connection:
+        own = [solution.parameter_set for solution in sets if solution.iteration != EARLIER]
+        for number, scenario, outcome in results.outcomes_of(connection, campaign.sequence, own):
+            cells.setdefault((number, scenario), []).append(outcome)
+    return {
+        solution.parameter_set: {
+            scenario: _answer(cells.get((solution.parameter_set, scenario), []), copied=scenario in solution.reused)
+            for scenario in solution.scores
+        }
+        for solution in sets
+    }
+
+
+def _answer(outcomes: Sequence[Outcome], *, copied: bool) -> str:
+    if copied:
+        return Outcome.REUSED
+    own = [outcome for outcome in outcomes if outcome not in _COPIED]
+    if not own:
+        return "stored"
+    return "confirmed" if outcomes[0] in {Outcome.REUSED, Outcome.PREDICTED} and own[0] is Outcome.SIMULATED else own[0]
+
+
+def baseline_of(database: Database, campaign: StoredCampaign, front: CampaignFront) -> EvaluatedSet | None:
+    """Returns the campaign's baseline, the first set of its search, as it was evaluated; None without one."""
+    first = next((each for each in front.ranked if (each.iteration, each.individual) == (0, 0)), None)
+    if first is None or campaign.baseline is None:
+        return None
+    with database.read() as connection:
+        stored = parameter_sets.load(connection, [first.parameter_set])[first.parameter_set]
+    return first if stored.floats == campaign.baseline.parameters else None
 
 
 def _constraints(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec) -> Constraints:

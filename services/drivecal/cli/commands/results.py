@@ -128,6 +128,12 @@ def export(
         ),
     ] = None,
     score: ScoreOption = None,
+    everything: Annotated[
+        bool,
+        typer.Option(
+            "--everything", help="Of the table front: all stored sets of the same setups and space, by whatever campaign."
+        ),
+    ] = False,
     measures: Annotated[
         bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")
     ] = False,
@@ -140,9 +146,12 @@ def export(
         raise typer.BadParameter("--weights needs --table solutions or front")
     if score is not None and table != "solutions":
         raise typer.BadParameter("--score needs --table solutions")
+    if everything and table != "front":
+        raise typer.BadParameter("--everything needs --table front")
     if measures and table != "evaluations":
         raise typer.BadParameter("--measures needs --table evaluations")
-    given = {"where": where, "weights": weights, "score": score, "measures": "true" if measures else None}
+    flags = {name: "true" for name, value in (("everything", everything), ("measures", measures)) if value}
+    given = {"where": where, "weights": weights, "score": score, **flags}
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
@@ -181,8 +190,10 @@ def _calibration_file(
     campaign, robustness = client.campaign(identifier), client.robustness(identifier)
     chosen: Solution | FrontRow
     if table == "front":
-        chosen = _of_rank(client.front(identifier, weights), row, table)
-        figures = front_figures(campaign, chosen, client.front_summary(identifier).objectives, robustness, given)
+        whole = "everything" in query
+        chosen = _of_rank(client.front(identifier, weights, everything=whole), row, table)
+        objectives = client.front_summary(identifier, everything=whole).objectives
+        figures = front_figures(campaign, chosen, objectives, robustness, given)
     else:
         chosen = _of_rank(client.solutions(identifier, weights, row, score).items, row, table)
         own = weights is None and score is None

@@ -55,6 +55,7 @@ export function drawLines(
   step: number,
   wanted: readonly { rows: Uint32Array; style: string }[],
   done: (count: number) => void,
+  stroke: { width: number; dash: number[] } | null = null,
 ): () => void {
   const scale = columns.map(({ axis }) => (HEIGHT - TOP - BOTTOM) / (axis.upper - axis.lower || 1));
   const total = wanted.reduce((sum, batch) => sum + batch.rows.length, 0);
@@ -80,6 +81,10 @@ export function drawLines(
         continue;
       }
       pen.strokeStyle = batch.style;
+      if (stroke) {
+        pen.lineWidth = stroke.width;
+        pen.setLineDash(stroke.dash);
+      }
       pen.beginPath();
       for (; at < batch.rows.length && left > 0; at += passes) {
         polyline(batch.rows[at] as number);

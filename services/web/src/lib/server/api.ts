@@ -76,12 +76,12 @@ export async function send<T>(method: "POST" | "DELETE", path: string, body?: un
 
 const MOST_ITEMS = 20_000;
 
-/** All items of a list that comes in pages. */
-export async function all<T>(path: string): Promise<T[]> {
+/** All items of a list that comes in pages; `asked`: further parts of the query. */
+export async function all<T>(path: string, asked = ""): Promise<T[]> {
   const items: T[] = [];
   let cursor: string | null = null;
   do {
-    const query = new URLSearchParams({ limit: "1000", ...(cursor === null ? {} : { cursor }) });
+    const query = new URLSearchParams([...new URLSearchParams(asked), ["limit", "1000"], ...(cursor === null ? [] : [["cursor", cursor]])]);
     const page: { items: T[]; next_cursor: string | null } = await get(`${path}?${query}`);
     items.push(...page.items);
     cursor = page.next_cursor;

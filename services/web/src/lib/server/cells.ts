@@ -4,8 +4,21 @@ import { get } from "./api";
 import { go } from "../route.svelte";
 import type { Best, CellAnswer, EvaluationDetail, PageSolution } from "./types";
 
+/** A set as a view shows it beside another. */
+export interface SetSide {
+  title: string;
+  /** Heads its column. */
+  column: string;
+  parameters: Values;
+  scores: Readonly<Record<string, number | null>>;
+  /** How each scenario was answered. */
+  answers?: Readonly<Record<string, string>> | undefined;
+  /** The number of its evaluation in a scenario; null if there is none. */
+  cell: (scenario: string) => Promise<number | null>;
+}
+
 /** The number of the evaluation at a place of the calibration. */
-async function cellAt(campaign: string, iteration: number, individual: number, scenario: string): Promise<number> {
+export async function cellAt(campaign: string, iteration: number, individual: number, scenario: string): Promise<number> {
   return (await get<CellAnswer>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
 }
 

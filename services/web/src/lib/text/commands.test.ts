@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { postCommands, pythonOf, tableCommands } from "./commands";
+import { postCommands, pythonOf, setCommand, tableCommands, tradeOffCommands } from "./commands";
 
 test("values are written as Python writes them", () => {
   expect(pythonOf({ a: null, b: [true, 1.5, "x\"y"], c: {} })).toBe('{"a": None, "b": [True, 1.5, "x\\"y"], "c": {}}');
@@ -30,4 +30,12 @@ test("Python submits with the call that fits", () => {
   expect(postCommands("", "/campaigns", { name: "x" }, "").python).toContain('client.submit({"name": "x"})');
   expect(postCommands("", "/comparisons", {}, "").python).toContain("client.compare({})");
   expect(postCommands("", "/campaigns/c1/rerun", { weights: { S1: 2 } }, "").python).toContain('client.rerun("c1", {"weights": {"S1": 2}})');
+});
+
+test("a front of everything that is stored is a flag of the command line and a truth in Python", () => {
+  const { cli, python, curl } = tradeOffCommands("http://host", "0123456789abcdef", 3, 12, { everything: "true" });
+  expect(cli).toBe("drivecal front 01234567 --between 3,12 --everything");
+  expect(python).toContain('client.trade_off("0123456789abcdef", 3, 12, everything=True)');
+  expect(curl).toBe("curl -s 'http://host/api/v1/campaigns/0123456789abcdef/front/trade-off?first=3&second=12&everything=true'");
+  expect(setCommand("0123456789abcdef", 12, "dcm", {})).toBe("drivecal export 01234567 --table front --row 12 --format dcm -o set-12.dcm");
 });

@@ -14,12 +14,31 @@ export function tableFile(id: string, table: string, format: string, query: Read
 /** A table of a campaign: all rows that keep the conditions. */
 export function tableCommands(origin: string, id: string, table: string, query: Readonly<Record<string, string>> = {}, where: readonly string[] = []): Commands {
   const arguments_ = [JSON.stringify(id), JSON.stringify(table), ...keywords(query), ...(where.length > 0 ? [`where=${pythonOf(where)}`] : [])];
-  const options = [...Object.entries(query).map(([name, value]) => `--${name} ${quoted(value)}`), ...where.map((condition) => `--where ${quoted(condition)}`)];
+  const flags = [...options(query), ...where.map((condition) => `--where ${quoted(condition)}`)];
   return {
-    cli: [`drivecal export ${id.slice(0, 8)} --table ${table} --format csv`, ...options, `-o ${table}.csv`].join(" "),
+    cli: [`drivecal export ${id.slice(0, 8)} --table ${table} --format csv`, ...flags, `-o ${table}.csv`].join(" "),
     python: clientPython(origin, `table = client.frame(${arguments_.join(", ")}).to_pandas()`),
     curl: `curl -s '${origin}${tableFile(id, table, "csv", query, where).replaceAll("'", "%27")}' -o ${table}.csv`,
   };
+}
+
+/** Two sets of a front by their ranks: what the second gains and costs. */
+export function tradeOffCommands(origin: string, id: string, first: number, second: number, query: Readonly<Record<string, string>>): Commands {
+  return {
+    cli: [`drivecal front ${id.slice(0, 8)} --between ${first},${second}`, ...options(query)].join(" "),
+    python: clientPython(origin, `answer = client.trade_off(${[JSON.stringify(id), first, second, ...keywords(query)].join(", ")})`),
+    curl: `curl -s '${origin}/api/v1/campaigns/${id}/front/trade-off?${new URLSearchParams({ first: String(first), second: String(second), ...query })}'`,
+  };
+}
+
+/** The command that writes a set of the front for calibration tools. */
+export function setCommand(id: string, rank: number, format: string, query: Readonly<Record<string, string>>): string {
+  return [`drivecal export ${id.slice(0, 8)} --table front --row ${rank} --format ${format}`, ...options(query), `-o set-${rank}.${format}`].join(" ");
+}
+
+/** Options of the command line; what is true needs no value. */
+function options(query: Readonly<Record<string, string>>): string[] {
+  return Object.entries(query).map(([name, value]) => (value === "true" ? `--${name}` : `--${name} ${quoted(value)}`));
 }
 
 /** A word of a shell. */
@@ -43,7 +62,7 @@ export function clientPython(origin: string, call: string): string {
 }
 
 function keywords(query: Readonly<Record<string, string>>): string[] {
-  return Object.entries(query).map(([name, value]) => `${name}=${JSON.stringify(value)}`);
+  return Object.entries(query).map(([name, value]) => `${name}=${value === "true" ? "True" : JSON.stringify(value)}`);
 }
 
 function posted(path: string, body: string): string {

@@ -1,0 +1,76 @@
+import { expect, test } from "vitest";
+import { cell } from "../server/columns";
+import type { FrontRow } from "../server/types";
+import { growthOf, hasFront, kindOf, madeOfText, marksOf, neighbour, pairOf, placed, rangeOf, tableOf } from "./sets";
+
+const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
+  rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
+  alternatives: 1, degree: null, scores: { plain: rank }, reused: [], answers: { plain: "simulated" }, parameters: { x: 0.5, rank: 3, mode: "eco" }, iteration: 0, individual: rank, ...more,
+});
+const ROWS = [row(1), row(2), row(3)];
+
+test("a front is a table with the columns of its files", () => {
+  const table = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], new Set(["rank"]), { marks: ["best", null] });
+  expect(table.names).toEqual(["rank", "marks", "objective_f1", "objective_f2", "violation", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual"]);
+  expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, null, null, "true", null]);
+  expect(tableOf([], new Set()).length).toBe(0);
+});
+
+test("a set is as certain as its least certain answer", () => {
+  expect(kindOf({ a: "simulated", b: "certified", c: "reused" })).toBe("reused");
+  expect(kindOf({ a: "simulated", b: "confirmed" })).toBe("confirmed");
+  expect(madeOfText({ a: "simulated", b: "reused", c: "simulated" })).toBe("1 copied, 2 simulated");
+  expect(kindOf(undefined)).toBe("simulated");
+});
+
+test("only several objectives make a front", () => {
+  expect([hasFront({ objectives: [{}, {}] }), hasFront({ objectives: [{}] }), hasFront({})]).toEqual([true, false, false]);
+});
+
+test("knee and extremes are marked in words", () => {
+  expect([...marksOf([{ knee: true, best_in: ["f1"] }, { knee: false, best_in: [] }])]).toEqual([[0, ["knee", "best f1"]]]);
+});
+
+test("the winner and the knee are compared until the address names others", () => {
+  expect(pairOf(ROWS, undefined, undefined, null)).toEqual({ current: 0, other: 1 });
+  expect(pairOf(ROWS, "3", "1", null)).toEqual({ current: 2, other: 0 });
+  expect(pairOf(ROWS, "99", undefined, 2)).toEqual({ current: 2, other: 1 });
+});
+
+test("a set is never compared with itself", () => {
+  expect(pairOf(ROWS, "2", undefined, null)).toEqual({ current: 1, other: 0 });
+  expect(pairOf(ROWS, undefined, "1", null)).toEqual({ current: 2, other: 0 });
+  expect(pairOf(ROWS, undefined, "3", 2)).toEqual({ current: 0, other: 2 });
+  expect(pairOf(ROWS.slice(0, 1), undefined, undefined, null)).toEqual({ current: 0, other: null });
+  expect(pairOf([], "1", "2", null)).toEqual({ current: null, other: null });
+});
+
+test("the arrow keys walk along the front and stop at its ends", () => {
+  const along = Float64Array.of(3, 1, 2);
+  const all = Uint32Array.of(0, 1, 2);
+  expect(neighbour(along, all, 1, 1)).toBe(2);
+  expect(neighbour(along, all, 0, 1)).toBe(0);
+  expect([neighbour(along, all, null, 1), neighbour(along, all, null, -1)]).toEqual([1, 0]);
+  expect(neighbour(along, Uint32Array.of(0, 1), 2, 1)).toBe(1);
+  expect(neighbour(along, new Uint32Array(0), 2, 1)).toBeNull();
+});
+
+test("far dominated sets do not press the front into a corner, unless all are asked for", () => {
+  expect(rangeOf([0, 10], 12, [11, 500, NaN], false)).toEqual([0, 12 + 0.4 * 12]);
+  expect(rangeOf([0, 10], undefined, [11, 500], true)).toEqual([0, 500]);
+  expect(rangeOf([5], undefined, [], false)).toEqual([5, 5]);
+  expect(rangeOf([5, 5], undefined, [2, 40], false)).toEqual([2, 40]);
+});
+
+test("labels lie beside their points and hide neither each other nor another point", () => {
+  const frame = { left: 0, right: 300, top: 0, bottom: 200 };
+  const [first, second] = placed([{ x: 100, y: 100, text: "knee" }, { x: 104, y: 104, text: "baseline" }], frame);
+  expect(first?.anchor).toBe("start");
+  expect([second?.x, second?.y]).not.toEqual([115, 108]);
+  expect(placed([{ x: 290, y: 100, text: "best comfort" }], frame)[0]?.anchor).toBe("end");
+});
+
+test("the growth of a front is counted from 1, what was stored before from 0", () => {
+  const growth = [{ iteration: -1, hypervolume: 1, size: 3 }, { iteration: 0, hypervolume: null, size: 4 }];
+  expect(growthOf(growth)).toEqual({ x: [0, 1], volumes: [1, null], sizes: [3, 4] });
+});

@@ -1,0 +1,163 @@
+/** The sets of a front as a table, what they are made of, and what marks them. */
+
+import { COLOURS, SERIES } from "../charts/palette";
+import type { Column, Table } from "../server/columns";
+import type { FrontRow, FrontSummary } from "../server/types";
+
+type Value = number | string | boolean | null | undefined;
+
+/** The names of the columns that hold what a front is searched for. */
+export const objectiveColumn = (name: string): string => `objective_${name}`;
+
+/** Sets as a table with the columns of its files; `reserved`: names that no column of a parameter may have. `further`: columns of the page alone. */
+export function tableOf(rows: readonly FrontRow[], reserved: ReadonlySet<string>, further: Readonly<Record<string, readonly Value[]>> = {}): Table {
+  const first = rows[0];
+  const columns: Record<string, Column> = {};
+  const add = (name: string, value: (row: FrontRow, place: number) => Value): void => void (columns[name] = columnOf(name, rows.map(value)));
+  const spread = (prefix: (key: string) => string, values: (row: FrontRow) => Readonly<Record<string, Value>>): void => {
+    for (const key of Object.keys(first ? values(first) : {})) add(prefix(key), (row) => values(row)[key]);
+  };
+  add("rank", (row) => row.rank);
+  for (const [name, values] of Object.entries(further)) add(name, (_, place) => values[place]);
+  spread(objectiveColumn, (row) => row.objectives);
+  add("violation", (row) => row.violation);
+  add("knee", (row) => row.knee);
+  add("best_in", (row) => row.best_in.join(" ") || null);
+  add("wins", (row) => row.wins);
+  add("alternatives", (row) => row.alternatives);
+  add("degree", (row) => row.degree);
+  spread((key) => `score_${key}`, (row) => row.scores);
+  add("reused", (row) => row.reused.join(" ") || null);
+  spread((key) => `answer_${key}`, (row) => row.answers ?? {});
+  spread((key) => (reserved.has(key) ? `parameter_${key}` : key), (row) => row.parameters);
+  add("iteration", (row) => row.iteration);
+  add("individual", (row) => row.individual);
+  return { length: rows.length, names: Object.keys(columns), columns };
+}
+
+function columnOf(name: string, values: readonly Value[]): Column {
+  if (values.every((value) => typeof value === "number" || value === null || value === undefined)) {
+    return { kind: "number", name, values: Float64Array.from(values, (value) => (typeof value === "number" ? value : NaN)) };
+  }
+  const words = [...new Set(values.filter((value) => value !== null && value !== undefined).map(String))];
+  return { kind: "text", name, words, codes: Int32Array.from(values, (value) => (value === null || value === undefined ? -1 : words.indexOf(String(value)))) };
+}
+
+/** How sets are answered, the least certain first. */
+export const ANSWERS = ["reused", "certified", "repeated", "stored", "confirmed", "simulated"] as const;
+export type Answer = (typeof ANSWERS)[number];
+
+/** What an answer of a set is, in a word and a sentence, and its colour. */
+export const ANSWER: Readonly<Record<Answer, { word: string; meaning: string; colour: string }>> = {
+  reused: { word: "copied", meaning: "the score of a stored set that differs only where the influence map says that it does not matter", colour: COLOURS.reused },
+  certified: { word: "certified", meaning: "a stored run that this one provably repeats, bit for bit", colour: COLOURS.certified },
+  repeated: { word: "repeated", meaning: "the stored result of this very set", colour: COLOURS.repeated },
+  stored: { word: "stored", meaning: "a run of this very set by another campaign", colour: SERIES[7] ?? "" },
+  confirmed: { word: "confirmed", meaning: "copied or predicted at first, then simulated", colour: COLOURS.predicted },
+  simulated: { word: "simulated", meaning: "a run of this very set", colour: COLOURS.simulated },
+};
+
+/** What a set is made of: its kinds of answers with the scenarios of each, the least certain first. */
+export function madeOf(answers: Readonly<Record<string, string>> | undefined): { kind: Answer; scenarios: string[] }[] {
+  const given = Object.entries(answers ?? {});
+  return ANSWERS.map((kind) => ({ kind, scenarios: given.filter(([, answer]) => answer === kind).map(([scenario]) => scenario) })).filter(({ scenarios }) => scenarios.length > 0);
+}
+
+/** The kind of a whole set: its least certain answer. */
+export function kindOf(answers: Readonly<Record<string, string>> | undefined): Answer {
+  return madeOf(answers)[0]?.kind ?? "simulated";
+}
+
+export function madeOfText(answers: Readonly<Record<string, string>> | undefined): string {
+  return madeOf(answers).map(({ kind, scenarios }) => `${scenarios.length} ${ANSWER[kind].word}`).join(", ");
+}
+
+/** Whether a campaign has a front worth a view: more than one objective. */
+export function hasFront(spec: Readonly<Record<string, unknown>>): boolean {
+  return Array.isArray(spec["objectives"]) && spec["objectives"].length > 1;
+}
+
+/** The words that mark sets, by their places: knee, best in an objective. */
+export function marksOf(rows: readonly Pick<FrontRow, "knee" | "best_in">[]): Map<number, string[]> {
+  const marks = new Map<number, string[]>();
+  rows.forEach(({ knee, best_in: best }, place) => {
+    const words = [...(knee ? ["knee"] : []), ...best.map((name) => `best ${name}`)];
+    if (words.length > 0) marks.set(place, words);
+  });
+  return marks;
+}
+
+/** The two sets that a view compares, by their places. */
+export interface Pair {
+  current: number | null;
+  other: number | null;
+}
+
+/** The pair that the address names by ranks. If it names none, the winner is in view, beside the knee; a set is never compared with itself. */
+export function pairOf(rows: readonly Pick<FrontRow, "rank" | "knee">[], row: string | undefined, other: string | undefined, winner: number | null): Pair {
+  const place = (rank: string | undefined): number | null => {
+    const at = rank === undefined ? -1 : rows.findIndex((entry) => entry.rank === Number(rank));
+    return at < 0 ? null : at;
+  };
+  if (rows.length === 0) return { current: null, other: null };
+  const knee = rows.findIndex((entry) => entry.knee);
+  const given = place(other);
+  const current = place(row) ?? [winner, 0, rows.length - 1].find((entry) => entry !== null && entry !== given) ?? 0;
+  const beside = [given, knee < 0 ? null : knee, 0, rows.length - 1].find((entry) => entry !== null && entry !== current);
+  return { current, other: beside ?? null };
+}
+
+/** The next set along an axis, so that the arrow keys walk over the front; the first or the last without one. */
+export function neighbour(along: Float64Array, kept: Uint32Array, current: number | null, step: number): number | null {
+  const order = kept.slice().sort((a, b) => (along[a] as number) - (along[b] as number) || a - b);
+  if (order.length === 0) return null;
+  const at = current === null ? -1 : order.indexOf(current);
+  const to = at < 0 ? (step > 0 ? 0 : order.length - 1) : Math.min(order.length - 1, Math.max(0, at + step));
+  return order[to] ?? null;
+}
+
+/** The range of an axis: that of the front and the baseline, and of the dominated sets up to a part of it, for a failed run must not press the front into a corner; all of them around a single value. */
+export function rangeOf(front: readonly number[], baseline: number | undefined, others: ArrayLike<number>, all: boolean): [number, number] {
+  const near = [...front, ...(baseline === undefined ? [] : [baseline])];
+  const [low, high] = [Math.min(...near), Math.max(...near)];
+  const room = high - low || Math.abs(high) || 1;
+  let [least, most] = [low, high];
+  for (let at = 0; at < others.length; at++) {
+    const value = others[at] as number;
+    if (Number.isNaN(value)) continue;
+    const within = all || low === high ? value : Math.min(high + 0.4 * room, Math.max(low - 0.4 * room, value));
+    if (within < least) least = within;
+    if (within > most) most = within;
+  }
+  return [least, most];
+}
+
+export interface Label {
+  x: number;
+  y: number;
+  text: string;
+}
+
+/** Labels at places where they hide neither each other nor the points of the others, the first ones first; in pixels. */
+export function placed(labels: readonly Label[], frame: { left: number; right: number; top: number; bottom: number }): (Label & { anchor: "start" | "end" | "middle" })[] {
+  const taken: [number, number, number, number][] = labels.map(({ x, y }) => [x - 5, y - 5, x + 5, y + 5]);
+  return labels.map((label) => {
+    const wide = 6.6 * label.text.length;
+    const tries = [[11, 4, "start"], [-11, 4, "end"], [0, -11, "middle"], [0, 20, "middle"], [9, -9, "start"], [-9, 17, "end"], [9, 17, "start"], [-9, -9, "end"], [0, -25, "middle"], [0, 34, "middle"]] as const;
+    const boxes = tries.map(([dx, dy, anchor]) => {
+      const x = label.x + dx;
+      const left = anchor === "start" ? x : anchor === "end" ? x - wide : x - wide / 2;
+      return { x, y: label.y + dy, anchor, box: [left, label.y + dy - 11, left + wide, label.y + dy + 3] as [number, number, number, number] };
+    });
+    const inside = boxes.filter(({ box }) => box[0] >= frame.left && box[2] <= frame.right && box[1] >= frame.top && box[3] <= frame.bottom);
+    const free = inside.find(({ box }) => taken.every((other) => box[2] <= other[0] || box[0] >= other[2] || box[3] <= other[1] || box[1] >= other[3]));
+    const chosen = free ?? inside[0] ?? (boxes[0] as (typeof boxes)[number]);
+    taken.push(chosen.box);
+    return { text: label.text, x: chosen.x, y: chosen.y, anchor: chosen.anchor };
+  });
+}
+
+/** The summary's iterations as a chart counts them: from 1, and 0 for what was stored before. */
+export function growthOf(growth: FrontSummary["growth"]): { x: number[]; volumes: (number | null)[]; sizes: number[] } {
+  return { x: growth.map(({ iteration }) => iteration + 1), volumes: growth.map(({ hypervolume }) => hypervolume), sizes: growth.map(({ size }) => size) };
+}

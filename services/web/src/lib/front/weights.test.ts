@@ -1,0 +1,56 @@
+import { expect, test } from "vitest";
+import { height, leading, moved, normalised, pointOf, segments, shares, sums, triangle, weightsAt, weightsOf, weightsText } from "./weights";
+
+const GOALS = [{ name: "comfort", direction: "maximise", tolerance: 0 }, { name: "jerk", direction: "minimise", tolerance: 0 }];
+const ROWS = [{ objectives: { comfort: 6, jerk: 9 } }, { objectives: { comfort: 5, jerk: 4 } }, { objectives: { comfort: 2, jerk: 1 } }];
+
+test("objectives are scaled from the worst to the best on the front, whatever their direction", () => {
+  expect(shares(ROWS, GOALS)).toEqual([[1, 0], [0.75, 0.625], [0, 1]]);
+  expect(shares([{ objectives: { comfort: 3, jerk: 1 } }, { objectives: { comfort: 3, jerk: 2 } }], GOALS)).toEqual([[1, 1], [1, 0]]);
+});
+
+test("differences up to the tolerance do not count", () => {
+  const rows = [{ objectives: { comfort: 5.1 } }, { objectives: { comfort: 5 } }, { objectives: { comfort: 2 } }];
+  expect(shares(rows, [{ name: "comfort", direction: "maximise", tolerance: 1 }])).toEqual([[1], [1], [0]]);
+});
+
+test("the largest weighted sum wins, of equal ones the first", () => {
+  const scaled = shares(ROWS, GOALS);
+  const winner = (...weights: number[]): number | undefined => leading(sums(scaled, weights), 1)[0];
+  expect([winner(1, 0), winner(1, 1), winner(0, 1)]).toEqual([0, 1, 2]);
+  expect(leading([0.5, 0.5, 0.7], 3)).toEqual([2, 0, 1]);
+  expect(sums([[1, 0]], [0, 0])).toEqual([0.5]);
+});
+
+test("weights are written as the API reads them, also of names with a sign of equality", () => {
+  expect(weightsText([0.25, 1 / 3], GOALS)).toBe("comfort=0.25,jerk=0.3333");
+  expect(weightsOf("comfort=2", GOALS)).toEqual([2, 1]);
+  expect(weightsOf("a=b=3", [{ name: "a=b" }])).toEqual([3]);
+  expect([weightsOf(undefined, GOALS), weightsOf("comfort=0,jerk=0", GOALS)]).toEqual([null, null]);
+  expect(weightsOf("comfort=-1,jerk=x", GOALS)).toEqual([1, 1]);
+});
+
+test("the intervals of two objectives lie beside each other, and sets that never win have none", () => {
+  const rows = [{ weights: [[1, 0], [0.6, 0.4]] }, { weights: [] }, { weights: [[0.6, 0.4], [0, 1]] }, { weights: [[0.6, 0.4]] }, { weights: null }];
+  expect(segments(rows)).toEqual([{ place: 2, from: 0, to: 0.6 }, { place: 0, from: 0.6, to: 1 }]);
+});
+
+test("a point of the triangle and its weights are the same thing", () => {
+  for (const weights of [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.3, 0.5]]) {
+    weightsAt(pointOf(weights, 300), 300).forEach((weight, place) => expect(weight).toBeCloseTo(weights[place] ?? NaN));
+  }
+  expect(pointOf([1, 0, 0], 300)).toEqual(triangle(300)[0]);
+});
+
+test("a point beside the triangle has the weights of its border", () => {
+  expect(weightsAt([150, -80], 300)).toEqual([1, 0, 0]);
+  const [first, second, third] = weightsAt([-50, height(300)], 300);
+  expect([first, second, third]).toEqual([0, 1, 0]);
+});
+
+test("one weight moves, and the others keep their proportions", () => {
+  expect(moved([0.5, 0.25, 0.25], 0, 0.1).map((weight) => Number(weight.toFixed(6)))).toEqual([0.6, 0.2, 0.2]);
+  expect(moved([1, 0, 0], 0, -0.5)).toEqual([0.5, 0.25, 0.25]);
+  expect(moved([0.5, 0.5], 1, 2)).toEqual([0, 1]);
+  expect(normalised([0, 0])).toEqual([0.5, 0.5]);
+});

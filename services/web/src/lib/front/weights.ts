@@ -1,0 +1,111 @@
+/** Weights of a front's objectives, and the sets that win under them. */
+
+import type { FrontObjective, FrontRow } from "../server/types";
+
+export type Goal = Pick<FrontObjective, "name" | "direction" | "tolerance">;
+type Valued = Pick<FrontRow, "objectives">;
+
+/** The objectives of each set in shares of their ranges on the front: 0 is the worst, 1 the best, 1 where all are equal. As the API scales them. */
+export function shares(rows: readonly Valued[], goals: readonly Goal[]): number[][] {
+  const compared = rows.map(({ objectives }) => goals.map((goal) => comparedValue(objectives[goal.name] ?? NaN, goal)));
+  const ends = goals.map((_, column) => compared.reduce<[number, number]>(([low, high], row) => [Math.min(low, row[column] as number), Math.max(high, row[column] as number)], [Infinity, -Infinity]));
+  return compared.map((row) => row.map((value, column) => {
+    const [low, high] = ends[column] as [number, number];
+    return high > low ? (value - low) / (high - low) : 1;
+  }));
+}
+
+/** More is better; differences up to the tolerance do not count. */
+function comparedValue(amount: number, { direction, tolerance }: Goal): number {
+  const sign = direction === "minimise" ? -1 : 1;
+  return sign * (tolerance > 0 ? Math.round(amount / tolerance) * tolerance : Number(amount.toFixed(9)));
+}
+
+/** Weights of sum 1; equal ones if all are 0. */
+export function normalised(weights: readonly number[]): number[] {
+  const sum = weights.reduce((total, weight) => total + weight, 0);
+  return weights.map((weight) => (sum > 0 ? weight / sum : 1 / weights.length));
+}
+
+/** The weighted sum of each set, from 0 to 1. */
+export function sums(scaled: readonly (readonly number[])[], weights: readonly number[]): number[] {
+  const parts = normalised(weights);
+  return scaled.map((row) => row.reduce((sum, share, column) => sum + share * (parts[column] ?? 0), 0));
+}
+
+/** Sums that differ by less are equal: the first of the front wins. */
+const EQUAL = 1e-9;
+
+/** The places of the sets with the largest sums, the winner first. */
+export function leading(totals: readonly number[], most: number): number[] {
+  const places = totals.map((_, place) => place);
+  return places.sort((a, b) => {
+    const ahead = (totals[b] as number) - (totals[a] as number);
+    return Math.abs(ahead) > EQUAL ? ahead : a - b;
+  }).slice(0, most);
+}
+
+/** Weights as the API writes them, `comfort=2,gap=1`; objectives that are not named have weight 1. Null without any, and if all are 0. */
+export function weightsOf(text: string | undefined, goals: readonly Pick<Goal, "name">[]): number[] | null {
+  if (!text) return null;
+  const given = new Map(text.split(",").map((part): [string, number] => {
+    const at = part.lastIndexOf("=");
+    return [part.slice(0, at), Number(part.slice(at + 1))];
+  }));
+  const weights = goals.map(({ name }) => {
+    const weight = given.get(name) ?? 1;
+    return weight >= 0 ? weight : 1;
+  });
+  return weights.some((weight) => weight > 0) ? weights : null;
+}
+
+export function weightsText(weights: readonly number[], goals: readonly Pick<Goal, "name">[]): string {
+  return goals.map(({ name }, place) => `${name}=${Number((weights[place] ?? 1).toFixed(4))}`).join(",");
+}
+
+/** A range of the first of two weights in which a set wins. */
+export interface Segment {
+  place: number;
+  from: number;
+  to: number;
+}
+
+/** Where each set wins along the first of two weights, in ascending order; sets that win at single points are left out. */
+export function segments(rows: readonly Pick<FrontRow, "weights">[]): Segment[] {
+  return rows.flatMap(({ weights }, place): Segment[] => {
+    const ends = (weights ?? []).map((corner) => corner[0] as number);
+    return ends.length < 2 ? [] : [{ place, from: Math.min(...ends), to: Math.max(...ends) }];
+  }).sort((one, other) => one.from - other.from);
+}
+
+type Point = [number, number];
+
+/** The corners of a triangle of this width that stands on its side: the first objective at the top, the second left, the third right. */
+export function triangle(width: number): [Point, Point, Point] {
+  return [[width / 2, 0], [0, height(width)], [width, height(width)]];
+}
+
+export function height(width: number): number {
+  return (width * Math.sqrt(3)) / 2;
+}
+
+/** The point of three weights of sum 1 in the triangle. */
+export function pointOf(weights: readonly number[], width: number): Point {
+  const corners = triangle(width);
+  return [0, 1].map((axis) => corners.reduce((sum, corner, place) => sum + (weights[place] ?? 0) * (corner[axis] as number), 0)) as Point;
+}
+
+/** The weights at a point; outside of the triangle those of a near point on its border. */
+export function weightsAt([x, y]: readonly [number, number], width: number): number[] {
+  const first = 1 - y / height(width);
+  const third = x / width - first / 2;
+  return normalised([first, 1 - first - third, third].map((weight) => Math.max(0, weight)));
+}
+
+/** Weights with one more or less of one objective, the others in their proportions. */
+export function moved(weights: readonly number[], which: number, by: number): number[] {
+  const parts = normalised(weights);
+  const now = Math.min(1, Math.max(0, (parts[which] ?? 0) + by));
+  const rest = 1 - (parts[which] ?? 0);
+  return parts.map((part, place) => (place === which ? now : rest > 0 ? (part / rest) * (1 - now) : (1 - now) / (parts.length - 1)));
+}

@@ -1,0 +1,241 @@
+"""The front of a campaign on the page: two sets beside each other, weights and their winner, what is kept and exported."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+from tests.browser.conftest import Opening, barriers
+from tests.support.computed import ComputedBackend
+from tests.support.problems import store, submit_checked
+from tests.support.runs import run
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.work import Cell, CellResult
+
+SEAT: dict[str, Any] = {
+    "problem": "seat",
+    "parameters": {name: {"lower": 0, "upper": 1, "unit": "kN/m"} for name in ("spring", "damper")}
+    | {"mode": {"choices": ["eco", "sport"]}},
+    "baseline": {"spring": 0.5, "damper": 0.5, "mode": "eco"},
+    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate", "deterministic": True},
+    "scenarios": {"city": {}, "rough": {}},
+    "measures": {"heave": "mm", "energy": "W", "roll": "deg"},
+    "scores": {
+        name: {"formula": name, "direction": "minimise", "range": [0, 10], "unit": unit}
+        for name, unit in (("heave", "mm"), ("energy", "W"), ("roll", "deg"))
+    },
+}
+SPEC: dict[str, Any] = {
+    "problem": "seat",
+    "objectives": [{"score": name} for name in ("heave", "energy")],
+    "optimizer": {"kind": "nsga2", "population": 20, "iterations": 5, "seed": 4},
+    "reduction": {"mode": "exact"},
+}
+
+
+def seated(scenario: str, cell: Cell) -> CellResult:
+    """ZDT1 of the spring and the damper, with a roll that falls where both others grow."""
+    spring, damper = cell.parameters["spring"], cell.parameters["damper"]
+    slope = 1 + 3 * damper + (0.5 if cell.parameters["mode"] == "eco" else 0) + (0.2 if scenario == "rough" else 0)
+    energy = slope * (1 - (spring / slope) ** 0.5)
+    return CellResult(cell.id, None, None, {"heave": spring, "energy": energy, "roll": 3 - spring - damper}, None, 7.0)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A server with a front of two and one of three objectives, another search of the same space, and a campaign that only waits."""
+
+    api: RunningApi
+    two: str
+    three: str
+    waiting: str
+
+    def at(self, campaign: str, tab: str = "front", query: str = "") -> str:
+        return f"{self.api.url}/#/campaigns/{campaign}/{tab}{query}"
+
+    def front(self, campaign: str, **query: Any) -> list[dict[str, Any]]:
+        items: list[dict[str, Any]] = self.get(campaign, "front", limit=1000, **query)["items"]
+        return items
+
+    def get(self, campaign: str, *path: str, **query: Any) -> dict[str, Any]:
+        answer: dict[str, Any] = (
+            self.api.http.get(f"/api/v1/campaigns/{'/'.join([campaign, *path])}", params=query).raise_for_status().json()
+        )
+        return answer
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('front') / 'drivecal.db'}") as api:
+        store(api.database, SEAT, {"model.py": "def evaluate(parameters, scenario): ...\n"})
+        third = {"objectives": [*SPEC["objectives"], {"score": "roll"}], "optimizer": SPEC["optimizer"] | {"iterations": 3}}
+        ended = [
+            run(api.database, submit_checked(api.database, SPEC | changes), ComputedBackend(answer=seated)).id
+            for changes in ({}, third, {"optimizer": SPEC["optimizer"] | {"seed": 5}})
+        ]
+        yield Shown(api, ended[0], ended[1], submit_checked(api.database, SPEC | {"name": "waits"}).id)
+
+
+def in_view(page: Page) -> Any:
+    return page.get_by_role("slider", name=re.compile("^Set in view"))
+
+
+def sets_shown(page: Page) -> int:
+    said = page.get_by_text(re.compile(r"^Showing [\d,]+ of [\d,]+ sets$")).inner_text()
+    return int(said.split()[1].replace(",", ""))
+
+
+@pytest.mark.parametrize("small", [False, True], ids=["desktop", "dark-phone"])
+def test_every_state_of_a_front_can_be_used_by_everybody(shown: Shown, opening: Opening, *, small: bool) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere", dark=small, phone=small)
+    broken: dict[str, Any] = {}
+    states = [
+        (shown.at(shown.two), "Which set wins"),
+        (shown.at(shown.three, query="?weights=heave=3&row=2"), "Which set wins"),
+        (shown.at(shown.waiting), "No front yet"),
+        (shown.at(shown.two, "overview"), "compromises of"),
+    ]
+    for address, said in states:
+        page.goto(address)
+        expect(page.get_by_text(said).first).to_be_visible()
+        expect(page.get_by_role("main")).not_to_contain_text(re.compile(r"NaN|undefined|Comparing"))
+        broken[address] = barriers(page, contrast_alone=small)
+    assert {address: rules for address, rules in broken.items() if rules} == {}
+
+
+def test_two_sets_are_chosen_by_keys_and_compared_as_the_api_compares_them(shown: Shown, opening: Opening) -> None:
+    rows = shown.front(shown.two)
+    page = opening(shown.at(shown.two))
+    place = in_view(page)
+    place.press("Home")
+    expect(place).to_have_attribute("aria-valuetext", re.compile("^set 1, best heave, heave .* mm, energy .* W$"))
+    place.press("Enter")
+    place.press("End")
+    page.get_by_role("heading", name=f"Set {len(rows)} against set 1").wait_for()
+    answer = shown.get(shown.two, "front", "trade-off", first=1, second=len(rows))
+    gains = page.get_by_role("list", name="Gains and costs").get_by_role("listitem")
+    for text in answer["text"]:
+        expect(gains.filter(has_text=text)).to_have_count(1)
+    expect(gains.last).to_contain_text(f"{len(answer['parameters'])} of 3 parameters differ")
+    expect(page.locator("[role=row][aria-selected=true]").get_by_role("gridcell").first).to_have_text(str(len(rows)))
+    page.wait_for_url(re.compile(f"row={len(rows)}&with=1|with=1&row={len(rows)}"))
+    page.get_by_role("button", name="Measures in city").click()
+    beside = page.get_by_role("table", name="Measures of both")
+    for name in (f"Set {len(rows)}", "Set 1", "mm"):
+        expect(beside).to_contain_text(name)
+    again = opening(page.url)
+    expect(again.get_by_role("table", name="Measures of both")).to_be_visible()
+    again.get_by_role("button", name="Swap").click()
+    expect(again.get_by_role("heading", name=f"Set 1 against set {len(rows)}")).to_be_visible()
+
+
+def test_a_click_on_a_point_or_a_row_chooses_the_same_set_everywhere(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two))
+    page.get_by_role("grid").get_by_role("row").nth(3).get_by_role("gridcell").first.click()
+    expect(in_view(page)).to_have_attribute("aria-valuetext", re.compile("^set 3,"))
+    last = len(shown.front(shown.two))
+    in_view(page).scroll_into_view_if_needed()
+    marks = page.get_by_role("group", name=re.compile("energy over heave")).locator("circle[r='7']")
+    place = marks.last.bounding_box()  # of the best in the second objective
+    assert place is not None
+    page.mouse.move(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
+    tip = page.locator(".tip")
+    for text in (f"Set {last}", "best energy", "wins", "2 simulated", " mm", " W"):
+        expect(tip).to_contain_text(text)
+    page.mouse.down()
+    page.mouse.up()
+    expect(in_view(page)).to_have_attribute("aria-valuetext", re.compile(f"^set {last}, best energy"))
+    expect(page.locator("[role=row][aria-selected=true]").get_by_role("gridcell").first).to_have_text(str(last))
+
+
+def test_moved_weights_name_the_winner_at_once_and_files_follow_them(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two))
+    weights = page.get_by_role("region", name="Weights")
+    weights.get_by_role("slider", name="Weight of heave").fill("90")
+    [first, *_] = shown.front(shown.two, weights="heave=0.9,energy=0.1")
+    rank = next(row["rank"] for row in shown.front(shown.two) if row["parameters"] == first["parameters"])
+    expect(weights.get_by_role("status")).to_contain_text(f"Set {rank} wins")
+    map_ = weights.get_by_role("slider", name="Weights of the objectives")
+    expect(map_).to_have_attribute("aria-valuetext", f"heave 90 %, energy 10 %: set {rank} wins")
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="CSV").last.click()
+    exported = list(csv.DictReader(io.StringIO(saved.value.path().read_text())))
+    assert float(exported[0]["spring"]) == first["parameters"]["spring"]
+    assert float(exported[0]["weighted"]) == pytest.approx(first["weighted"])
+    expect(page.get_by_role("grid").get_by_role("row").nth(1).get_by_role("gridcell").first).to_have_text(str(rank))
+    map_.press("Shift+ArrowLeft")
+    expect(map_).to_have_attribute("aria-valuetext", re.compile("^heave 80 %, energy 20 %: set .* wins$"))
+    page.wait_for_url(re.compile("weights=heave%3D0.8"))
+    weights.get_by_role("button", name="Equal weights").click()
+    expect(map_).to_have_attribute("aria-valuetext", re.compile("^heave 50 %"))
+
+
+def test_three_objectives_have_a_triangle_of_weightings(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.three))
+    map_ = page.get_by_role("slider", name="Weights of the objectives")
+    for key, name in (("ArrowUp", "heave"), ("ArrowLeft", "energy"), ("ArrowRight", "roll")):
+        for _ in range(10):
+            map_.press(f"Shift+{key}")
+        alone = {other: "1" if other == name else "0" for other in ("heave", "energy", "roll")}
+        [first, *_] = shown.front(shown.three, weights=",".join(f"{key}={weight}" for key, weight in alone.items()))
+        rank = next(row["rank"] for row in shown.front(shown.three) if row["parameters"] == first["parameters"])
+        expect(map_).to_have_attribute("aria-valuetext", re.compile(f"{name} 100 %.*: set {rank} wins$"))
+    page.get_by_label("Objective along y").select_option("roll")
+    expect(page.get_by_role("group", name=re.compile("roll over heave"))).to_be_visible()
+
+
+def test_what_is_kept_of_the_front_is_what_is_exported(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two))
+    axis = page.get_by_role("slider", name="Range of heave")
+    axis.focus()
+    for _ in range(6):
+        axis.press("ArrowDown")
+    kept, whole = sets_shown(page), len(shown.front(shown.two))
+    assert 0 < kept < whole
+
+    def saved(kind: str, role: Any) -> str:
+        with page.expect_download() as file:
+            page.get_by_role(role, name=kind, exact=True).last.click()
+        return file.value.path().read_text()
+
+    rows = list(csv.DictReader(io.StringIO(saved("CSV", "link"))))
+    items = json.loads(saved("JSON", "button"))["items"]
+    assert len(rows) == len(items) == kept
+    assert [float(row["objective_heave"]) for row in rows] == [item["objectives"]["heave"] for item in items]
+    page.get_by_role("button", name="CLI").last.click()
+    command = page.locator("pre").last
+    expect(command).to_contain_text(f"drivecal export {shown.two[:8]} --table front")
+    expect(command).to_contain_text("--where 'objective_heave<=")
+    page.get_by_role("button", name="DCM").click()
+    expect(page.locator("pre").first).to_contain_text("--table front --row")
+    page.get_by_role("button", name="Show all again").click()
+    assert sets_shown(page) == whole
+
+
+def test_the_front_of_everything_stored_holds_sets_of_other_campaigns(shown: Shown, opening: Opening) -> None:
+    whole = shown.front(shown.two, everything="true")
+    other = next(row for row in whole if row["iteration"] is None)
+    page = opening(shown.at(shown.two))
+    page.get_by_role("checkbox", name="everything stored").check()
+    expect(page.get_by_text(re.compile(rf"^Showing {len(whole)} of {len(whole)} sets$"))).to_be_visible()
+    page.goto(shown.at(shown.two, query=f"?everything=true&row={other['rank']}"))
+    expect(page.get_by_role("table", name="Objectives of both sets")).to_contain_text("another campaign")
+    page.get_by_role("button", name="CLI").last.click()
+    expect(page.locator("pre").last).to_contain_text("--everything")
+
+
+def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two, "overview"))
+    front = page.get_by_role("region", name="Front")
+    expect(front).to_contain_text("best heave")
+    expect(front).to_contain_text("Baseline, dominated")
+    front.get_by_role("link", name="Set 1, best heave").click()
+    expect(page.get_by_role("heading", name=re.compile("^Set 1 against set"))).to_be_visible()
