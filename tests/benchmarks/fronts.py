@@ -4,6 +4,12 @@ ZDT1 and DTLZ2 on grids of 1,001 values, pymoo on continuous ones. With `--highw
 of their own each: comfort on straight roads against comfort in curves with predictions and certificates, and comfort against the largest
 lateral jerk with certificates. Per seed: the hypervolume of all sets that were asked for, relative to pymoo's; on `highway` also the
 simulations up to pymoo's hypervolume, as a share of pymoo's. The interval is the t interval of the mean (95 %).
+
+`--weightings 10` compares, for each weighting of the objectives, the best set that the first seed's search already has with that of a
+fresh search of one objective and as many requested sets: at most one tolerance worse in at least nine of ten is wanted. The tolerance is
+that of the score on `highway`, and 0.02, i.e. 2 % of an objective's range on the front, on ZDT1 and DTLZ2.
+
+Finished searches of the same size on `highway` are kept in `.drivecal/bench/fronts.jsonl` and not made again.
 """
 
 from __future__ import annotations
@@ -25,20 +31,29 @@ from pymoo.core.problem import Problem
 from pymoo.optimize import minimize
 from scipy import stats
 from tests.benchmarks._objective import SCENARIOS, runner, space
+from tests.benchmarks._weightings import Weighted, on_functions, on_server
 from tests.benchmarks.efficiency import wait_for_workers
 
 from drivecal.analysis.front import hypervolume, non_dominated
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign
 from drivecal.optimizers.nsga import NSGA2
 from drivecal.plugins.ports import Floats
 
 HOME = Path(".drivecal/bench/fronts").absolute()
 TARGET = Path(".drivecal/bench/fronts.json")
+KEPT = Path(".drivecal/bench/fronts.jsonl")
 VALUES = 1001
 JERK, MOST_JERK = "peak_lateral_jerk_mps3", 20.0
 STRAIGHT, CURVED = SCENARIOS[:3], SCENARIOS[3:]
 MOST_SIMULATIONS = 0.6
 """Largest share of pymoo's simulations for the same hypervolume with reuse."""
+GOOD_WEIGHTINGS = 0.9
+"""Smallest share of weightings whose best set is at most one tolerance worse than a fresh search's."""
+TOLERANCE = 0.02
+FUNCTION_SEED, HIGHWAY_SEED = 1, 1
+"""Seeds of the searches whose weightings are compared."""
 FORMS: dict[str, dict[str, Any]] = {
     "split": {
         "objectives": [
@@ -68,6 +83,8 @@ class Compared:
 
     problem: str
     seed: int
+    population: int
+    iterations: int
     ours: float
     theirs: float
     until: float | None = None
@@ -151,22 +168,69 @@ def driven(pool: ProcessPoolExecutor, form: str) -> Costs:
     return costs
 
 
-def on_highway(form: str, population: int, iterations: int, seed: int, pool: ProcessPoolExecutor) -> Compared:
-    """A campaign, and pymoo on the same problem."""
-    gains = by_pymoo(driven(pool, form), len(space()), population, iterations, seed)
-    theirs, cells = volume(gains, REFERENCES[form]), population * iterations * len(SCENARIOS)
+def searched(client: Client, form: str, population: int, iterations: int, seed: int) -> Campaign:
+    """Carries a campaign out."""
+    wait_for_workers(client)
     search = {"kind": "nsga2", "population": population, "iterations": iterations, "seed": seed}
+    campaign = client.wait(client.submit({"optimizer": search, **FORMS[form]}).id)
+    if campaign.state != "succeeded":
+        raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
+    return campaign
+
+
+def remembered(key: Sequence[object], make: Callable[[], Any]) -> Any:
+    """The value that an earlier run kept for a key, else the one that is made and kept now; JSON."""
+    known = [json.loads(line) for line in KEPT.read_text().splitlines()] if KEPT.exists() else []
+    for entry in known:
+        if entry["key"] == list(key):
+            return entry["value"]
+    value = make()
+    KEPT.parent.mkdir(parents=True, exist_ok=True)
+    with KEPT.open("a") as file:
+        file.write(json.dumps({"key": list(key), "value": value}) + "\n")
+    print(*key, value, flush=True)
+    return value
+
+
+def pymoo_on_highway(form: str, population: int, iterations: int, seed: int) -> float:
+    """The hypervolume of all sets that pymoo asked for."""
+    with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        gains = by_pymoo(driven(pool, form), len(space()), population, iterations, seed)
+    return volume(gains, REFERENCES[form])
+
+
+def drivecal_on_highway(form: str, population: int, iterations: int, seed: int) -> dict[str, Any]:
+    """The hypervolume after each iteration of a campaign, the simulations up to it, and those of the whole campaign."""
     with fresh_folder(HOME), coordinator(HOME) as client:
-        wait_for_workers(client)
-        campaign = client.wait(client.submit({"optimizer": search, **FORMS[form]}).id)
-        if campaign.state != "succeeded":
-            raise RuntimeError(f"the campaign ended as {campaign.state}: {campaign.error}")
+        campaign = searched(client, form, population, iterations, seed)
         growth = client.front_summary(campaign.id).growth
         simulated = np.cumsum([row["simulated"] + row["failed"] for row in client.rows(campaign.id, "generations")])
-    reached = next((each.iteration for each in growth if (each.hypervolume or 0.0) >= theirs), None)
-    until = None if reached is None else float(simulated[min(reached, iterations - 1)]) / cells
-    share = (campaign.cells.simulated + campaign.cells.failed) / cells
-    return Compared(f"highway {form}", seed, growth[-1].hypervolume or 0.0, theirs, until, share)
+    return {
+        "iterations": [each.iteration for each in growth],
+        "hypervolumes": [each.hypervolume or 0.0 for each in growth],
+        "simulated": simulated.tolist(),
+        "in all": campaign.cells.simulated + campaign.cells.failed,
+    }
+
+
+def on_highway(form: str, population: int, iterations: int, seed: int) -> Compared:
+    """A campaign, and pymoo on the same problem."""
+    size = population, iterations
+    theirs = remembered(["pymoo", form, *size, seed], lambda: pymoo_on_highway(form, *size, seed))
+    ours = remembered(["drivecal", form, *size, seed], lambda: drivecal_on_highway(form, *size, seed))
+    cells = population * iterations * len(SCENARIOS)
+    grown = zip(ours["iterations"], ours["hypervolumes"], strict=True)
+    reached = next((iteration for iteration, reaches in grown if reaches >= theirs), None)
+    until = None if reached is None else ours["simulated"][min(reached, iterations - 1)] / cells
+    return Compared(f"highway {form}", seed, *size, ours["hypervolumes"][-1], theirs, until, ours["in all"] / cells)
+
+
+def weightings_on_highway(population: int, iterations: int, count: int) -> list[Weighted]:
+    """Compares weightings of comfort on straight roads and in curves."""
+    shares = [dict.fromkeys(of, 1 / len(of)) for of in (STRAIGHT, CURVED)]
+    with fresh_folder(HOME), coordinator(HOME) as client:
+        campaign = searched(client, "split", population, iterations, HIGHWAY_SEED)
+        return list(on_server(client, "highway split", campaign, shares, HIGHWAY_SEED, count))
 
 
 def interval(values: Sequence[float]) -> tuple[float, float]:
@@ -176,34 +240,8 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
     return mean - width, mean + width
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Prints the table, writes the figures; 1 if a mean hypervolume is below pymoo's by more than its interval allows."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--population", type=int, default=60)
-    parser.add_argument("--iterations", type=int, default=60)
-    parser.add_argument("--highway", action="store_true", help="minutes per seed")
-    parser.add_argument("--highway-seeds", type=int, default=10)
-    parser.add_argument("--highway-population", type=int, default=100)
-    parser.add_argument("--highway-iterations", type=int, default=15)
-    options = parser.parse_args(arguments)
-    rows: list[Compared] = []
-    for name, costs, variables, reference in (
-        ("zdt1", zdt1, 10, np.array([-1.1, -1.1])),
-        ("dtlz2", dtlz2, 7, np.array([-1.1, -1.1, -1.1])),
-    ):
-        for seed in range(1, options.seeds + 1):
-            ours, theirs = (
-                volume(search(costs, variables, options.population, options.iterations, seed), reference)
-                for search in (by_drivecal, by_pymoo)
-            )
-            rows.append(Compared(name, seed, ours, theirs))
-    if options.highway:
-        with ProcessPoolExecutor(os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn")) as pool:
-            for form in FORMS:
-                for seed in range(1, options.highway_seeds + 1):
-                    size = options.highway_population, options.highway_iterations
-                    rows.append(on_highway(form, *size, seed, pool))
+def print_compared(rows: Sequence[Compared]) -> tuple[bool, list[dict[str, Any]]]:
+    """Prints a line per problem. Returns whether something is not as wanted, and the figures."""
     worse, figures = False, []
     print("problem           hypervolume / pymoo's            simulated / pymoo's for its hypervolume (in all)")
     for problem in dict.fromkeys(row.problem for row in rows):
@@ -213,13 +251,69 @@ def main(arguments: Sequence[str] | None = None) -> int:
         line = f"{problem:16}  {np.mean([row.relative for row in own]):.4f} [{lower:.4f}, {upper:.4f}]"
         until = [row.until for row in own if row.until is not None]
         if own[0].simulated is not None:
-            worse |= bool(until) and float(np.mean(until)) > MOST_SIMULATIONS
-            reached = f"{np.mean(until):.3f} in {len(until)} of {len(own)}" if until else "not reached"
+            worse |= not until or float(np.mean(until)) > MOST_SIMULATIONS
+            ends = "[{:.3f}, {:.3f}]".format(*interval(until)) if until else ""
+            reached = f"{np.mean(until):.3f} {ends} in {len(until)} of {len(own)}" if until else "not reached"
             line += f"         {reached} ({np.mean([row.simulated or 0.0 for row in own]):.3f})"
         print(line)
         figures.append({"problem": problem, "interval": [lower, upper], "rows": [asdict(row) for row in own]})
+    return worse, figures
+
+
+def print_weighted(rows: Sequence[Weighted]) -> bool:
+    """Prints a line per problem. Returns whether something is not as wanted."""
+    worse = False
+    print("\nproblem           at most one tolerance worse    known - fresh: mean, worst (tolerance)    longest wait")
+    for problem in dict.fromkeys(row.problem for row in rows):
+        own = [row for row in rows if row.problem == problem]
+        good = sum(row.is_good for row in own)
+        worse |= good < GOOD_WEIGHTINGS * len(own)
+        apart = [row.known - row.fresh for row in own]
+        wait = max(row.seconds for row in own)
+        figures = f"{np.mean(apart):+.4f}, {min(apart):+.4f} ({own[0].tolerance:g})"
+        print(f"{problem:16}  {good} of {len(own):<24}  {figures:40}  {wait * 1000:.0f} ms")
+    return worse
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Prints the tables, writes the figures; 1 if something is not as wanted: a mean hypervolume below pymoo's by more than its interval
+    allows, more simulations, or worse weightings."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--population", type=int, default=60)
+    parser.add_argument("--iterations", type=int, default=60)
+    parser.add_argument("--weightings", type=int, default=0, metavar="N", help="compare N weightings of the objectives")
+    parser.add_argument("--highway", action="store_true", help="minutes per seed")
+    parser.add_argument("--form", action="append", choices=list(FORMS), help="on highway, instead of all")
+    parser.add_argument("--highway-seeds", type=int, default=10)
+    parser.add_argument("--highway-population", type=int, default=60)
+    parser.add_argument("--highway-iterations", type=int, default=10)
+    options = parser.parse_args(arguments)
+    rows: list[Compared] = []
+    weighted: list[Weighted] = []
     TARGET.parent.mkdir(parents=True, exist_ok=True)
-    TARGET.write_text(json.dumps(vars(options) | {"problems": figures}, indent=1))
+    size = options.population, options.iterations
+    for name, costs, variables, reference in (
+        ("zdt1", zdt1, 10, np.array([-1.1, -1.1])),
+        ("dtlz2", dtlz2, 7, np.array([-1.1, -1.1, -1.1])),
+    ):
+        for seed in range(1, options.seeds + 1):
+            gains, others = (search(costs, variables, *size, seed) for search in (by_drivecal, by_pymoo))
+            rows.append(Compared(name, seed, *size, volume(gains, reference), volume(others, reference)))
+            if seed == FUNCTION_SEED and options.weightings:
+                shape = variables, VALUES, options.population
+                weighted += on_functions(name, costs, gains, shape, seed, options.weightings, TOLERANCE)
+    if options.highway:
+        size = options.highway_population, options.highway_iterations
+        for form in options.form or FORMS:
+            rows += [on_highway(form, *size, seed) for seed in range(1, options.highway_seeds + 1)]
+        if options.weightings:
+            weighted += weightings_on_highway(*size, options.weightings)
+    worse, figures = print_compared(rows)
+    if weighted:
+        worse |= print_weighted(weighted)
+    document = vars(options) | {"problems": figures, "weightings": [asdict(row) for row in weighted]}
+    TARGET.write_text(json.dumps(document, indent=1))
     return int(worse)
 
 

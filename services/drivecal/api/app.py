@@ -16,6 +16,7 @@ from drivecal.api.live.response_cache import ResponseCache
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
+from drivecal.api.review import route as review
 from drivecal.api.routes import (
     background,
     campaigns,
@@ -81,6 +82,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         events,
         tables,
         front,
+        review,
         background,
         evaluations,
         traces,

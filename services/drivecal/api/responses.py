@@ -20,7 +20,7 @@ from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
-TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust")
+TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust", "review")
 """Links of a campaign besides `events`; a comparison has its own tables instead."""
 
 

@@ -35,7 +35,7 @@ class ExitCode(IntEnum):
 
 ORDER = (
     *("demo", "serve", "submit", "list", "top", "show", "watch", "pause", "resume", "cancel", "rerun"),
-    *("solutions", "report", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
+    *("solutions", "report", "review", "export", "explain", "influence", "influence-maps", "robustness", "validate"),
     *("compare-optimizers", "evaluate", "problem", "workers", "db"),
 )
 """Order of the commands in the help."""
@@ -46,6 +46,7 @@ EXTRAS = {
         ("alembic", "fastapi", "libsumo", "matplotlib", "numba", "prometheus_client", "psycopg", "pyarrow", "scipy"), "local"
     ),
     **dict.fromkeys(("sklearn", "sqlalchemy", "starlette", "structlog", "uvicorn", "websockets"), "local"),
+    "asammdf": "mf4",
     "ray": "cluster",
 }
 """Extra of drivecal that installs a package, by the package's module."""

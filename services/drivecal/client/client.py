@@ -15,7 +15,7 @@ from drivecal.client.documents import Document, plain
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
-from drivecal.client.identifiers import completed, is_abbreviated, with_full_ids
+from drivecal.client.identifiers import completed, ids_on, is_abbreviated, with_full_ids
 from drivecal.client.notebooks import Rows, displayed
 from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, Transport, named, path_of
@@ -49,9 +49,6 @@ from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]
 
-AT_A_TIME = 200
-"""Campaigns or maps in a request for ids."""
-
 
 class Client(Transport):
     """A client of the server at `url`.
@@ -76,11 +73,11 @@ class Client(Transport):
 
         Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
         """
-        return self._completed("campaign", identifier, lambda: _ids(self.campaigns))
+        return self._completed("campaign", identifier, lambda: ids_on(self.campaigns))
 
     def full_map_id(self, identifier: str) -> str:
         """Returns the id of an influence map, like `full_id`."""
-        return self._completed("influence map", identifier, lambda: _ids(self.influence_maps))
+        return self._completed("influence map", identifier, lambda: ids_on(self.influence_maps))
 
     def _completed(self, kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
         known = self._full_ids.get((kind, identifier))
@@ -319,6 +316,17 @@ class Client(Transport):
         """Returns the light of a campaign's result, and the reasons for it."""
         return self._get(TrustAnswer, "campaigns", identifier, "trust")
 
+    def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
+        """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the
+        front if there are several objectives. `against`: another set beside it, a rank, a campaign's id, or `ID:RANK`."""
+        place = ("campaigns", identifier, "review")
+        if against is not None:
+            other, *other_rank = against.split(":", 1)
+            against = other if other.isdecimal() and not other_rank else ":".join([self.full_id(other), *other_rank])
+        response = self._request("GET", place, query={"set": rank, "front": front, "against": against})
+        raise_for(response, *named(place))
+        return response.text
+
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""
         return self._get(Explanation, "evaluations", evaluation, "explain")
@@ -381,15 +389,6 @@ class Client(Transport):
     def workers(self) -> WorkerPage:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
-
-
-def _ids(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:
-    """Yields the ids on all pages, newest first."""
-    page = pages(limit=AT_A_TIME)
-    yield from (item.id for item in page.items)
-    while page.next_cursor is not None:
-        page = pages(limit=AT_A_TIME, cursor=page.next_cursor)
-        yield from (item.id for item in page.items)
 
 
 def _weights_text(weights: Mapping[str, float] | str | None) -> str | None:

@@ -1,14 +1,18 @@
 """Ids of campaigns and influence maps that users abbreviate by their first characters."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice
 from typing import Any
 
+from drivecal.contracts.campaign import CampaignPage
+from drivecal.contracts.inventory import InfluenceMapPage
 from drivecal.domain.errors import NotFoundError
 
 LENGTH = 32
 """Characters of a whole id."""
+AT_A_TIME = 200
+"""Campaigns or maps in a request for ids."""
 _ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")
 
 Complete = Callable[[str], str]
@@ -44,3 +48,12 @@ def with_full_ids(specification: Mapping[str, Any], campaign: Complete, influenc
         if isinstance(settings, Mapping) and isinstance(settings.get(name), str):
             full[section] = {**settings, name: complete(settings[name])}
     return full
+
+
+def ids_on(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:
+    """Yields the ids on all pages, newest first."""
+    page = pages(limit=AT_A_TIME)
+    yield from (item.id for item in page.items)
+    while page.next_cursor is not None:
+        page = pages(limit=AT_A_TIME, cursor=page.next_cursor)
+        yield from (item.id for item in page.items)

@@ -37,17 +37,31 @@ files: Callable[[Iterable[str]], str] = _MACROS.files
 verbatim: Callable[[str], str] = _MACROS.verbatim
 paragraph: Callable[..., str] = _MACROS.paragraph
 figure: Callable[[Markup, str, Sequence[str]], str] = _MACROS.figure
+command: Callable[[str], str] = _MACROS.command
+drawing: Callable[[Markup, str], str] = _MACROS.drawing
 
 
-def document(title: str, subtitle: str, warnings: Iterable[str | None], sections: Mapping[str, Sequence[str]]) -> str:
-    """Returns a page. Sections are lists of parts by title; empty ones, and empty warnings, are left out."""
+def document(
+    title: str,
+    subtitle: str,
+    warnings: Iterable[str | None],
+    sections: Mapping[str, Sequence[str]],
+    template: str = "page.html.jinja",
+    **values: str,
+) -> str:
+    """Returns a page. Sections are lists of parts by title; empty ones, and empty warnings, are left out. `values`: of the `template`."""
     kept = {name: section for name, section in sections.items() if section}
     parts = [
         *(heading(title), paragraph(subtitle, "sub"), contents(kept)),
         *(paragraph(text, "warn") for text in warnings if text),
         *(_MACROS.section(name, section) for name, section in kept.items()),
     ]
-    return _ENVIRONMENT.get_template("page.html.jinja").render(title=title, parts=parts)
+    return _ENVIRONMENT.get_template(template).render(title=title, parts=parts, **values)
+
+
+def rendered(template: str, **values: object) -> Markup:
+    """Returns a part of a page from a template of its own."""
+    return Markup(_ENVIRONMENT.get_template(template).render(**values))  # noqa: S704  # escaped by the template
 
 
 def table(

@@ -1,0 +1,154 @@
+"""The review sheet over HTTP, by the client, and on the command line."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.integration.test_objectives import NSGA2, TWO, backend
+from tests.support.command import command
+from tests.support.runs import SMALL, run
+from tests.support.server import RunningApi, serving
+
+from drivecal.client import Client
+from drivecal.domain.errors import InvalidInputError, NotFoundError
+from drivecal.report.review.content import read_sheet
+from drivecal.storage import campaigns
+
+SPEC = SMALL | {"optimizer": NSGA2 | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
+BASELINE = dict.fromkeys((f"P{number}" for number in range(1, 12)), 0.5)
+
+
+@dataclass(frozen=True)
+class Ended:
+    api: RunningApi
+    several: str
+    """With two objectives and a baseline."""
+    plain: str
+    """With the weighted score alone."""
+
+
+@pytest.fixture(scope="module")
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('review') / 'drivecal.db'}") as api:
+        ids = []
+        changes: list[dict[str, Any]] = [{"baseline": BASELINE}, {"objectives": None, "optimizer": SMALL["optimizer"]}]
+        for change in changes:
+            submitted = api.http.post("/api/v1/campaigns", json=SPEC | change)
+            assert submitted.status_code == 202, submitted.text
+            ids.append(submitted.json()["id"])
+            with api.database.read() as connection:
+                stored = campaigns.get(connection, ids[-1])
+            run(api.database, stored, backend())
+        yield Ended(api, *ids)
+
+
+def cells(page: str) -> list[str]:
+    return re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", page)
+
+
+def row(page: str, name: str, length: int) -> list[str]:
+    shown = cells(page)
+    start = shown.index(name)
+    return shown[start : start + length]
+
+
+def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
+    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"] == "text/html; charset=utf-8"
+    assert "default-src 'none'" in answer.headers["content-security-policy"]
+    with Client(ended.api.url) as client:
+        front, campaign, trust = client.front(ended.several), client.campaign(ended.several), client.trust(ended.several)
+        setup = client.setup(ended.several)
+    assert campaign.baseline is not None
+    chosen = front[0]
+    shown = row(answer.text, "S1", 6)
+    assert setup.scenarios[0].fingerprint in shown
+    for name, score in chosen.scores.items():
+        assert f'<td>{name}</td><td class="n">{campaign.baseline.scores[name]}</td><td class="n">{score}</td>' in answer.text
+    result = answer.text[answer.text.index("<h2>Result</h2>") :]
+    for name, amount in chosen.objectives.items():
+        assert f"{amount:.6g}" in row(result, name, 4)
+    assert all(reason.text in answer.text for reason in trust.reasons)
+    assert answer.text == ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?front=1").text
+
+
+def test_two_sets_and_two_campaigns_are_compared(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        own = client.review(ended.several[:8], against="2")
+        other = client.review(ended.several[:8], 1, against=f"{ended.plain[:8]}:3")
+        assert read_sheet(own, "own").query == {"front": "1", "against": f"{ended.several}:2"}
+        assert read_sheet(other, "other").query == {"set": "1", "against": f"{ended.plain}:3"}
+        assert "set 3 of the solutions of campaign " + ended.plain in other
+        third = client.solutions(ended.plain, limit=3).items[2]
+    assert f"{third.objective:.6g}" in cells(other)
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("set=0", "set"),
+        ("set=1&front=1", "front"),
+        ("set=999999", "set"),
+        ("front=999999", "front"),
+        ("against=999999", "against"),
+        ("against=%2F..", "against"),
+        ("other=1", "other"),
+    ],
+)
+def test_a_set_that_does_not_exist_is_refused_by_its_field(ended: Ended, query: str, field: str) -> None:
+    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?{query}")
+    assert answer.status_code == 422
+    assert [each["field"] for each in answer.json()["errors"]] == [field]
+
+
+def test_an_unknown_campaign_is_not_found(ended: Ended) -> None:
+    with Client(ended.api.url) as client, pytest.raises(NotFoundError):
+        client.review("f" * 32)
+    with Client(ended.api.url) as client, pytest.raises((NotFoundError, InvalidInputError)):
+        client.review(ended.several, against="f" * 32)
+
+
+def test_a_sheet_is_verified_and_a_changed_number_named(ended: Ended, tmp_path: Path) -> None:
+    url = ("--url", ended.api.url)
+    file = tmp_path / "sheet.html"
+    written = command("review", ended.several[:8], "--front", "2", "--against", "1", "-o", str(file), "--json", *url)
+    assert written.exit_code == 0, written.output
+    digest = json.loads(written.stdout)["digest"]
+    verified = command("review", "--verify", str(file), *url)
+    assert (verified.exit_code, verified.stdout) == (0, f"equal: {digest}\n")
+
+    changed = tmp_path / "changed.html"
+    text = file.read_text()
+    start = text.index("<h2>Result</h2>")
+    changed.write_text(text[:start] + re.sub(r'(<td class="n">)[0-9.]+(</td>)', r"\g<1>9.75\2", text[start:], count=1))
+    refused = command("review", "--verify", str(changed), "--json", *url)
+    assert refused.exit_code == 1
+    found = json.loads(refused.stdout)
+    assert (found["equal"], found["unchanged"]) == (False, False)
+    [difference] = found["differences"]
+    assert difference["place"].startswith("Result, comfort, ")
+    assert difference["file"] == "9.75"
+    assert difference["now"] != "9.75"
+
+
+@pytest.mark.parametrize(
+    "arguments", [[], ["abcd"], ["abcd", "--verify", "x.html"], ["abcd", "--set", "1", "--front", "1", "-o", "x.html"]]
+)
+def test_incomplete_commands_are_refused(arguments: list[str]) -> None:
+    assert command("review", *arguments).exit_code == 2
+
+
+def test_a_file_that_is_no_sheet_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.html").write_text("<html></html>")
+    (tmp_path / "binary.html").write_bytes(b"\xff\xfe")
+    for name in ("other.html", "binary.html", "missing.html"):
+        refused = command("review", "--verify", str(tmp_path / name))
+        assert refused.exit_code == 2
+        assert name in refused.stderr

@@ -1,0 +1,235 @@
+"""The review sheet from plain data: its content, its digest, and what verification finds."""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.unit.report.rows import SETUP, findings
+
+from drivecal.contracts.campaign import Baseline, Released, Study
+from drivecal.contracts.results import FrontObjective, FrontSummary, Reason, TrustAnswer
+from drivecal.contracts.tables import BoxTrial, FrontRow, RobustnessRow, Solution
+from drivecal.domain.errors import InvalidInputError
+from drivecal.report.data import Studied
+from drivecal.report.review.content import differences, digest_of, read_sheet
+from drivecal.report.review.data import Review, ReviewedSet, ScoreOrigin
+from drivecal.report.review.page import sheet
+from drivecal.report.review.scatter import _Axis, drawings
+
+CHOSEN = {"P1": 0.1 + 0.2, "P2": 2.5, "P3": 4.0}
+
+
+def goal(name: str = "comfort", direction: str = "maximise", **given: Any) -> FrontObjective:
+    known: dict[str, Any] = {
+        "unit": "points", "aggregate": "mean", "scenarios": {"S1": 0.75, "S2": 0.25}, "tolerance": 0.5, "reference": 0.0, "best": 6.0,
+        "worst": 1.0,
+    }  # fmt: skip
+    return FrontObjective(**{"name": name, "direction": direction, **known, **given})
+
+
+def summary(*goals: FrontObjective) -> FrontSummary:
+    return FrontSummary(
+        objectives=list(goals or [goal()]), constraints=["max of gap <= 3 (S1, S2)"], evaluated=40, feasible=38, size=3, copied=0, knee=2,
+        hypervolume=4.25, growth=[],
+    )  # fmt: skip
+
+
+def front_row(rank: int, comfort: float, jerk: float, **given: Any) -> FrontRow:
+    known: dict[str, Any] = {
+        "violation": 0.0, "knee": rank == 2, "best_in": [], "wins": None, "weights": None, "alternatives": 1, "degree": None,
+        "scores": {"S1": 6, "S2": 5}, "reused": [], "parameters": CHOSEN, "iteration": 1, "individual": rank,
+    }  # fmt: skip
+    return FrontRow(**{"rank": rank, "objectives": {"comfort": comfort, "jerk": jerk}, **known, **given})
+
+
+def robust(parameters: dict[str, Any]) -> Studied[RobustnessRow]:
+    settings = {"delta": 0.01, "samples": 30, "condition": "max", "eta": 1.0}
+    study = Study(
+        campaign="c" * 32,
+        name="study",
+        stage="robustness",
+        state="succeeded",
+        settings=settings,
+        vehicle="hybrid",
+        ended_at=None,
+    )
+    trial = BoxTrial(box=1, radius=0.01, holds=True, deviations={"S1": 0.0, "S2": 0.5})
+    row = RobustnessRow(
+        rank=1, objective=5.7, rating=5.7, degree=7, at_least=False, radius=0.07, recommended=True, reason="the largest degree", region=1,
+        to_worse=None, scores={"S1": 6, "S2": 5}, parameters=parameters, trials=[trial],
+    )  # fmt: skip
+    return Studied(study, [row])
+
+
+def reviewed(identifier: str = "a" * 32, **given: Any) -> ReviewedSet:
+    baseline = Baseline(objective=4.75, parameters={"P1": -1.0, "P2": 1.0, "P3": 4.0}, scores={"S1": 5, "S2": 4})
+    released = {"S2": Released(lots=4, rejected=1, predicted=90, sampled=30, different=2, limit=0.05, upper_95=0.034)}
+    solution = Solution(
+        rank=1,
+        objective=5.75,
+        rating=5.7,
+        scores={"S1": 6, "S2": 5},
+        reused=["S2"],
+        parameters=CHOSEN,
+        iteration=1,
+        individual=3,
+    )
+    known: dict[str, Any] = {
+        "campaign": findings().campaign.model_copy(update={"id": identifier, "baseline": baseline, "released": released}),
+        "setup": SETUP,
+        "table": "solutions",
+        "chosen": solution,
+        "cells": {"S1": ScoreOrigin(11, "simulated"), "S2": ScoreOrigin(12, "reused")},
+        "summary": summary(),
+        "trust": TrustAnswer(
+            light="amber", reasons=[Reason(light="amber", about="robustness", text="No study of robustness.")]
+        ),
+        "robustness": [robust(CHOSEN)],
+    }
+    return ReviewedSet(**known | given)
+
+
+def compromise(identifier: str = "a" * 32, rank: int = 1, **given: Any) -> ReviewedSet:
+    rows = [front_row(1, 6.0, 5.0), front_row(2, 5.0, 3.0), front_row(3, 1.0, 2.5)]
+    two = summary(goal(), goal("jerk", "minimise", unit="m/s^3"))
+    return reviewed(identifier, table="front", chosen=rows[rank - 1], front=rows, summary=two, **given)
+
+
+def review(*sets: ReviewedSet) -> Review:
+    named = {"chosen": sets[0]} if len(sets) == 1 else dict(zip(("A", "B"), sets, strict=True))
+    return Review(named, f"/campaigns/{sets[0].campaign.id}/review?set=1", "1.2.3")
+
+
+PAGE = sheet(review(reviewed()))
+BOTH = sheet(review(compromise(), compromise("b" * 32, 2)))
+
+
+def text_of(page: str) -> str:
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", page)).split())
+
+
+def test_the_sheet_shows_values_results_origins_and_confidence() -> None:
+    text = text_of(PAGE)
+    for expected in (
+        "0.30000000000000004 ",  # all digits
+        "held at 4",
+        "-10 to 10, 21 values",
+        "comfort 4.75 5.75 +1",
+        "S1 5 6 +1 simulated (11)",
+        "S2 4 5 +1 copied (12)",
+        "Subject to max of gap <= 3 (S1, S2).",
+        "Light: amber.",
+        "amber: No study of robustness.",
+        "S2 4 1 90 30 2 5.0% 3.40%",
+        "degree of robustness 7",
+        "The scores in S2 of set 1",
+    ):
+        assert expected in text
+
+
+def test_every_table_is_followed_by_its_command() -> None:
+    body = PAGE[PAGE.index("<section") : PAGE.index('id="section-signatures"')]
+    parts = re.findall(r"<table>|<p class=\"command\">", body)
+    assert parts.count("<table>") > 6
+    assert all(after == '<p class="command">' for part, after in zip(parts, [*parts[1:], ""], strict=True) if part == "<table>")
+
+
+def test_two_sets_stand_beside_each_other() -> None:
+    text = text_of(BOTH)
+    assert "jerk – 5 3 -2" in text
+    assert "comfort 4.75 6 5 -1" in text
+    assert BOTH.count("<svg") == 2
+    assert "1 6 5 – chosen" in text
+
+
+def test_the_sheet_needs_nothing_else() -> None:
+    for page in (PAGE, BOTH):
+        assert "<script" not in page
+        assert not re.search(r"(src|href)=\"(?!#|data:)", page)
+        assert "url(" not in page
+
+
+def test_equal_results_give_equal_bytes_and_the_digest_is_that_of_the_content() -> None:
+    again = read_sheet(sheet(review(reviewed())), "again.html")
+    assert again.is_unchanged
+    assert again.digest in PAGE
+    assert digest_of(PAGE.replace(again.digest, "0" * 64)) == again.digest
+    assert (again.campaign, again.query, again.version) == ("a" * 32, {"set": "1"}, "1.2.3")
+
+
+def test_a_changed_number_is_found_and_named() -> None:
+    changed = PAGE.replace(">11.", ">12.").replace('<td class="n">5.75</td>', '<td class="n">6.75</td>')
+    assert not read_sheet(changed, "changed.html").is_unchanged
+    [difference] = differences(changed, PAGE)
+    assert (difference.place, difference.first, difference.second) == ("Result, comfort, chosen", "6.75", "5.75")
+
+
+def test_a_later_result_of_the_campaign_is_found_and_named() -> None:
+    later = sheet(review(reviewed(robustness=[])))
+    assert read_sheet(later, "later.html").is_unchanged
+    places = {difference.place for difference in differences(PAGE, later)}
+    assert "Robustness, degree of robustness, value" in places
+    assert not any(place.startswith(("Result", "Parameters", "Question")) for place in places)
+
+
+def test_a_new_digest_does_not_hide_a_change() -> None:
+    forged = PAGE.replace("Light: amber.", "Light: green.")
+    old = read_sheet(forged, "forged.html").digest
+    forged = forged.replace(old, digest_of(forged.replace(old, "0" * 64)))
+    assert read_sheet(forged, "forged.html").is_unchanged
+    assert [difference.second for difference in differences(forged, PAGE)] == ["Light: amber."]
+
+
+CELLS = [match.span(1) for match in re.finditer(r"<td[^>]*>([^<]+)</td>", PAGE)]
+
+
+@settings(max_examples=10)
+@given(st.sampled_from(CELLS), st.text("0123456789.-", min_size=1, max_size=6))
+def test_any_other_text_of_a_cell_is_found(span: tuple[int, int], text: str) -> None:
+    changed = PAGE[: span[0]] + text + PAGE[span[1] :]
+    known = PAGE[slice(*span)]
+    found = [each for each in differences(changed, PAGE) if each.first == text]
+    assert (len(found) > 0) == (html.unescape(known) != text)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "<html></html>", PAGE.replace("drivecal-review", "other"), PAGE.replace("/campaigns/", "/elsewhere/")]
+)
+def test_another_file_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInputError, match=r"other\.html"):
+        read_sheet(text, "other.html")
+
+
+def test_an_unfinished_campaign_gives_a_draft() -> None:
+    running = reviewed()
+    running = replace(running, campaign=running.campaign.model_copy(update={"state": "running", "ended_at": None}))
+    assert "Draft: campaign" in text_of(sheet(review(running)))
+    assert "Draft" not in PAGE
+
+
+def test_names_of_users_are_text_and_no_markup() -> None:
+    named = reviewed()
+    named = replace(named, campaign=named.campaign.model_copy(update={"name": "<b>x</b></style><script>"}))
+    page = sheet(review(named))
+    assert "<script" not in page
+    assert read_sheet(page, "x.html").is_unchanged
+
+
+@given(st.lists(st.floats(-1e9, 1e9), min_size=1, max_size=5))
+def test_an_axis_holds_its_values_and_has_some_ticks(values: list[float]) -> None:
+    axis = _Axis(values)
+    assert all(0 <= axis.share(value) <= 1 for value in values)
+    ticks = axis.ticks()
+    assert 2 <= len(ticks) <= 8
+    assert all(-1e-9 <= axis.share(tick) <= 1 + 1e-9 for tick in ticks)
+
+
+def test_three_objectives_are_drawn_in_pairs() -> None:
+    goals = [goal("a"), goal("b"), goal("c")]
+    assert len(list(drawings(goals, [[1, 2, 3], [2, 1, 3]], {"A": [1, 2, 3]}))) == 3
