@@ -9,4 +9,5 @@ import "./Problems.svelte";
 import "./Ranking.svelte";
 import "./Submit.svelte";
 import "./Workers.svelte";
+import "../parts/CommandPalette.svelte";
 import "../parts/charts/Beside.svelte";
