@@ -93,6 +93,7 @@ class Known:
     row: str
     map: str
     problem: str
+    view: str
 
 
 @pytest.fixture(scope="module")
@@ -119,9 +120,11 @@ def known(api: RunningApi) -> Known:
     evaluation = post("evaluations", {"parameters": parameters, "scenario": "S2"})
     carry_out_evaluation(api.database, evaluation["id"])
     row = api.http.get(f"/api/v1/campaigns/{campaign['id']}/evaluations").json()["items"][0]["id"]
+    post(f"campaigns/{campaign['id']}/rerun", {"weights": {"S1": 2}})  # keeps it from being deleted
+    view = post("views", {"name": "mine", "address": "#/"})
     zipped = {"Content-Type": "application/zip"}
     problem = api.http.post("/api/v1/problems", content=archive(), headers=zipped).raise_for_status().json()
-    return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"])
+    return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"], view["id"])
 
 
 def derive(schema: BaseSchema, judge: Callable[[schemathesis.Case[Any]], None], subtests: pytest.Subtests) -> None:
@@ -156,6 +159,7 @@ def test_every_answer_about_what_is_there_is_as_documented(
         "evaluation_id": known.evaluation,
         "scenario_id": "S1",
         "problem": known.problem,
+        "view_id": known.view,
     }
 
     def judge(case: schemathesis.Case[Any]) -> None:

@@ -56,11 +56,14 @@ def test_an_analysis_gives_bounds_in_units_and_its_measures(api: RunningApi, ana
     assert len(p1.s_rel_intervals) == 5
     assert p1.s_rel_intervals[-1] == 0
     assert (p2.influential, p2.lower, p2.upper, p2.mu, p2.sigma) == (False, None, None, 0, 0)
+    assert (p1.decided_by, p2.decided_by) == ("intervals", "intervals")
+    assert all(row.reason for row in rows.values())
 
 
 def test_a_scenario_that_tells_nothing_is_unknown_and_counts_as_influential(api: RunningApi, analysed: dict[str, Any]) -> None:
     row = rows_of(api, analysed)["S2", "P1"]
     assert (row.influential, row.unknown, row.lower, row.upper, row.mu) == (True, True, 0, 1, None)
+    assert row.decided_by == "unknown"
 
 
 def test_a_map_says_what_it_rests_on_and_gives_the_same_rows(api: RunningApi, analysed: dict[str, Any]) -> None:
@@ -116,3 +119,4 @@ def test_a_map_is_shown_within_the_narrower_bounds_of_a_campaign(api: RunningApi
     assert (p5.influential, p5.unknown, p5.lower, p5.upper) == (True, True, 0, 1), "the map says nothing of it"
     assert rows["S2", "P2"].unknown
     assert not p2.unknown
+    assert [row.decided_by for row in (p2, p3, p5)] == ["posted", "space", "unknown"]

@@ -28,8 +28,8 @@ from drivecal.api.routes import (
     influence_maps,
     inventory,
     page,
-    page_cells,
     page_live,
+    page_places,
     page_session,
     tables,
     traces,
@@ -90,7 +90,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         user_problems,
         inventory,
         page_session,
-        page_cells,
+        page_places,
         page_live,
     ):
         app.include_router(noun.router, prefix=ROOT)

@@ -4,6 +4,7 @@ import json
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from http import HTTPStatus
 from typing import Any, Literal
 
@@ -17,8 +18,9 @@ from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
 from drivecal.client.identifiers import completed, ids_on, is_abbreviated, with_full_ids
 from drivecal.client.notebooks import Rows, displayed
+from drivecal.client.organising import CampaignLists
 from drivecal.client.problems import Pushed, archive_of, push_headers
-from drivecal.client.transport import Answer, Transport, named, path_of
+from drivecal.client.transport import Answer, named, path_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
@@ -50,7 +52,7 @@ from drivecal.domain.errors import OverloadError
 Action = Literal["pause", "resume", "cancel"]
 
 
-class Client(Transport):
+class Client(CampaignLists):
     """A client of the server at `url`.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
@@ -73,7 +75,7 @@ class Client(Transport):
 
         Raises NotFoundError if several begin so. Every method completes abbreviations of at least four characters by itself.
         """
-        return self._completed("campaign", identifier, lambda: ids_on(self.campaigns))
+        return self._completed("campaign", identifier, lambda: ids_on(partial(self.campaigns, archived="with")))
 
     def full_map_id(self, identifier: str) -> str:
         """Returns the id of an influence map, like `full_id`."""
@@ -109,10 +111,6 @@ class Client(Transport):
     def expected_comparison(self, specification: Document) -> ExpectedComparison:
         """Checks a comparison without queueing it and returns its expected cost."""
         return self._post(ExpectedComparison, "comparisons", document=self._specified(specification), validate_only="true")
-
-    def campaigns(self, state: str | None = None, limit: int | None = None, cursor: str | None = None) -> CampaignPage:
-        """Returns a page of campaigns, newest first."""
-        return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor)
 
     def campaign(self, identifier: str) -> Campaign:
         """Returns a campaign."""

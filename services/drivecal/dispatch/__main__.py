@@ -1,4 +1,5 @@
-"""Runs the dispatcher alone: `python -m drivecal.dispatch`, with the settings of `DRIVECAL_*`. `drivecal serve` starts it with the API."""
+"""Runs the dispatcher alone: `python -m drivecal.dispatch`, with the settings of `DRIVECAL_*`. `drivecal serve` starts it with the API, and
+gives it the number of its own process, which messages name as the server."""
 
 import logging
 import os
@@ -40,7 +41,7 @@ def main() -> int:
     try:
         settings = load_settings()
         logs.configure("dispatcher", settings)
-        serve(settings, stop)
+        serve(settings, stop, int(sys.argv[1]) if len(sys.argv) > 1 else None)
     except BackendLostError as error:
         log.error("%s; a new process replaces this one", error)  # noqa: TRY400  # the sentence says it all
         os._exit(1)  # Ray's own farewell, even that of the interpreter's end, would wait a minute for an answer
@@ -50,14 +51,14 @@ def main() -> int:
     return 0
 
 
-def serve(settings: Settings, stop: threading.Event) -> None:
-    """Runs as the database's dispatcher until `stop` is set; waits for the database and the workers.
+def serve(settings: Settings, stop: threading.Event, server: int | None = None) -> None:
+    """Runs as the database's dispatcher until `stop` is set; waits for the database and the workers. `server`: the supervisor's process.
 
     Raises DatabaseError if the database cannot be used, SupersededError if another dispatcher was elected, and BackendLostError if all
     workers are gone for good: a new process can recover.
     """
     database = Database.open(settings.database_url)
-    lock = _awaited("the database", lambda: _take_lock(database, settings), stop)
+    lock = _awaited("the database", lambda: _take_lock(database, settings, server), stop)
     if lock is None:
         return
     with lock:
@@ -123,14 +124,14 @@ def _archive(database: Database, digest: str) -> bytes:
         return bundles.archive(connection, digest)
 
 
-def _take_lock(database: Database, settings: Settings) -> locks.ServerLock:
+def _take_lock(database: Database, settings: Settings, server: int | None) -> locks.ServerLock:
     try:
         database.check()
     except DatabaseError as error:
         if isinstance(error.__cause__, UnavailableError):  # an outage, not a mistake: to be waited for
             raise error.__cause__ from None
         raise
-    return locks.hold(settings.database_url)
+    return locks.hold(settings.database_url, server=server)
 
 
 def _awaited(

@@ -2,6 +2,7 @@
 
 import errno
 import http.client
+import os
 import socket
 import sys
 from collections.abc import Callable
@@ -99,7 +100,7 @@ def run_server(
     api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
     children = [
         ChildProcess("API", api, settings.environment, (descriptor,)),
-        ChildProcess("dispatcher", DISPATCHER, settings.environment),
+        ChildProcess("dispatcher", (*DISPATCHER, str(os.getpid())), settings.environment),
     ]
     return Supervisor(children, missing, ready).run()
 

@@ -78,6 +78,10 @@ class StoredCampaign(CampaignHeading):
     created_at: datetime
     started_at: datetime | None
     ended_at: datetime | None
+    tags: tuple[str, ...]
+    comment: str
+    archived_at: datetime | None
+    deleted_at: datetime | None
 
     @property
     def cells(self) -> CellCounts:
@@ -160,9 +164,11 @@ def insert(
     return _campaign(earlier)
 
 
-def get(connection: Connection, campaign_id: str) -> StoredCampaign:
-    """A campaign by its id. Raises NotFoundError."""
-    return _campaign(identified(connection, _BY_ID, "campaign", campaign_id))
+def get(connection: Connection, campaign_id: str, *, lock: bool = False, deleted: bool = False) -> StoredCampaign:
+    """A campaign by its id, deleted ones only on request; `lock`: until the transaction ends. Raises NotFoundError."""
+    query = _BY_ID if deleted else _BY_ID.where(campaigns.c.deleted_at.is_(None))
+    query = query.with_for_update(of=campaigns) if lock else query
+    return _campaign(identified(connection, query, "campaign", campaign_id))
 
 
 def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
@@ -180,6 +186,7 @@ def page(
     state: CampaignState | None = None,
     limit: int = 50,
     cursor: str | None = None,
+    conditions: Sequence[ColumnElement[bool]] = (),
 ) -> tuple[list[StoredCampaign], str | None]:
     """At most `limit` campaigns, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError.
 
@@ -187,18 +194,23 @@ def page(
     """
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
-    page = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor))]
+    page = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor, conditions))]
     following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
     return page[:limit], following
 
 
 def listed(
-    columns: Iterable[ColumnElement[Any]], kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
+    columns: Iterable[ColumnElement[Any]],
+    kind: Listed,
+    state: CampaignState | None,
+    limit: int,
+    cursor: str | None,
+    conditions: Sequence[ColumnElement[bool]] = (),
 ) -> Select[Any]:
-    """Returns the query of a page: these columns of campaigns, newest first, without the runs of comparisons. Raises InvalidInputError
-    for an invalid cursor."""
+    """Returns the query of a page: these columns of campaigns, newest first, without deleted ones and the runs of comparisons. Raises
+    InvalidInputError for an invalid cursor."""
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind.in_(("calibration", "comparison"))
-    query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None))
+    query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None), campaigns.c.deleted_at.is_(None), *conditions)
     query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
     if state is not None:
         query = query.where(campaigns.c.state == state)
@@ -224,7 +236,7 @@ def request_action(connection: Connection, campaign_id: str, action: Action) -> 
     Gives the campaign as it is then. Raises NotFoundError, and ConflictError for a run of a comparison and for what has ended or is about
     to be cancelled.
     """
-    campaign = _campaign(identified(connection, _BY_ID.with_for_update(of=campaigns), "campaign", campaign_id))
+    campaign = get(connection, campaign_id, lock=True)
     comparisons.refuse_run(connection, campaign.id, campaign.parent_sequence, action)
     asked = campaign.requested_action
     change = change_by(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None, now=now())
@@ -372,6 +384,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         state=CampaignState(row.state),
         spec=row.spec or {},
         notes=tuple(row.notes),
+        tags=tuple(row.tags),
         progress=Progress(**row.progress),
         narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},

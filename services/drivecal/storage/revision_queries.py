@@ -1,11 +1,11 @@
 """Cheap revision and progress queries. Parses only the documents that it needs."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import ColumnElement, Connection, bindparam, select
 
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -47,7 +47,7 @@ _REVISION = [campaigns.c[field.name] for field in fields(CampaignRevision)]
 _PROGRESS = [by_stage() if field.name == "stages" else campaigns.c[field.name] for field in fields(ProgressSnapshot)]
 _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCHER)
 _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
-    campaigns.c.id == bindparam("identifier")
+    campaigns.c.id == bindparam("identifier"), campaigns.c.deleted_at.is_(None)
 )
 """Statement that is built once: building it costs as much as executing it."""
 
@@ -64,10 +64,16 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
 
 
 def page(
-    connection: Connection, *, kind: Listed, state: CampaignState | None, limit: int, cursor: str | None
+    connection: Connection,
+    *,
+    kind: Listed,
+    state: CampaignState | None,
+    limit: int,
+    cursor: str | None,
+    conditions: Sequence[ColumnElement[bool]] = (),
 ) -> list[CampaignRevision]:
     """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
-    return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor))]
+    return [_revision(row) for row in connection.execute(listed(_REVISION, kind, state, limit + 1, cursor, conditions))]
 
 
 def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:

@@ -27,6 +27,29 @@ class TrustAnswer(Answer):
     reasons: list[Reason]
 
 
+class ParameterImportance(Answer):
+    """By how much R² on held-out sets falls when the values of a parameter are shuffled among them, with the deviation over repetitions.
+    About 0: the score does not depend on it in these sets; below 0: nothing but chance."""
+
+    parameter: str
+    importance: float
+    deviation: float
+
+
+class ImportanceAnswer(Answer):
+    """The importance of parameters among the sets of a search. `r2`: how well the forest predicts held-out sets, 1 exactly, 0 no better
+    than their mean. Both are null, and `items` empty, if there are too few sets or their values are all the same."""
+
+    scenario: str | None
+    """Null: for the objective."""
+    method: str
+    sets: int
+    """Sets with values of their own; copies of references and predictions do not count."""
+    held_out: int | None = None
+    r2: float | None = None
+    items: list[ParameterImportance] = Field(default_factory=list)
+
+
 class FrontObjective(Answer):
     """An objective, in its own units: best and worst value on the front (null without one), and the `reference` of hypervolumes.
 

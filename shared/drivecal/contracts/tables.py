@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -120,10 +120,12 @@ def _mark(metadata: Sequence[Any], annotation: Any) -> Spread | FileForm | str |
 
 
 def _kind(annotation: Any) -> Kind:
-    options = get_args(annotation) if get_origin(annotation) is UnionType else (annotation,)
+    options = get_args(annotation) if get_origin(annotation) in {UnionType, Union} else (annotation,)
     if {int, float} <= set(options):
         return "score"
     [plain] = [option for option in options if option is not NoneType]
+    if get_origin(plain) is Literal:
+        return "text"
     return "numbers" if get_origin(plain) is list else _KINDS[plain]
 
 
@@ -278,6 +280,11 @@ class JudgedSet(Answer):
     individual: int | None
 
 
+DecidedBy = Literal["intervals", "confirmation", "global", "unknown", "posted", "space"]
+"""What decided about a parameter: its intervals; the analysis of its whole range after them; the global analysis; no known result; a user
+who posted the map; the campaign's space, which holds none of the influential range."""
+
+
 class InfluenceRow(Answer):
     """A parameter in a scenario. `lower` and `upper` are the inclusive influential bounds in parameter units, the space's own
     if nothing is cut, null if nothing is influential. Results of an analysis are null in maps that a user posted."""
@@ -301,6 +308,10 @@ class InfluenceRow(Answer):
     space_upper: float | None = None
     n_values: int | None = None
     """Number of the parameter's values from `space_lower` to `space_upper`."""
+    decided_by: DecidedBy | None = None
+    """What decided whether it is influential; null in analyses of earlier releases."""
+    reason: str | None = None
+    """The deciding figures against their threshold, in words."""
 
 
 class BoxTrial(Answer):

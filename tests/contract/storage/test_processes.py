@@ -47,6 +47,11 @@ def test_a_second_server_is_refused_and_told_who_holds_the_database(empty_url: s
     locks.hold(empty_url).release()
 
 
+def test_a_lock_names_the_server_that_a_user_stops_and_not_the_dispatcher_that_is_restarted(empty_url: str) -> None:
+    with locks.hold(empty_url, server=4711), pytest.raises(DatabaseError, match=r"process 4711\b"):
+        locks.hold(empty_url)
+
+
 def test_servers_of_different_databases_do_not_disturb_each_other(empty_url: str, url: str) -> None:
     if empty_url == url:
         url = url.replace("drivecal.db", "other.db")

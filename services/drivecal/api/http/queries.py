@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from drivecal.contracts.organising import Archived, Tag
 from drivecal.domain.campaigns import CampaignState
 
 Form = Literal["json", "csv", "parquet"]
@@ -35,9 +36,17 @@ class PageOf(Parameters):
 
 
 class CampaignsOf(PageOf):
-    """A page of campaigns."""
+    """A page of campaigns: by default without archived ones; with several tags those that have all of them."""
 
     state: CampaignState | None = None
+    archived: Archived = "without"
+    tag: Annotated[list[Tag], Field(max_length=20)] = []
+
+
+class ViewsOf(Parameters):
+    """Saved views for all campaigns, and those of a `campaign`."""
+
+    campaign: Annotated[str, StringConstraints(max_length=64)] | None = None
 
 
 class ProblemsOf(PageOf):
@@ -92,6 +101,12 @@ class FrontOf(TableOf, SummaryOf):
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
 
 
+class ImportanceOf(Parameters):
+    """The `scenario` whose score is explained; without it the objective."""
+
+    scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
+
+
 class TradeOffOf(SummaryOf):
     """Two ranks of a front."""
 
@@ -109,6 +124,7 @@ class SubmissionOf(Parameters):
 
 PageQuery = Annotated[PageOf, Query()]
 CampaignsQuery = Annotated[CampaignsOf, Query()]
+ViewsQuery = Annotated[ViewsOf, Query()]
 ProblemsQuery = Annotated[ProblemsOf, Query()]
 FormQuery = Annotated[FormOf, Query()]
 TableQuery = Annotated[TableOf, Query()]
@@ -117,6 +133,7 @@ SolutionsQuery = Annotated[SolutionsOf, Query()]
 SummaryQuery = Annotated[SummaryOf, Query()]
 EvaluatedQuery = Annotated[EvaluatedOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
+ImportanceQuery = Annotated[ImportanceOf, Query()]
 TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 

@@ -11,7 +11,9 @@ from sqlalchemy import Connection
 from drivecal.analysis.trust import Driven, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import ImportanceQuery
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
+from drivecal.api.tables.importance import importance
 from drivecal.api.tables.ranking import earlier_best
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
@@ -19,7 +21,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.contracts.campaign import Study, StudyPage
 from drivecal.contracts.evaluation import FailurePage
-from drivecal.contracts.results import TrustAnswer
+from drivecal.contracts.results import ImportanceAnswer, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -53,6 +55,14 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     )
 
 
+@router.get("/importance")
+def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
+    """How much the objective, or the score of one scenario, depends on each parameter among the sets of the search."""
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
+    return importance(database, campaign, resolved_spec(campaign), query.scenario)
+
+
 @router.get("/studies")
 def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
@@ -67,7 +77,7 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
     """A light for the campaign's result, green, amber or red, and the reasons in words, the gravest first."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which needs no light")
-        first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of)
+        first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
         made = [study for study in _about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
         documents = [(study, studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}) for study in made]
     validated = [

@@ -1,5 +1,6 @@
 """Campaigns: submit, read, steer, run again."""
 
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
@@ -16,6 +17,7 @@ from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, calibration, cam
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
+from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
@@ -23,6 +25,7 @@ from drivecal.storage import audits, campaigns, comparisons, evaluations, result
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.organising import deletion, labels
 from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
@@ -51,13 +54,15 @@ def submit(
 def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """Campaigns, newest first. The page has an `ETag`, as a campaign has."""
     moment = now()
+    page_of: dict[str, Any] = {"state": query.state, "limit": query.limit, "cursor": query.cursor}
+    page_of["conditions"] = labels.listing(query.archived, query.tag)
     with database.read() as connection:
-        seen = revision_queries.page(connection, kind="calibration", state=query.state, limit=query.limit, cursor=query.cursor)
+        seen = revision_queries.page(connection, kind="calibration", **page_of)
         silent = silence(revision_queries.heartbeat(connection), moment)
         headers = {"ETag": list_etag(seen, silent), "Cache-Control": "no-cache"}
         if matches(if_none_match, headers["ETag"]):
             return Response(status_code=304, headers=headers)
-        stored, following = campaigns.page(connection, state=query.state, limit=query.limit, cursor=query.cursor)
+        stored, following = campaigns.page(connection, **page_of)
     page = CampaignPage(items=[campaign_answer(campaign, moment, silent) for campaign in stored], next_cursor=following)
     return Response(page.model_dump_json(), headers=headers, media_type="application/json")
 
@@ -83,6 +88,29 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
         body = campaign_answer(stored, moment, silent, comparison).model_dump_json().encode()
         remembered.keep(seen.id, tag, body)
     return Response(body, headers=headers, media_type="application/json")
+
+
+@router.patch("/{campaign_id}")
+def change(campaign_id: str, changes: CampaignChanges, response: Response, database: DatabaseDependency) -> Campaign:
+    """Changes name, tags or comment of a campaign, archives it or lists it again. Fields that are left out stay."""
+    with database.transaction() as connection:
+        stored = labels.change(connection, campaign_id, **changes.model_dump())
+    return accepted(response, database, stored)
+
+
+@router.delete("/{campaign_id}")
+def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
+    """Deletes an ended campaign with its cells, or archives it if other campaigns refer to it. What it simulated stays in the reference
+    table. Deleting again changes nothing."""
+    with database.transaction() as connection:
+        stored = campaigns.get(connection, campaign_id, deleted=True)
+        referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
+        if not referring:
+            deletion.delete_campaign(connection, campaign_id)
+            return Deletion(id=campaign_id, deleted=True, archived=False, referring=[])
+        labels.change(connection, campaign_id, archived=True)
+    listed = [Referring(**asdict(reference)) for reference in referring]
+    return Deletion(id=campaign_id, deleted=False, archived=True, referring=listed)
 
 
 @router.get("/{campaign_id}/accounting")

@@ -13,6 +13,7 @@ from drivecal.domain.parameters import Parameter
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
 MEASURES = ("s_rel_intervals", "mu", "sigma", "mu_star")
+NOT_LISTED = "the map does not list it, so it counts as influential"
 
 
 def campaign_rows(stored: StoredInfluenceMap, resolved: ResolvedSpec) -> list[InfluenceRow]:
@@ -52,7 +53,23 @@ def _row(
         space_lower=None if parameter is None else float(parameter.lower),
         space_upper=None if parameter is None else float(parameter.upper),
         n_values=None if parameter is None else parameter.n_values,
+        **_decided(stored, entry, outside=influence.influential and not influential),
     )
+
+
+def _decided(stored: StoredInfluenceMap, entry: Mapping[str, Any] | None, *, outside: bool) -> dict[str, Any]:
+    """Returns what decided about a row, and the reason. `outside`: the campaign's space holds none of the influential range."""
+    if entry is None:
+        return {"decided_by": "unknown", "reason": NOT_LISTED}
+    if outside:
+        ends = ["its bound" if entry[end] is None else entry[end] for end in ("lower", "upper")]
+        return {
+            "decided_by": "space",
+            "reason": f"the influential range, {ends[0]} to {ends[1]}, lies outside of the campaign's",
+        }
+    if stored.basis is None:
+        return {"decided_by": "posted", "reason": "the posted map says so"}
+    return {"decided_by": entry.get("decided_by"), "reason": entry.get("reason")}
 
 
 def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, Decimal | None, Decimal | None]:

@@ -25,6 +25,7 @@ from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.plugins import registry
 from drivecal.reduction.audit import clopper_pearson
+from drivecal.sensitivity.decisions import decision
 from drivecal.sensitivity.scenario import ScenarioInfluence
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references import influence_maps
@@ -219,12 +220,15 @@ def analysis_to_document(analysis: Mapping[str, ScenarioInfluence]) -> dict[str,
     for scenario, listed in analysis.items():
         for name, parameter in listed.parameters.items():
             overall = None if parameter.overall is None else parameter.overall.measures
+            decided = decision(parameter, unknown=listed.unknown)
             bounds[scenario][name] |= {
                 "unknown": listed.unknown,
                 "s_rel_intervals": [finite(value) for value in parameter.s_rel_intervals],
                 "mu": None if overall is None else finite(overall.mu),
                 "sigma": None if overall is None else finite(overall.sigma),
                 "mu_star": None if overall is None else finite(overall.mu_star),
+                "decided_by": decided.by,
+                "reason": decided.reason,
             }
     return bounds
 

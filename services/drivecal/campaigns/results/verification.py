@@ -138,7 +138,7 @@ def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) ->
 
 
 def _campaign(connection: Connection, campaign_id: str) -> None:
-    campaign = campaigns.get(connection, campaign_id)
+    campaign = campaigns.get(connection, campaign_id, deleted=True)
     _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
     if campaign.kind == "comparison":
         stored_scale(campaign.resolution)

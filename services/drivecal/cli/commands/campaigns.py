@@ -31,6 +31,7 @@ from drivecal.client.client import Action, Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
+from drivecal.contracts.organising import Deletion
 from drivecal.domain.campaigns import CampaignState
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -95,14 +96,18 @@ def rerun(
 @app.command("list")
 def list_campaigns(
     state: Annotated[CampaignState | None, typer.Option(help="Only campaigns in this state.")] = None,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", help="Only campaigns with this tag; with all, if repeated.")
+    ] = None,
+    archived: Annotated[bool, typer.Option("--archived", help="Only archived campaigns, which other lists leave out.")] = False,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List campaigns, newest first."""
     with connect(url) as client:
-        page = client.campaigns(state=state, limit=limit)
-    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "name"]
+        page = client.campaigns(state=state, limit=limit, tags=tags or (), archived="only" if archived else "without")
+    header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "tags", "name"]
     print_page(page, as_json, header, [_row(campaign) for campaign in page.items], limit)
 
 
@@ -140,6 +145,37 @@ def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOpt
 def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """End a campaign; finished simulations are kept."""
     _act(identifier, "cancel", url, as_json)
+
+
+@app.command()
+def label(
+    identifier: CampaignArgument,
+    name: Annotated[str | None, typer.Option(help="Another name.")] = None,
+    tags: Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Add a tag; may be repeated.")] = None,
+    untag: Annotated[list[str] | None, typer.Option(metavar="TAG", help="Take a tag away; may be repeated.")] = None,
+    comment: Annotated[str | None, typer.Option(help="A remark of yours, in place of the one before.")] = None,
+    archive: Annotated[
+        bool | None, typer.Option("--archive/--unarchive", help="Leave it out of lists, or list it again.")
+    ] = None,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Change a campaign's name, tags or comment, or archive it."""
+    if not (name or tags or untag or comment is not None or archive is not None):
+        raise typer.BadParameter("say what changes: --name, --tag, --untag, --comment, --archive or --unarchive")
+    with connect(url) as client:
+        before = client.campaign(client.full_id(identifier))
+        wanted = [tag for tag in [*before.tags, *(tags or [])] if tag not in (untag or [])]
+        changed = client.label(before.id, name=name, tags=wanted if tags or untag else None, comment=comment, archived=archive)
+    print_answer(changed, as_json, _print_labels)
+
+
+@app.command()
+def delete(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+    """Delete an ended campaign, or archive it if others refer to it. What it simulated stays in the reference table."""
+    with connect(url) as client:
+        deletion = client.delete(client.full_id(identifier))
+    print_answer(deletion, as_json, _print_deletion)
 
 
 def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
@@ -241,5 +277,22 @@ def _row(campaign: Campaign) -> list[object]:
         cells.simulated,
         share,
         best,
+        " ".join(campaign.tags) or "-",
         campaign.name,
     ]
+
+
+def _print_labels(campaign: Campaign) -> None:
+    typer.echo(f"campaign {campaign.id}  {campaign.name}{'' if campaign.archived_at is None else '  (archived)'}")
+    typer.echo(f"tags     {' '.join(campaign.tags) or '-'}")
+    if campaign.comment:
+        typer.echo(f"comment  {campaign.comment}")
+
+
+def _print_deletion(deletion: Deletion) -> None:
+    if deletion.deleted:
+        typer.echo(f"campaign {deletion.id} is deleted; what it simulated stays in the reference table")
+        return
+    typer.echo(f"campaign {deletion.id} is archived, not deleted: {len(deletion.referring)} others refer to it")
+    for reference in deletion.referring:
+        typer.echo(f"  {reference.campaign}  {reference.use}  {reference.name}")

@@ -21,6 +21,15 @@ from drivecal.sensitivity.settings import caveats
 WIDTH = 20
 """Characters in the picture of a parameter's range."""
 _NONE = "0.000"
+DECIDED_BY = {
+    "intervals": "intervals",
+    "confirmation": "whole range",
+    "global": "global analysis",
+    "unknown": "no result",
+    "posted": "posted map",
+    "space": "searched range",
+}
+"""Names of what decided about a row."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +71,13 @@ def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | Non
     measured = any(row.s_rel_intervals is not None for row in rows)
     header = ["parameter", "influential", "lower", "upper", "unit", f"{'range':{WIDTH}}"]
     header += ["mu", "sigma", "mu*", "largest s_rel"] if measured else []
+    decided = any(row.decided_by for row in rows)
+    header += ["decided by"] if decided else []
     for scenario, listed in by_scenario(rows).items():
         nothing_known = all(row.unknown and row.s_rel_intervals is not None for row in listed)
         unknown = "  unknown: no run was better than a failed one, so everything counts as influential" if nothing_known else ""
         typer.echo(f"\n{scenario}{unknown}")
-        print_columns(header, [_line(row, measured) for row in listed])
+        print_columns(header, [_line(row, measured, decided) for row in listed])
     for line in decided_text(rows):
         typer.echo(f"\n{line}")
     if basis is not None:
@@ -101,20 +112,25 @@ def picture(row: InfluenceRow) -> str:
     return "." * start + "#" * (end - start) + "." * (WIDTH - end)
 
 
-def _line(row: InfluenceRow, measured: bool) -> list[object]:
+def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
     answer = "unknown" if row.unknown else "yes" if row.influential else "no"
     line: list[object] = [row.parameter, answer, row.lower, row.upper, row.unit, picture(row)]
     if measured:
         line += [fixed(value, 3) for value in (row.mu, row.sigma, row.mu_star, _largest(row))]
-    return line
+    return [*line, DECIDED_BY.get(row.decided_by or "", "")] if decided else line
 
 
 def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
-    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason."""
+    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason: that of the analysis, or in maps of
+    earlier releases what can be said of them together."""
     known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
+    explained = [row for row, largest in known if row.reason and row.influential != (fixed(largest, 3) != _NONE)]
+    known = [(row, largest) for row, largest in known if not row.reason]
     overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and fixed(largest, 3) != _NONE]
     added = [(row.scenario, row.parameter) for row, largest in known if row.influential and fixed(largest, 3) == _NONE]
-    lines = []
+    lines = [
+        f"{row.scenario} {row.parameter} is {'' if row.influential else 'not '}influential: {row.reason}." for row in explained
+    ]
     if overruled:
         lines.append(
             f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nA later analysis, over more "

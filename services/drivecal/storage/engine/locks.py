@@ -41,11 +41,14 @@ class ServerLock(Protocol):
     ) -> None: ...
 
 
-def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL") -> ServerLock:
-    """Takes the lock. Raises DatabaseError naming the holder if another server has it; `otherwise`: what to do but stop it."""
-    parsed = urls.parse(url)
+def hold(url: str, otherwise: str = "name another database by DRIVECAL_DATABASE_URL", server: int | None = None) -> ServerLock:
+    """Takes the lock. Raises DatabaseError naming the holder if another server has it; `otherwise`: what to do but stop it.
+
+    `server`: the process that a user stops, if it is not this one: a supervisor restarts its dispatcher.
+    """
+    parsed, named = urls.parse(url), os.getpid() if server is None else server
     file = urls.sqlite_file(parsed)
-    return _PostgresLock(parsed, otherwise) if file is None else _FileLock(file, otherwise)
+    return _PostgresLock(parsed, otherwise, named) if file is None else _FileLock(file, otherwise, named)
 
 
 class _Releasing:
@@ -58,9 +61,9 @@ class _Releasing:
 
 
 class _FileLock(_Releasing):
-    """A lock on `<database>.lock`, whose text is the process id of the holder. The file stays after the release."""
+    """A lock on `<database>.lock`, whose text is the process id of the server. The file stays after the release."""
 
-    def __init__(self, database: Path, otherwise: str) -> None:
+    def __init__(self, database: Path, otherwise: str, server: int) -> None:
         path = database.with_name(database.name + ".lock")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,7 +76,7 @@ class _FileLock(_Releasing):
             self._file.close()
             raise DatabaseError(f"another drivecal server (process {holder}) uses {database}; stop it, or {otherwise}")
         self._file.truncate(0)
-        self._file.write(str(os.getpid()))
+        self._file.write(str(server))
         self._file.flush()
 
     def __enter__(self) -> Self:
@@ -105,10 +108,10 @@ def _try_lock(file: IO[str]) -> bool:
 class _PostgresLock(_Releasing):
     """An advisory lock of a session of its own, which the server ends when the process is gone."""
 
-    def __init__(self, url: URL, otherwise: str) -> None:
+    def __init__(self, url: URL, otherwise: str, server: int) -> None:
         self._name = urls.shown(url)
         self._otherwise = otherwise
-        owner = f"{_OWNER}process {os.getpid()} on {socket.gethostname()}"
+        owner = f"{_OWNER}process {server} on {socket.gethostname()}"
         arguments = {"connect_timeout": 5, "application_name": owner[:63], "keepalives_idle": 5, "keepalives_interval": 5}
         self._engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT", connect_args=arguments)
         watch = ServerLiveness(self._name)

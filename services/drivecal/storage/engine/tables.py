@@ -84,6 +84,11 @@ campaigns = Table(
     Column("created_at", UtcDateTime, nullable=False),
     Column("started_at", UtcDateTime),
     Column("ended_at", UtcDateTime),
+    Column("tags", Document, nullable=False, server_default="[]"),
+    Column("comment", Text, nullable=False, server_default=""),
+    Column("archived_at", UtcDateTime),
+    # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.organising.deletion`).
+    Column("deleted_at", UtcDateTime),
     _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
     # The dispatcher asks for these all the time: some campaigns among all that ever were.
     _partial_index("ix_campaigns_active", "sequence", where="ended_at IS NULL"),
@@ -301,6 +306,19 @@ traces = Table(  # time series of single evaluations, asked for one by one and k
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), nullable=False),
     Column("content", LargeBinary),
     Column("created_at", UtcDateTime, nullable=False),
+)
+
+saved_views = Table(  # addresses of the page that users named; `campaign` is empty for views of all campaigns
+    "saved_views",
+    metadata,
+    Column("sequence", Identity, primary_key=True),
+    Column("id", Name, nullable=False, unique=True),
+    Column("campaign", Name, nullable=False),
+    Column("name", Name, nullable=False),
+    Column("address", Text, nullable=False),
+    Column("created_at", UtcDateTime, nullable=False),
+    UniqueConstraint("campaign", "name"),
+    sqlite_autoincrement=True,
 )
 
 bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.problems.bundles`)

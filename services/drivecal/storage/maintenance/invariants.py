@@ -53,7 +53,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
     carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
     for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
         counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
-    own = campaigns.c.kind != "comparison"  # whose counts are sums over its runs
+    # A comparison's counts are sums over its runs; a deleted campaign keeps cells and no counts.
+    own = (campaigns.c.kind != "comparison") & campaigns.c.deleted_at.is_(None)
     query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:

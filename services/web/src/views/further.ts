@@ -10,5 +10,6 @@ import "./Problems.svelte";
 import "./Ranking.svelte";
 import "./Submit.svelte";
 import "./Workers.svelte";
+import "../parts/CommandPalette.svelte";
 import "../parts/charts/Beside.svelte";
 import "../parts/front/FrontCard.svelte";

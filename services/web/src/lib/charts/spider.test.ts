@@ -4,7 +4,7 @@ import type { InfluenceRow } from "../server/types";
 
 const ROW: InfluenceRow = {
   scenario: "S1", parameter: "P1", influential: true, lower: -9, upper: 14, s_rel_intervals: [0, null, 0.5], mu: null, sigma: null, mu_star: null, unknown: false, n_values: 9,
-  unit: "dB", space_lower: -15, space_upper: 15,
+  unit: "dB", space_lower: -15, space_upper: 15, decided_by: null, reason: null,
 };
 
 test("the influential part is told in shares of the range", () => {

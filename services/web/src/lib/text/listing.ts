@@ -8,7 +8,7 @@ export const COLUMNS = ["name", "state", "best", "saved", "simulated", "took", "
 export type Column = (typeof COLUMNS)[number];
 export type Order = readonly [Column, "up" | "down"];
 
-type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at">;
+type Known = Pick<Campaign, "id" | "name" | "kind" | "state" | "spec" | "links" | "best" | "cells" | "stages" | "seconds" | "created_at" | "tags" | "comment">;
 
 export interface Listed<T> {
   campaign: T;
@@ -29,9 +29,9 @@ export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | 
   return cells.requested > 0 ? withoutSimulation(cells) / cells.requested : null;
 }
 
-/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind or its problem. */
+/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, a tag or its comment. */
 export function isFound(campaign: Known, search: string): boolean {
-  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? "")].join(" ").toLowerCase();
+  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), ...campaign.tags, campaign.comment].join(" ").toLowerCase();
   return search.toLowerCase().split(/\s+/).filter(Boolean).every((word) => text.includes(word) || campaign.id.startsWith(word));
 }
 

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { sideBySide } from "../charts/robust";
-import { calibrates, intervalText, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySpecification } from "./studies";
+import { calibrates, intervalText, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
 import type { Campaign, RobustnessRow } from "../server/types";
 
 const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
@@ -48,4 +48,16 @@ test("a study is a campaign without a search, on the bench of its subject", () =
   expect(studySpecification(ENDED, "robustness")).toEqual({ vehicle: { model: "hybrid" }, optimizer: null, sensitivity: null, robustness: { of: "abc" }, validation: null, name: "mine (robustness)" });
   expect(studySpecification(MAPPED, "validation")).toMatchObject({ sensitivity: { map: "m1" }, validation: {}, robustness: null });
   expect(studySpecification(ENDED, "validation")).toMatchObject({ sensitivity: null, validation: { of: "abc" } });
+});
+
+test("settings of a study go into its specification, whatever it examines", () => {
+  expect(studySpecification(ENDED, "robustness", { delta: 0.02, of: "other" })["robustness"]).toEqual({ delta: 0.02, of: "abc" });
+  expect(studySpecification(MAPPED, "validation", { samples: 50 })["validation"]).toEqual({ samples: 50 });
+  expect(studySpecification(ENDED, "validation", { samples: 50 })["validation"]).toEqual({ of: "abc", samples: 50 });
+});
+
+test("predictions are validated by a number of samples alone, a map by its variants too", () => {
+  expect(studySettings(ENDED, "validation").names).toEqual(["samples", "seed"]);
+  expect(studySettings(MAPPED, "validation").names).toContain("references");
+  expect(studySettings(MAPPED, "robustness").names).not.toContain("of");
 });

@@ -61,10 +61,25 @@ export function possibleStudies(campaign: Pick<Campaign, "kind" | "spec" | "link
   return [...(drives ? (["robustness"] as const) : []), ...(validates ? (["validation"] as const) : [])];
 }
 
-/** The specification of a campaign that makes only a study of another one, as `drivecal robustness` and `drivecal validate` submit it. */
-export function studySpecification(campaign: Pick<Campaign, "id" | "name" | "spec" | "links">, stage: StudyStage): Record<string, unknown> {
-  const map = campaign.links["influence_map"]?.split("/").at(-1);
+/** The specification of a campaign that makes only a study of another one, as `drivecal robustness` and `drivecal validate` submit it; `settings`: other ones than the defaults. */
+export function studySpecification(campaign: Pick<Campaign, "id" | "name" | "spec" | "links">, stage: StudyStage, settings: Readonly<Record<string, unknown>> = {}): Record<string, unknown> {
+  const map = mapOf(campaign);
   const stages =
-    stage === "robustness" ? { robustness: { of: campaign.id } } : map === undefined ? { validation: { of: campaign.id, samples: EVERY } } : { sensitivity: { map }, validation: {} };
+    stage === "robustness"
+      ? { robustness: { ...settings, of: campaign.id } }
+      : map === undefined
+        ? { validation: { samples: EVERY, ...settings, of: campaign.id } }
+        : { sensitivity: { map }, validation: settings };
   return { ...campaign.spec, optimizer: null, sensitivity: null, robustness: null, validation: null, ...stages, name: `${campaign.name.replace(OF_A_STUDY, "").slice(0, 180)} (${stage})` };
+}
+
+function mapOf(campaign: Pick<Campaign, "links">): string | undefined {
+  return campaign.links["influence_map"]?.split("/").at(-1);
+}
+
+/** The settings of a study that a user may choose, with the defaults that differ from the schema's. */
+export function studySettings(campaign: Pick<Campaign, "links">, stage: StudyStage): { schema: string; names: readonly string[]; defaults: Readonly<Record<string, unknown>> } {
+  if (stage === "robustness") return { schema: "RobustnessSpecification", names: ["delta", "steps", "samples", "eta", "condition", "refinements", "solutions", "within", "seed"], defaults: {} };
+  if (mapOf(campaign) === undefined) return { schema: "ValidationSpecification", names: ["samples", "seed"], defaults: { samples: EVERY } };
+  return { schema: "ValidationSpecification", names: ["samples", "references", "largest", "seed"], defaults: {} };
 }

@@ -1,0 +1,74 @@
+"""Messages about campaigns kept in order: labels, deletion, saved views of the page."""
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from drivecal.contracts.campaign import Answer
+from drivecal.contracts.specification import Model, Name
+
+Archived = Literal["without", "with", "only"]
+Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]
+"""A word without spaces and commas."""
+Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$")]
+Address = Annotated[str, StringConstraints(min_length=2, max_length=4_000, pattern=r"^#/[^\x00-\x1f\x7f]*$")]
+"""A view of the page: the part of its URL from `#/` on."""
+
+
+class CampaignChanges(Model):
+    """Changes of a campaign's labels; fields that are left out stay. `tags` replaces all tags."""
+
+    name: Name | None = None
+    tags: Annotated[list[Tag], Field(max_length=20)] | None = None
+    comment: Comment | None = None
+    archived: bool | None = None
+
+
+class Referring(Answer):
+    """A campaign that refers to another one; `use`: what it needs of it."""
+
+    campaign: str
+    name: str
+    use: str
+
+
+class Deletion(Answer):
+    """The end of a request to delete a campaign: `deleted`, or `archived` because others refer to it."""
+
+    id: str
+    deleted: bool
+    archived: bool
+    referring: list[Referring]
+    """The campaigns that keep it from being deleted."""
+
+
+class SavedViewSpecification(Model):
+    """A view to save, in place of an earlier one of the same name and campaign."""
+
+    name: Name
+    address: Address
+    campaign: str | None = None
+    """Null: a view for all campaigns."""
+
+
+class SavedViewChanges(Model):
+    """Another name for a saved view."""
+
+    name: Name
+
+
+class SavedView(Answer):
+    """A saved view of the page; `campaign` null if it is for all."""
+
+    id: str
+    name: str
+    address: str
+    campaign: str | None
+    created_at: datetime
+
+
+class SavedViewList(Answer):
+    """Saved views by name."""
+
+    items: list[SavedView]

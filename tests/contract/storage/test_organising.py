@@ -1,0 +1,210 @@
+"""Labels, lists, deletion and saved views, on both databases."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from sqlalchemy import func, select
+from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
+from tests.support.storage import campaign
+
+from drivecal.campaigns.results.verification import verify
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine import tables
+from drivecal.storage.engine.database import Database
+from drivecal.storage.organising import deletion, labels, saved_views
+from drivecal.storage.organising.deletion import delete_campaign
+from drivecal.storage.organising.labels import Archived
+from drivecal.storage.references import influence_maps
+
+SMALL: dict[str, Any] = WITH_ANALYSIS | {
+    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
+}
+
+
+def carried_out(database: Database, **changes: Any) -> StoredCampaign:
+    return run(database, submit(database, **SMALL | changes), ComputedBackend(answer=influenced))
+
+
+def deleted(database: Database, stored: StoredCampaign) -> None:
+    with database.transaction() as connection:
+        delete_campaign(connection, stored.id)
+
+
+def listed(database: Database, archived: Archived = "without", *tags: str) -> list[str]:
+    with database.read() as connection:
+        page, _ = campaigns.page(connection, conditions=labels.listing(archived, tags))
+    return [stored.name for stored in page]
+
+
+def cells(database: Database, stored: StoredCampaign) -> int:
+    with database.read() as connection:
+        query = select(func.count()).where(tables.evaluations.c.campaign_sequence == stored.sequence)
+        return connection.scalar(query) or 0
+
+
+def runs(database: Database) -> int:
+    with database.read() as connection:
+        return connection.scalar(select(func.count()).select_from(tables.runs)) or 0
+
+
+def test_labels_are_changed_one_by_one_and_again_without_effect(database: Database) -> None:
+    with database.transaction() as connection:
+        first = campaign(connection, "first")
+        changed = labels.change(connection, first.id, tags=["b", "a", "b"], comment="ä \"quoted\" 'remark'")
+        again = labels.change(connection, first.id, tags=["a", "b"])
+        renamed = labels.change(connection, first.id, name="other")
+    assert (changed.tags, changed.comment, changed.name) == (("a", "b"), "ä \"quoted\" 'remark'", "first")
+    assert again == changed
+    assert (renamed.name, renamed.tags, renamed.revision) == ("other", ("a", "b"), changed.revision + 1)
+
+
+def test_lists_leave_archived_campaigns_out_and_take_those_with_all_tags(database: Database) -> None:
+    with database.transaction() as connection:
+        for name, tags in {"one": ["new", "a_b"], "two": ["new"], "three": ["ä"], "four": ["a%b", 'a"']}.items():
+            labels.change(connection, campaign(connection, name).id, tags=tags)
+        gone = campaigns.page(connection)[0][-1]
+        campaigns.request_action(connection, gone.id, "cancel")
+        labels.change(connection, gone.id, archived=True)
+    assert listed(database) == ["four", "three", "two"]
+    assert (listed(database, "only"), listed(database, "with")) == (["one"], ["four", "three", "two", "one"])
+    assert listed(database, "with", "new") == ["two", "one"]
+    assert listed(database, "with", "new", "a_b") == ["one"]
+    assert [listed(database, "with", tag) for tag in ("ä", "a%b", 'a"', "%", "ne", "axb")] == [
+        ["three"],
+        ["four"],
+        ["four"],
+        [],
+        [],
+        [],
+    ]
+
+
+def test_only_ended_campaigns_are_archived_or_deleted(database: Database) -> None:
+    with database.transaction() as connection:
+        queued = campaign(connection)
+        with pytest.raises(ConflictError):
+            labels.change(connection, queued.id, archived=True)
+        with pytest.raises(ConflictError):
+            delete_campaign(connection, queued.id)
+        with pytest.raises(NotFoundError):
+            delete_campaign(connection, "0" * 32)
+    assert listed(database) == ["campaign"]
+
+
+def test_archiving_and_listing_again_are_idempotent(database: Database) -> None:
+    with database.transaction() as connection:
+        ended = campaigns.request_action(connection, campaign(connection).id, "cancel")
+        first = labels.change(connection, ended.id, archived=True)
+        assert labels.change(connection, ended.id, archived=True) == first
+        assert first.archived_at is not None
+        assert labels.change(connection, ended.id, archived=False).archived_at is None
+
+
+def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(database: Database) -> None:
+    first = carried_out(database)
+    stock = runs(database)
+    simulated = sum(counts.simulated for counts in (first.counts(stage) for stage in first.stages))
+    deleted(database, first)
+    deleted(database, first)
+    with database.read() as connection, pytest.raises(NotFoundError):
+        campaigns.get(connection, first.id)
+    assert listed(database, "with") == []
+    assert runs(database) == stock
+    assert 0 < cells(database, first) <= simulated
+    assert [problem for check in verify(database, full=True) for problem in check.problems] == []
+    again = carried_out(database)
+    assert runs(database) == stock
+    assert get(database, again).best == first.best
+    assert [problem for check in verify(database, full=True) for problem in check.problems] == []
+
+
+def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(database: Database) -> None:
+    first, other = carried_out(database), carried_out(database, optimizer=SMALL["optimizer"] | {"seed": 5})
+    deleted(database, first)
+    with database.read() as connection:
+        references = {row.reference for row in results.stream(connection, other.sequence) if row.reference is not None}
+        origins = {number: results.by_id(connection, number).campaign_sequence for number in references}
+    assert first.sequence in origins.values()
+
+
+@pytest.mark.parametrize("use", ["rerun of it", "study of it", "use of its influence map"])
+def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use: str) -> None:
+    with database.transaction() as connection:
+        first = campaigns.request_action(connection, campaign(connection).id, "cancel")
+        common = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
+        made = influence_maps.insert(connection, source=first.id, **common)
+        given = {
+            "rerun of it": {"rerun_of": first.id},
+            "study of it": {"spec": {"robustness": {"of": first.id}}},
+            "use of its influence map": {"influence_map_id": made.id},
+        }[use]
+        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | given))
+        [reference] = deletion.references(connection, first)
+        with pytest.raises(ConflictError):
+            delete_campaign(connection, first.id)
+        assert (reference.campaign, reference.name, reference.use) == (other.id, "other", use)
+        campaigns.request_action(connection, other.id, "cancel")
+        delete_campaign(connection, other.id)
+        delete_campaign(connection, first.id)
+        with pytest.raises(NotFoundError):
+            influence_maps.get(connection, made.id)
+    assert listed(database, "with") == []
+
+
+def test_a_comparison_is_deleted_with_its_runs_and_no_run_alone(database: Database) -> None:
+    with database.transaction() as connection:
+        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
+        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
+        campaigns.end(connection, run_of_it.sequence, CampaignState.SUCCEEDED)
+        campaigns.end(connection, whole.sequence, CampaignState.SUCCEEDED)
+        with pytest.raises(ConflictError):
+            delete_campaign(connection, run_of_it.id)
+        delete_campaign(connection, whole.id)
+        for gone in (whole, run_of_it):
+            with pytest.raises(NotFoundError):
+                campaigns.get(connection, gone.id)
+
+
+def test_saved_views_are_replaced_by_name_renamed_and_removed(database: Database) -> None:
+    with database.transaction() as connection:
+        mine = campaign(connection)
+        first = saved_views.save(connection, mine.id, "best", "#/campaigns/1?b.P1=0:1")
+        again = saved_views.save(connection, mine.id, "best", "#/campaigns/1")
+        saved_views.save(connection, "", "all", "#/workers")
+        saved_views.save(connection, "0" * 32, "of another campaign", "#/")
+        assert (again.id, again.address) == (first.id, "#/campaigns/1")
+        assert [view.name for view in saved_views.listed(connection, mine.id)] == ["all", "best"]
+        with pytest.raises(NotFoundError):
+            saved_views.rename(connection, "0" * 32, "x")
+        saved_views.save(connection, mine.id, "taken", "#/")
+        with pytest.raises(ConflictError):
+            saved_views.rename(connection, first.id, "taken")
+        assert saved_views.rename(connection, first.id, "best").name == "best"
+        assert saved_views.rename(connection, first.id, "better").name == "better"
+        saved_views.remove(connection, first.id)
+        saved_views.remove(connection, first.id)
+        assert [view.name for view in saved_views.listed(connection, None)] == ["all"]
+
+
+def test_saved_views_go_with_their_campaign(database: Database) -> None:
+    with database.transaction() as connection:
+        ended = campaigns.request_action(connection, campaign(connection).id, "cancel")
+        saved_views.save(connection, ended.id, "best", "#/")
+        delete_campaign(connection, ended.id)
+        assert saved_views.listed(connection, ended.id) == []
+
+
+def test_no_more_views_than_allowed_are_saved(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(saved_views, "MOST_VIEWS", 2)
+    with database.transaction() as connection:
+        for name in ("one", "two"):
+            saved_views.save(connection, "", name, "#/")
+        with pytest.raises(ConflictError):
+            saved_views.save(connection, "", "three", "#/")
