@@ -23,7 +23,7 @@ from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, named, path_of
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
+from drivecal.contracts.campaign import Campaign, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
