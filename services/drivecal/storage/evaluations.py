@@ -12,6 +12,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
+from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import occupying
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
@@ -280,7 +281,8 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
         .group_by(cell.scenario, runs.c.id)
         .order_by(func.min(cell.id))
     )
-    return [ScoredRun(*row) for row in connection.execute(query.limit(most))]
+    read = metrics.reader(connection)
+    return [ScoredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query.limit(most))]
 
 
 def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:

@@ -30,6 +30,7 @@ from drivecal.storage.engine.tables import evaluations, lots, parameter_sets, ra
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
 from drivecal.storage.lots import LotVerdict
+from drivecal.storage.references import metrics
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -216,9 +217,10 @@ def answers(
     )
     if iteration is not None:
         query = query.where(table.iteration == iteration)
+    read = metrics.reader(connection)
     for row in connection.execute(query):
         cell = CellScore(*row[:8])
-        yield cell if valued is None or row.metrics is None else replace(cell, values=valued(row.metrics, row.failure))
+        yield cell if valued is None or row.metrics is None else replace(cell, values=valued(read(row.metrics), row.failure))
 
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:

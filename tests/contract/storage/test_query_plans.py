@@ -179,6 +179,10 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         lambda connection: list(results.answers(connection, 1, StageName.CALIBRATION, iteration=3)),
         "uq_evaluations_|sqlite_autoindex_evaluations_1",
     ),
+    "cells of a run": (
+        lambda connection: connection.execute(text("SELECT id FROM evaluations WHERE run_id = 7")).all(),
+        "ix_evaluations_run_id",
+    ),
     "a watermark": (runs.largest_id, "pk_runs|SEARCH runs"),
 }
 

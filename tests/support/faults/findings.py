@@ -20,6 +20,7 @@ from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as campaigns_table
 from drivecal.storage.engine.tables import evaluations, leases, parameter_sets, ratings, runs, setups
+from drivecal.storage.references import metrics
 
 STAGES = {
     "calibration": "cells",
@@ -109,6 +110,7 @@ def _runs(connection: Connection, sequence: int) -> dict[tuple[str, str], tuple[
     rated: dict[int, list[tuple[object, ...]]] = {}
     for rating in connection.execute(select(ratings).order_by(ratings.c.run_id, ratings.c.evaluator)):
         rated.setdefault(rating.run_id, []).append((rating.evaluator, rating.score, rating.rating))
+    read = metrics.reader(connection)
     query = (
         select(runs.c.id, setups.c.fingerprint, parameter_sets.c.parameter_values, runs.c.metrics, runs.c.failure)
         .join_from(runs, setups)
@@ -116,7 +118,7 @@ def _runs(connection: Connection, sequence: int) -> dict[tuple[str, str], tuple[
         .where(runs.c.setup_id.in_(used))
     )
     return {
-        (row.fingerprint, row.parameter_values): (sorted(row.metrics.items()), row.failure, rated.get(row.id))
+        (row.fingerprint, row.parameter_values): (sorted(read(row.metrics).items()), row.failure, rated.get(row.id))
         for row in connection.execute(query)
     }
 

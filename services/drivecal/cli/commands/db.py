@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,11 +18,14 @@ from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import DatabaseError
 
 if TYPE_CHECKING:  # half a second that only these commands need, when they run
+    from drivecal.campaigns.retention import RetentionPlan
     from drivecal.storage.engine.database import Database
     from drivecal.storage.maintenance.backup import Copied
 
 TOLD_SECONDS = 2.0
 """Between two lines about how far a copy is."""
+LISTED = 20
+"""Campaigns that a pruning lists; `--json` lists all."""
 
 database = typer.Typer(no_args_is_help=True, help="The database. These commands open it themselves and need no server.")
 app.add_typer(database, name="db")
@@ -34,6 +39,14 @@ DatabaseOption = Annotated[
 FullOption = Annotated[
     bool, typer.Option("--full", help="Look at every parameter set and reference key, not at a sample of them.")
 ]
+
+
+def _duration(text: str) -> timedelta:
+    """Returns a time in days or weeks. Raises BadParameter for other texts."""
+    match = re.fullmatch(r"(\d{1,5})([dw])", text)
+    if match is None:
+        raise typer.BadParameter(f"{text!r} is no time; give days or weeks, such as 90d or 12w")
+    return timedelta(days=int(match[1]) * (7 if match[2] == "w" else 1))
 
 
 @database.command()
@@ -103,6 +116,77 @@ def restore(
     if not as_json:
         typer.echo(f"{report['database']} holds {_rows(copied)} of {file}")
     _print_verified(report | verified, as_json)
+
+
+@database.command()
+def prune(
+    older: Annotated[
+        timedelta,
+        typer.Option(
+            "--older", parser=_duration, metavar="90d", help="Age of what goes since its end: days (90d) or weeks (12w)."
+        ),
+    ],
+    keep_best: Annotated[int, typer.Option("--keep-best", min=0, help="Best parameter sets of each campaign that stay.")] = 10,
+    problem: Annotated[str | None, typer.Option("--problem", help="Campaigns of this problem only.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what goes and change nothing.")] = False,
+    database_url: DatabaseOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Remove cells and runs of old campaigns, but for their best sets and what other campaigns refer to. A server may work beside it."""
+    from drivecal.campaigns import retention
+    from drivecal.storage.engine.types import now
+
+    with _opened(database_url) as (_, opened):
+        opened.check()
+        planned = retention.plan(opened, now() - older, keep_best, problem)
+        if not dry_run:
+            retention.carry_out(opened, planned, _Telling())
+        name = opened.name
+    _print_pruned(name, planned, as_json=as_json, dry_run=dry_run)
+
+
+def _print_pruned(name: str, planned: RetentionPlan, *, as_json: bool, dry_run: bool) -> None:
+    doomed, selection = planned.doomed, planned.selection
+    report = {
+        "database": name,
+        "dry_run": dry_run,
+        "campaigns": [
+            {
+                "id": campaign.id,
+                "name": campaign.name,
+                "kind": campaign.kind,
+                "ended_at": campaign.ended_at.isoformat(),
+                "best": len(planned.best[campaign.sequence]),
+                "cells": doomed.by_campaign.get(campaign.sequence, 0),
+            }
+            for campaign in selection.prunable
+        ],
+        "spared": [{"id": spared.id, "reason": spared.reason} for spared in selection.spared],
+        "cells": {"removed": doomed.cells, "kept": doomed.stay},
+        "runs": doomed.runs,
+        "bytes": planned.bytes,
+    }
+    if as_json:
+        print_json(report)
+        return
+    touched = [campaign for campaign in selection.prunable if doomed.by_campaign.get(campaign.sequence)]
+    rows = [
+        [f"{campaign.ended_at:%Y-%m-%d}", campaign.id, campaign.name, f"{doomed.by_campaign[campaign.sequence]:,}"]
+        for campaign in touched[:LISTED]
+    ]
+    if rows:
+        print_columns(["ended", "campaign", "name", "cells that go"], rows)
+    if len(touched) > LISTED:
+        typer.echo(f"and {len(touched) - LISTED:,} campaigns more; --json lists all")
+    for spared in selection.spared[:LISTED]:
+        typer.echo(f"{spared.id} stays whole: {spared.reason}")
+    if len(selection.spared) > LISTED:
+        typer.echo(f"and {len(selection.spared) - LISTED:,} campaigns more stay whole")
+    verb = "would go" if dry_run else "went"
+    typer.echo(
+        f"{doomed.cells:,} cells and {doomed.runs:,} runs {verb}, about {planned.bytes / 1e6:,.0f} MB of {name};"
+        f" {doomed.stay:,} cells of these campaigns stay"
+    )
 
 
 @contextmanager

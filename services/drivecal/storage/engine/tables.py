@@ -89,7 +89,9 @@ campaigns = Table(
     Column("archived_at", UtcDateTime),
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.organising.deletion`).
     Column("deleted_at", UtcDateTime),
+    Column("pruned", Document),  # when most of its cells were removed, and which sets stayed (`storage.retention`)
     _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
+    _partial_index(None, "rerun_of", where="rerun_of IS NOT NULL"),
     # The dispatcher asks for these all the time: some campaigns among all that ever were.
     _partial_index("ix_campaigns_active", "sequence", where="ended_at IS NULL"),
     sqlite_autoincrement=True,
@@ -140,6 +142,13 @@ parameter_sets = Table(
     Column("key", LargeBinary, nullable=False, unique=True),
     Column("parameter_values", Text, nullable=False),
     sqlite_autoincrement=True,
+)
+
+metric_names = Table(  # names of the metrics of runs, each list once (`storage.references.metrics`)
+    "metric_names",
+    metadata,
+    Column("digest", Name, primary_key=True),
+    Column("names", Document, nullable=False),
 )
 
 runs = Table(  # the reference table of the paper: simulated results, each (setup, parameter set) once
@@ -265,6 +274,8 @@ evaluations = Table(
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
     Index(None, "campaign_sequence", "scenario", "parameter_set_id", "plan"),
+    # The cells that a run answered, when it is withdrawn or removed; without it, each removed run reads all cells.
+    _partial_index(None, "run_id", where="run_id IS NOT NULL"),
     _partial_index("ix_evaluations_pending", "campaign_sequence", "id", where="outcome IS NULL"),
     sqlite_autoincrement=True,
 )

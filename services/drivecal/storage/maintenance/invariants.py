@@ -26,7 +26,7 @@ from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import COPIES, DONORS
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import Check
-from drivecal.storage.references.runs import largest_id
+from drivecal.storage.maintenance.transfer import last_numbers
 from drivecal.storage.references.withdrawal import WITHDRAWN
 
 ENDED = tuple(state for state in CampaignState if state.ended)
@@ -53,9 +53,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
     carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
     for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
         counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
-    # A comparison's counts are sums over its runs; a deleted campaign keeps cells and no counts.
-    own = (campaigns.c.kind != "comparison") & campaigns.c.deleted_at.is_(None)
-    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own).order_by(campaigns.c.sequence)
+    own = campaigns.c.kind != "comparison"  # whose counts are sums over its runs
+    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own, _WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:
             cells = counted.get((row.sequence, ORDER[stage_of]), {})
@@ -67,6 +66,8 @@ def check_counters(connection: Connection) -> Iterator[str]:
 
 
 _NOT_IN_ROWS = {"unrepeatable", "unscored"}
+_WHOLE = campaigns.c.pruned.is_(None) & campaigns.c.deleted_at.is_(None)
+"""Campaigns with all their cells: a pruned or deleted one counts those that it had."""
 
 
 def check_ended(connection: Connection) -> Iterator[str]:
@@ -125,7 +126,8 @@ def check_lots(connection: Connection) -> Iterator[str]:
     )
     query = (
         select(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict, *members)
-        .select_from(lots.outerjoin(evaluations, lots.c.id == cell.lot))
+        .select_from(lots.join(campaigns).outerjoin(evaluations, lots.c.id == cell.lot))
+        .where(_WHOLE)
         .group_by(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict)
     )
     for identifier, size, sample, verdict, count, drawn, waiting in connection.execute(query):
@@ -160,7 +162,7 @@ def check_references(connection: Connection) -> Iterator[str]:
         count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
-    newest = largest_id(connection)
+    newest = last_numbers(connection, [runs]).get("runs", 0)  # runs may be pruned
     beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
     for name, watermark in connection.execute(beyond):
         yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
@@ -185,7 +187,8 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         key.rating != ratings.c.rating,
         key.failure.is_distinct_from(runs.c.failure),
     )
-    count = connection.execute(select(func.count()).select_from(joined).where(differs)).scalar_one()
+    used = reference_indexes.c.id.is_(None) | (reference_indexes.c.influence_map_sequence > 0)  # others are being removed
+    count = connection.execute(select(func.count()).select_from(joined).where(differs, used)).scalar_one()
     if count:
         yield f"{count:,} reference keys differ from the runs that they stand for"
 

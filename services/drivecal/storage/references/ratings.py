@@ -13,6 +13,7 @@ from drivecal.domain.evaluations import Rating
 from drivecal.storage.engine.bulk import insert as insert_into
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns, ratings, runs
+from drivecal.storage.references import metrics
 
 
 def are_all_by(connection: Connection, evaluator: str) -> bool:
@@ -56,7 +57,8 @@ def unrated(
         query = query.where(runs.c.parameter_set_id == parameter_set_id)
     if only_failed:
         query = query.where(runs.c.failure.is_not(None))
-    return [UnratedRun(*row) for row in connection.execute(query)]
+    read = metrics.reader(connection)
+    return [UnratedRun(row.id, read(row.metrics), row.failure) for row in connection.execute(query)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,8 +86,9 @@ def sync(
 
 
 def indexes(connection: Connection) -> list[Row[Any]]:
-    """Returns the existing indexes: rows of id, influence_map_sequence, setup_id, evaluator and run_id, the last run with a key."""
-    return list(connection.execute(select(reference_indexes).order_by(reference_indexes.c.id)))
+    """Returns the indexes in use: rows of id, influence_map_sequence, setup_id, evaluator and run_id, the last run with a key."""
+    used = reference_indexes.c.influence_map_sequence > 0  # others are being removed (`storage.retention`)
+    return list(connection.execute(select(reference_indexes).where(used).order_by(reference_indexes.c.id)))
 
 
 def wrong_keys(connection: Connection, index: Row[Any], key_function: KeyFunction, every: int, chunk: int = CHUNK) -> int:

@@ -14,6 +14,9 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
+from drivecal.storage.references.metrics import Stored
+from drivecal.storage.references.metrics import pack as pack_metrics
+from drivecal.storage.references.metrics import reader as metrics_reader
 
 RECENT_RUNS = 1_000
 """Newest runs of a setup whose mean predicts the cost of the next."""
@@ -154,7 +157,8 @@ def measured(connection: Connection, setup_id: int, evaluator: str) -> list[Meas
         .where(runs.c.setup_id == setup_id)
         .order_by(runs.c.id)
     )
-    return [MeasuredRun(*row) for row in connection.execute(query)]
+    read = metrics_reader(connection)
+    return [MeasuredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query)]
 
 
 def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> dict[int, float]:
@@ -165,16 +169,18 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
 def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
     """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
     query = select(runs.c.id, runs.c.metrics)
-    return dict(rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]))
+    rows, read = rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]), metrics_reader(connection)
+    return {number: read(stored) for number, stored in rows}
 
 
 def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
     """Stores results of cells that have none: by cell, the run's id and the result that it is."""
     created_at = now()
     statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
+    packed = pack_metrics(connection, [result.metrics for result in results])
     inserted = connection.execute(
         statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id),
-        [_row(result, created_at) for result in results],
+        [_row(result, stored, created_at) for result, stored in zip(results, packed, strict=True)],
     )
     firsts: dict[tuple[int, int], NewRun] = {}
     for result in results:
@@ -187,9 +193,9 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
     if not results:
         return []
     known = _stored(connection, results)
-    stored = [known[_key(result)] for result in results]
+    stored, read = [known[_key(result)] for result in results], metrics_reader(connection)
     repeats = [
-        run.failure == result.failure and run.metrics == finite(dict(result.metrics))
+        run.failure == result.failure and read(run.metrics) == finite(dict(result.metrics))
         for run, result in zip(stored, results, strict=True)
     ]
     late: dict[tuple[int, str], NewRun] = {}
@@ -215,10 +221,10 @@ def _key(run: NewRun) -> tuple[int, int]:
     return run.setup_id, run.parameter_set_id
 
 
-def _row(run: NewRun, created_at: Any) -> dict[str, Any]:
+def _row(run: NewRun, packed: Stored, created_at: Any) -> dict[str, Any]:
     as_it_is = ("setup_id", "parameter_set_id", "failure", "worker", "evaluation_id", "campaign_sequence", "stage")
     return {name: getattr(run, name) for name in as_it_is} | {
-        "metrics": dict(run.metrics),
+        "metrics": packed,
         "milliseconds": float(run.milliseconds),
         "wall_milliseconds": run.wall_milliseconds,
         "iteration": int(run.iteration),

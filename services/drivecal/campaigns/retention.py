@@ -1,0 +1,147 @@
+"""Prunes old campaigns: their best sets stay, with all that a cell that stays refers to; other cells and runs go.
+
+A plan is made in one snapshot and carried out in slices, so that a server beside it does not wait. A pruning that was killed left a whole
+database, and the next one goes on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TypeVar
+
+from sqlalchemy import Connection
+
+from drivecal.analysis.solutions import Ranking
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import ConflictError
+from drivecal.storage import campaigns, results
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.problems import bundles
+from drivecal.storage.retention import removal, sizes
+from drivecal.storage.retention.marking import Doomed, mark
+from drivecal.storage.retention.selection import (
+    Prunable,
+    Selection,
+    fingerprints_of,
+    open_campaigns,
+    select_campaigns,
+    started_since,
+)
+
+SLICE = 1_000
+"""Cells that go in a transaction: some 50 ms, for which other writers wait."""
+CAMPAIGNS = 20
+"""Campaigns that are marked, or removed, in a transaction."""
+Item = TypeVar("Item")
+Told = Callable[[str, int, int], None]
+"""Receives the progress: what goes, the number that is gone, and the number of all."""
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionPlan:
+    """What a pruning removes: `doomed`, of the campaigns in `selection`, whose `best` sets stay, by campaign. `bytes`: about what that
+    frees."""
+
+    selection: Selection
+    doomed: Doomed
+    best: Mapping[int, Sequence[int]]
+    bytes: int
+    open: tuple[Sequence[int], int]
+
+
+def plan(database: Database, before: datetime, keep_best: int, problem: str | None = None) -> RetentionPlan:
+    """Plans the pruning of the campaigns that ended `before` a moment, of one problem or of all. Only reads.
+
+    The `keep_best` best sets of each stay, under its own weights or on its front. Raises NotFoundError for an unknown problem.
+    """
+    with database.read() as connection:
+        selection = select_campaigns(connection, before, None if problem is None else _pushes(connection, problem))
+        best = {campaign.sequence: _best(connection, campaign, keep_best) for campaign in selection.prunable}
+        doomed = mark(connection, list(best), best)
+        freed = sizes.bytes_of(connection, doomed)
+        return RetentionPlan(selection, doomed, best, freed, open_campaigns(connection))
+
+
+def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> None:
+    """Removes what was planned. Raises ConflictError if a campaign started meanwhile that may use what goes; the rest stays then."""
+    moment = now()
+    for some in _slices(planned.selection.prunable, CAMPAIGNS):
+        with _guarded(database, planned) as connection:
+            for campaign in some:
+                sets = planned.best[campaign.sequence]
+                note = f"pruned on {moment:%Y-%m-%d}: its {len(sets):,} best sets are left, and cells that other campaigns refer to"
+                removal.begin(connection, campaign.sequence, sets, moment, note)
+    with _guarded(database, planned) as connection:
+        retired = removal.retire_indexes(connection, planned.doomed.setups)
+    for index in retired:
+        while _remove_keys(database, index):
+            pass
+    gone = 0
+    for level in planned.doomed.levels:
+        for cells in _slices(level.tolist(), SLICE):
+            made = [planned.doomed.run[cell] for cell in cells if cell in planned.doomed.run]
+            with _guarded(database, planned) as connection:
+                removal.remove_cells(connection, cells, made)
+            gone += len(cells)
+            progress("cells", gone, planned.doomed.cells)
+    single = [campaign.sequence for campaign in planned.selection.prunable if campaign.kind == "evaluation"]
+    for numbers in _slices(single, CAMPAIGNS):
+        with _guarded(database, planned) as connection:
+            for number in numbers:
+                removal.remove_campaign(connection, number)
+
+
+def _remove_keys(database: Database, index: int) -> bool:
+    with database.transaction() as connection:
+        return removal.remove_keys(connection, index)
+
+
+@contextmanager
+def _guarded(database: Database, planned: RetentionPlan) -> Iterator[Connection]:
+    """Yields a transaction beside which no campaign starts. Raises ConflictError if one has started that may use what goes."""
+    with database.transaction() as connection:
+        removal.alone(connection)
+        user = started_since(connection, *planned.open, fingerprints_of(connection, planned.doomed.setups))
+        if user is not None:
+            raise ConflictError(f"campaign {user} has started and may use what goes; run the command again when it has ended")
+        yield connection
+
+
+def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[int]:
+    """Returns the best parameter sets of a campaign: the first of its front or ranking, or of those that an earlier pruning kept."""
+    if campaign.sets is not None:
+        return campaign.sets[:count]
+    if campaign.kind != "calibration" or count == 0:
+        return ()
+    stored = campaigns.by_sequence(connection, campaign.sequence)
+    if stored.resolution is None:
+        return ()
+    resolved = resolved_spec(stored)
+    goals = resolved.goals
+    standing = Ranking(resolved.weights, resolved.scale.sign, goals)
+    valued = goals.values if goals is not None and goals.computed else None
+    stage, evaluator = StageName.CALIBRATION, resolved.evaluator
+    standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=valued))
+    front = [member.solution for member in standing.front()] if goals is not None and goals.is_vector else []
+    ranked = [solution.parameter_set for solution in (*front, *standing.ranking())]
+    return list(dict.fromkeys(ranked))[:count]
+
+
+def _pushes(connection: Connection, problem: str) -> Collection[str]:
+    """Returns the names under which campaigns name a problem: its name, and the digests of all that was pushed under it."""
+    pushed, cursor = {problem}, None
+    while True:
+        page, cursor = bundles.listing(connection, name=problem, limit=1_000, cursor=cursor)
+        pushed |= {heading.digest for heading in page}
+        if cursor is None:
+            return pushed
+
+
+def _slices(items: Sequence[Item], size: int) -> Iterator[Sequence[Item]]:
+    for start in range(0, len(items), size):
+        yield items[start : start + size]

@@ -1,0 +1,172 @@
+"""Selection of the campaigns that may be pruned: ended before a moment, and named by no campaign that stays."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Text, cast, or_, select
+
+from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.engine.tables import campaigns, setups
+
+_ID = re.compile(r"[0-9a-f]{32}")
+_ENDED = tuple(state for state in CampaignState if state.ended)
+
+
+@dataclass(frozen=True, slots=True)
+class Prunable:
+    """A campaign that may be pruned. `sets`: the parameter sets that an earlier pruning kept, best first; None if there was none."""
+
+    sequence: int
+    id: str
+    name: str
+    kind: str
+    ended_at: datetime
+    sets: tuple[int, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Spared:
+    """A campaign that is old enough and stays; `reason`: why."""
+
+    id: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Campaigns to prune, oldest first, and old ones that stay whole."""
+
+    prunable: Sequence[Prunable]
+    spared: Sequence[Spared]
+
+
+@dataclass(frozen=True, slots=True)
+class _Campaign:
+    sequence: int
+    id: str
+    name: str
+    kind: str
+    state: CampaignState
+    started: bool
+    ended_at: datetime | None
+    parent: int | None
+    setups: frozenset[str]
+    known: bool
+    """Whether its setups are known."""
+    names: frozenset[str]
+    """Ids of campaigns that it reruns or examines."""
+    problem: str | None
+    pruned: Mapping[str, Any] | None
+
+
+def select_campaigns(connection: Connection, before: datetime, problems: Collection[str] | None) -> Selection:
+    """Returns the campaigns that ended `before` a moment; with `problems` only those of these names or digests.
+
+    A campaign stays whole while a campaign that stays reruns it or examines its sets, and with all others of its comparison. So does one
+    whose setups a started campaign uses: that may be answered by its runs at any moment.
+    """
+    rows = {row.sequence: row for row in _campaigns(connection)}
+    by_id = {row.id: row.sequence for row in rows.values()}
+    old = {
+        row.sequence
+        for row in rows.values()
+        if row.ended_at is not None and row.ended_at < before and (problems is None or row.problem in problems)
+    }
+    reasons: dict[int, str] = {}
+    for user in (row for row in rows.values() if row.started and row.state not in _ENDED):
+        for row in (rows[number] for number in old):
+            if not user.known or row.setups & user.setups or not row.known:
+                reasons.setdefault(row.sequence, f"campaign {user.id} is {user.state} and may use its results")
+    _spread(rows, by_id, old, reasons)
+    listed = sorted((rows[number] for number in old), key=lambda row: row.sequence)
+    return Selection(
+        [_prunable(row) for row in listed if row.sequence not in reasons],
+        [Spared(row.id, reasons[row.sequence]) for row in listed if row.sequence in reasons],
+    )
+
+
+def _spread(rows: Mapping[int, _Campaign], by_id: Mapping[str, int], old: Collection[int], reasons: dict[int, str]) -> None:
+    """Adds the reasons of campaigns that stay because others stay, until nothing changes."""
+    members: dict[int, list[int]] = {}
+    for row in rows.values():
+        members.setdefault(row.parent or row.sequence, []).append(row.sequence)
+    staying = [number for number in rows if number not in old or number in reasons]
+    while staying:
+        row = rows[staying.pop()]
+        named = [(by_id[name], f"campaign {row.id} uses it and stays") for name in row.names if name in by_id]
+        family = [(number, f"campaign {row.id} of its comparison stays") for number in members[row.parent or row.sequence]]
+        for number, reason in (*named, *family):
+            if number in old and number not in reasons:
+                reasons[number] = reason
+                staying.append(number)
+
+
+def _prunable(row: _Campaign) -> Prunable:
+    if row.ended_at is None:
+        raise AssertionError(f"campaign {row.id} has not ended")
+    kept = None if row.pruned is None else tuple(row.pruned["sets"])
+    return Prunable(row.sequence, row.id, row.name, row.kind, row.ended_at, kept)
+
+
+def _campaigns(connection: Connection) -> Iterable[_Campaign]:
+    table = campaigns.c
+    query = select(
+        *(table.sequence, table.id, table.name, table.kind, table.state, table.started_at, table.ended_at),
+        *(table.parent_sequence, table.rerun_of, table.pruned, table.resolution),
+        cast(table.spec, Text).label("spec"),
+    ).order_by(table.sequence)
+    for row in connection.execute(query.execution_options(yield_per=100)):
+        named = {row.rerun_of} if row.rerun_of else set()
+        fingerprints = _setups(row.resolution)
+        yield _Campaign(
+            sequence=row.sequence,
+            id=row.id,
+            name=row.name,
+            kind=row.kind,
+            state=CampaignState(row.state),
+            started=row.started_at is not None,
+            ended_at=row.ended_at,
+            parent=row.parent_sequence,
+            setups=fingerprints,
+            known=row.started_at is None or row.kind == "comparison" or row.resolution is not None or row.state in _ENDED,
+            names=frozenset(named | set(_ID.findall(row.spec)) - {row.id}),
+            problem=json.loads(row.spec).get("problem"),
+            pruned=row.pruned,
+        )
+
+
+def _setups(resolution: Mapping[str, Any] | None) -> frozenset[str]:
+    """Returns the fingerprints in a resolution: all texts of their form, whatever the release called the field."""
+    return frozenset(_ID.findall(json.dumps(resolution))) if resolution else frozenset()
+
+
+def started_since(
+    connection: Connection, open_before: Collection[int], newest: int, fingerprints: Collection[str]
+) -> str | None:
+    """Returns the id of a campaign that may use runs of these setups: started, and open or unknown when the newest campaign had the number
+    `newest`; None without one. The caller holds `removal.alone`."""
+    table = campaigns.c
+    watched = or_(table.sequence.in_(list(open_before)), table.sequence > newest)
+    query = select(table.id, table.kind, table.resolution).where(watched, table.started_at.is_not(None))
+    for row in connection.execute(query):
+        if row.kind != "comparison" and (row.resolution is None or _setups(row.resolution) & set(fingerprints)):
+            return str(row.id)
+    return None
+
+
+def open_campaigns(connection: Connection) -> tuple[list[int], int]:
+    """Returns the numbers of campaigns that have not ended, and that of the newest campaign."""
+    listed = connection.scalars(select(campaigns.c.sequence).where(campaigns.c.ended_at.is_(None)))
+    newest = connection.scalar(select(campaigns.c.sequence).order_by(campaigns.c.sequence.desc()).limit(1))
+    return list(listed), newest or 0
+
+
+def fingerprints_of(connection: Connection, setup_ids: Collection[int]) -> list[str]:
+    """Returns the fingerprints of setups by their ids."""
+    return list(connection.scalars(select(setups.c.fingerprint).where(setups.c.id.in_(list(setup_ids)))))

@@ -1,0 +1,245 @@
+"""How does a database of years work? `python tests/benchmarks/run.py years [--cells 100000 1000000] [--backends sqlite postgresql]`.
+
+Fills databases with campaigns of 1,219 cells each, four of a group and half of the groups of one problem (`_years_rows.py`), and measures
+what users and operators do: questions over HTTP, look-ups of 6,000 cells, start of the server, check, backup, upgrade and pruning. A
+question's time is the shortest of some repeats. What concerns one campaign or a page must not grow with the database: from the first size
+to the last it may grow by a factor of MOST_GROWTH. Writes `.drivecal/bench/years.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from datetime import timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psycopg
+from sqlalchemy import Connection, make_url, text
+from tests.benchmarks._years_rows import COUNTED, grow
+from tests.support.api_process import api_process
+from tests.support.postgres import running_postgres
+
+from drivecal.campaigns import retention
+from drivecal.campaigns.results.verification import verify
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.maintenance import backup
+from drivecal.storage.references import reference_keys, runs
+
+TARGET = Path(".drivecal/bench/years.json")
+PROBLEMS = 500
+LOOKED_UP = 6_000
+MOST_LOOK_UP_SECONDS = 0.04
+MOST_GROWTH = 3.0
+QUESTIONS = {
+    "list of campaigns": "/campaigns?limit=50",
+    "campaign": "/campaigns/{id}",
+    "generations": "/campaigns/{id}/generations",
+    "evaluations, a page": "/campaigns/{id}/evaluations?limit=100",
+    "solutions": "/campaigns/{id}/solutions?limit=50",
+    "solutions, other weights": "/campaigns/{id}/solutions?limit=50&weights=S1=3,S2=0",
+    "front": "/campaigns/{id}/front?limit=50",
+    "trust": "/campaigns/{id}/trust",
+    "studies": "/campaigns/{id}/studies",
+    "problems": "/problems?limit=50",
+}
+WHOLE = {"references": "/references", "metrics": "/metrics"}
+"""Questions about the whole database."""
+Figures = dict[str, float]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measures, prints and writes; 0 if nothing grows that should not, and look-ups are fast enough."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cells", type=int, nargs="+", default=[100_000, 1_000_000], help="sizes of the databases")
+    parser.add_argument("--backends", nargs="+", choices=["sqlite", "postgresql"], default=["sqlite", "postgresql"])
+    parser.add_argument(
+        "--folder", type=Path, default=Path(".drivecal/bench/years"), help="where the databases are made, and removed"
+    )
+    chosen = parser.parse_args(arguments)
+    figures: dict[str, dict[str, Figures]] = {}
+    for backend in chosen.backends:
+        for cells in chosen.cells:
+            with _database(backend, chosen.folder) as url:
+                figures.setdefault(backend, {})[str(cells)] = measure(url, cells, chosen.folder)
+            TARGET.parent.mkdir(parents=True, exist_ok=True)
+            TARGET.write_text(json.dumps(figures, indent=2))
+    faults = [fault for backend, sizes in figures.items() for fault in judged(backend, sizes)]
+    show(figures)
+    print("\n".join(faults))
+    return int(bool(faults))
+
+
+def measure(url: str, cells: int, folder: Path) -> Figures:
+    """Fills a database and measures everything."""
+    database = Database.open(url)
+    database.upgrade()
+    figures: Figures = {"filling": timed(lambda: grow(database, cells, PROBLEMS, lambda line: print(line, flush=True)))}
+    with database.read() as connection:
+        figures |= sizes(connection)
+        figures |= look_ups(connection)
+        newest = connection.scalar(text("SELECT id FROM campaigns ORDER BY sequence DESC LIMIT 1"))
+    figures |= over_http(url, folder, str(newest))
+    copy = folder / "backup.db"
+    figures["backup"] = timed(lambda: backup.write(database, copy, lambda *_: None, force=True))
+    copy.unlink()
+    verdicts: list[str] = []
+    figures["check"] = timed(
+        lambda: verdicts.extend(problem for check in verify(database, full=False) for problem in check.problems)
+    )
+    if verdicts:
+        raise SystemExit(f"the database is not whole: {verdicts}")
+    figures["upgrade from 0011"] = upgrade(database)
+    plans: list[retention.RetentionPlan] = []
+    figures["prune, plan"] = timed(lambda: plans.append(retention.plan(database, now() - timedelta(days=365), 10)))
+    slices: list[float] = []
+    began = time.perf_counter()
+
+    def note(_: str, __: int, ___: int) -> None:
+        slices.append(time.perf_counter())
+
+    retention.carry_out(database, plans[0], note)
+    figures["prune"] = time.perf_counter() - began
+    figures["prune, longest slice"] = max(after - before for before, after in pairwise(slices))
+    figures["prune, cells"] = plans[0].doomed.cells
+    database.dispose()
+    return figures
+
+
+def sizes(connection: Connection) -> Figures:
+    """Returns the numbers of rows, and the bytes of tables and indexes."""
+    rows = {
+        f"rows of {name}": float(connection.scalar(text(f"SELECT count(*) FROM {name}")) or 0)  # names of tables
+        for name in COUNTED
+    }
+    if connection.dialect.name == "sqlite":
+        query = "SELECT name, sum(pgsize) FROM dbstat GROUP BY name"
+    else:
+        query = (
+            "SELECT relname, CAST(pg_relation_size(oid) AS bigint) FROM pg_class"
+            " WHERE relkind IN ('r', 'i', 't') AND relnamespace <> 'pg_catalog'::regnamespace"
+        )
+    parts = {str(name): float(size) for name, size in connection.execute(text(query)) if size}
+    cells = rows["rows of evaluations"]
+    print(
+        "\n".join(
+            f"{size / cells:8.1f} bytes a cell  {name}" for name, size in sorted(parts.items(), key=lambda part: -part[1])[:15]
+        )
+    )
+    total = sum(parts.values())
+    return rows | {"bytes": total, "bytes a cell": total / cells}
+
+
+def look_ups(connection: Connection) -> Figures:
+    """Times look-ups in the largest setup by reference key and by parameter set."""
+    setup = connection.scalar(text("SELECT setup_id FROM runs GROUP BY setup_id ORDER BY count(*) DESC, setup_id LIMIT 1"))
+    [index] = [row for row in reference_keys.indexes(connection) if row.setup_id == setup]
+    spread = {"setup": setup, "index": index.id, "count": LOOKED_UP}
+    keys = connection.scalars(
+        text("SELECT key FROM reference_keys WHERE index_id = :index ORDER BY run_id % 7919 LIMIT :count"), spread
+    )
+    sets = connection.scalars(
+        text("SELECT parameter_set_id FROM runs WHERE setup_id = :setup ORDER BY id % 7919 LIMIT :count"), spread
+    )
+    wanted, numbers = [bytes(key) for key in keys], list(sets)
+    watermark = runs.largest_id(connection)
+
+    def by_key() -> None:
+        reference_keys.look_up(connection, index.influence_map_sequence, index.setup_id, wanted, index.evaluator, watermark)
+
+    return {
+        "look-up by key": best(by_key),
+        "look-up by set": best(lambda: runs.look_up_exact(connection, index.setup_id, numbers, index.evaluator, watermark)),
+        "look-up, cells": float(len(wanted)),
+    }
+
+
+def over_http(url: str, folder: Path, campaign: str) -> Figures:
+    """Times the start of the API, and its answers."""
+    figures: Figures = {}
+    began = time.perf_counter()
+    with api_process(url, folder) as api:
+        figures["start of the API"] = time.perf_counter() - began
+        for name, path in (QUESTIONS | WHOLE).items():
+            address = path if path == "/metrics" else "/api/v1" + path.format(id=campaign)
+            figures[f"first: {name}"] = timed(lambda address=address: asked(api.http, address))  # type: ignore[misc]
+            figures[name] = best(lambda address=address: asked(api.http, address))  # type: ignore[misc]
+        figures["memory of the API, MB"] = api.megabytes
+    return figures
+
+
+def asked(http: httpx.Client, address: str) -> None:
+    """Asks once. Raises HTTPStatusError for an error."""
+    http.get(address).raise_for_status()
+
+
+def upgrade(database: Database) -> float:
+    """Times the upgrade from the revision before the newest, whose changes are taken back first."""
+    with database.transaction() as connection:
+        for statement in (
+            "DROP INDEX ix_campaigns_rerun_of",
+            "DROP INDEX ix_evaluations_run_id",
+            "ALTER TABLE campaigns DROP COLUMN pruned",
+            "UPDATE drivecal_revision SET version_num = '0011'",
+        ):
+            connection.execute(text(statement))
+    return timed(database.upgrade)
+
+
+def timed(use: Callable[[], Any]) -> float:
+    """Returns how long `use` takes, s."""
+    began = time.perf_counter()
+    use()
+    return time.perf_counter() - began
+
+
+def best(use: Callable[[], Any]) -> float:
+    """Returns the shortest of some times, s."""
+    use()
+    return min(timed(use) for _ in range(5))
+
+
+def judged(backend: str, sizes: dict[str, Figures]) -> Iterator[str]:
+    """Yields what is too slow, or grows with the database and should not."""
+    first, last = next(iter(sizes.values())), list(sizes.values())[-1]
+    for name in ("look-up by key", "look-up by set"):
+        if last[name] > MOST_LOOK_UP_SECONDS:
+            yield f"{backend}: {name} takes {last[name] * 1000:.0f} ms, at most {MOST_LOOK_UP_SECONDS * 1000:.0f} wanted"
+    for name in QUESTIONS:
+        if last[name] > MOST_GROWTH * max(first[name], 0.005):
+            yield f"{backend}: {name} grows from {first[name] * 1000:.0f} to {last[name] * 1000:.0f} ms"
+
+
+def show(figures: dict[str, dict[str, Figures]]) -> None:
+    """Prints a table: seconds, unless the name says otherwise."""
+    columns = [(backend, size) for backend, sizes in figures.items() for size in sizes]
+    print(f"{'':32}" + "".join(f"{f'{backend} {int(size):,}':>24}" for backend, size in columns))
+    for name in next(iter(next(iter(figures.values())).values())):
+        print(f"{name:32}" + "".join(f"{figures[backend][size].get(name, 0):24,.4g}" for backend, size in columns))
+
+
+@contextmanager
+def _database(backend: str, folder: Path) -> Iterator[str]:
+    """Yields the URL of a new database; it is gone afterwards."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        if backend == "sqlite":
+            yield f"sqlite:///{folder / 'drivecal.db'}"
+            return
+        url = stack.enter_context(running_postgres(folder))
+        with psycopg.connect(url, autocommit=True) as connection:
+            connection.execute("CREATE DATABASE years")
+        yield make_url(url).set(database="years").render_as_string(hide_password=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,63 @@
+"""Metrics take as little place as their values, keep every bit, and are read in every form that a release stored."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from math import isfinite
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sqlalchemy import select, text
+from tests.support.databases import migrated
+from tests.support.storage import new_run, sample_set_ids, setup_id
+
+from drivecal.storage.engine import tables
+from drivecal.storage.engine.database import Database
+from drivecal.storage.references import metrics, runs
+
+NUMBERS = {"peak_mps2": 0.1 + 0.2, "offset_m": -0.0, "missing": float("nan")}
+STORED = "hgqY8lRBl_bY:NDMzMzMz0z8AAAAAAAAAgAAAAAAAAPh/"
+
+
+def test_the_stored_form_of_a_run_stays_as_it_is(database: Database) -> None:
+    with database.transaction() as connection:
+        assert metrics.pack(connection, [NUMBERS, NUMBERS]) == [STORED, STORED]
+        assert connection.scalars(select(tables.metric_names.c.names)).all() == [list(NUMBERS)]
+
+
+def test_every_bit_comes_back(tmp_path_factory: pytest.TempPathFactory) -> None:
+    database = migrated(f"sqlite:///{tmp_path_factory.mktemp('metrics') / '1.db'}")
+
+    @given(st.dictionaries(st.text(max_size=20), st.floats() | st.integers(-9, 9), max_size=8))
+    def comes_back(given: dict[str, float]) -> None:
+        with database.transaction() as connection:
+            [stored] = metrics.pack(connection, [given])
+            read = metrics.reader(connection)(stored)
+        assert list(read) == list(given)
+        assert [repr(value) for value in read.values()] == [
+            repr(value) if isfinite(value) else "None" for value in given.values()
+        ]
+
+    comes_back()
+    database.dispose()
+
+
+def test_names_that_a_transaction_took_back_are_stored_by_the_next(database: Database) -> None:
+    with suppress(ZeroDivisionError), database.transaction() as connection:
+        [stored] = metrics.pack(connection, [NUMBERS])
+        assert metrics.reader(connection)(stored)["offset_m"] == 0.0
+        raise ZeroDivisionError
+    with database.transaction() as connection:
+        metrics.pack(connection, [NUMBERS])
+        assert connection.scalars(select(tables.metric_names.c.names)).all() == [list(NUMBERS)]
+
+
+def test_a_result_agrees_with_what_an_earlier_release_stored_of_it(database: Database) -> None:
+    with database.transaction() as connection:
+        result = new_run(setup_id(connection), *sample_set_ids(connection, 1))
+        [stored] = runs.insert_results(connection, [result])
+        document = '{"peak_lateral_acceleration_mps2": 0.30000000000000004, "offset_m": 1e-300}'
+        connection.execute(text("UPDATE runs SET metrics = :document"), {"document": document})
+        assert runs.metrics(connection, [stored.id]) == {stored.id: dict(result.metrics)}
+        assert runs.insert_results(connection, [result])[0].agrees

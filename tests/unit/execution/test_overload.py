@@ -1,0 +1,90 @@
+"""Campaigns beside others that ask for far more, or whose cells take far longer: simulated on virtual time, so that only work counts."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from tests.support.plant import Plant, cells
+
+MANY = 2_500
+"""Cells of the large campaign for each worker that wait at a time."""
+SMALL = 100
+"""Cells of a small campaign for each worker: ten times the work that workers hold when it comes."""
+COST = {"S1": 0.05, "S2": 0.05}
+
+
+def time_alone(workers: int, scenario: str, count: int, cost: dict[str, float]) -> float:
+    """Seconds that a campaign takes on idle workers that know what its cells cost."""
+    plant = warm(workers, cost)
+    began = plant.now
+    plant.add("small", scenario, cells(count, first=500_001))
+    plant.run()
+    return plant.now - began
+
+
+def warm(workers: int, cost: dict[str, float]) -> Plant:
+    """Workers that have measured every scenario."""
+    plant = Plant(workers, cost)
+    for number, scenario in enumerate(cost):
+        plant.add("first", scenario, cells(2 * workers, first=900_001 + 1_000 * number))
+    plant.run()
+    return plant
+
+
+def seconds_until_done(plant: Plant, tag: str) -> float:
+    began = plant.now
+    while plant.scheduler.held(tag) and plant.step():
+        pass
+    return plant.now - began
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_each_of_ten_small_campaigns_ends_in_three_times_its_time_alone_beside_a_large_one(workers: int) -> None:
+    alone = time_alone(workers, "S2", SMALL * workers, COST)
+    plant = warm(workers, COST)
+    plant.add("large", "S1", cells(MANY * workers))
+    plant.run(until=plant.now + 10.0)
+    for number in range(10):
+        tag = f"small {number}"
+        plant.add(tag, "S2", cells(SMALL * workers, first=500_001 + 1_000 * number))
+        assert seconds_until_done(plant, tag) <= 3 * alone
+    assert plant.scheduler.held("large") > 0
+
+
+@pytest.mark.parametrize("workers", [2, 8])
+def test_ten_small_campaigns_at_a_time_lose_one_share_in_eleven_to_a_large_one(workers: int) -> None:
+    def seconds(*, with_large: bool) -> float:
+        plant = warm(workers, COST)
+        if with_large:
+            plant.add("large", "S1", cells(MANY * workers))
+            plant.run(until=plant.now + 10.0)
+        began = plant.now
+        tags = [f"small {number}" for number in range(10)]
+        for number, tag in enumerate(tags):
+            plant.add(tag, "S2", cells(SMALL, first=500_001 + 1_000 * number))
+        while any(plant.scheduler.held(tag) for tag in tags) and plant.step():
+            pass
+        return plant.now - began
+
+    assert seconds(with_large=True) <= 1.2 * seconds(with_large=False)
+
+
+def test_a_campaign_of_fast_cells_gets_its_share_beside_one_whose_cells_take_ten_minutes() -> None:
+    cost = {"fast": 0.25, "slow": 600.0}
+    plant = warm(4, cost)
+    plant.add("slow", "slow", cells(200))
+    plant.add("fast", "fast", cells(4_000, first=100_001))
+    began, before = plant.now, Counter(plant.given)
+    plant.run(until=began + 6_000.0)
+    assert plant.scheduler.held("fast") == 0, "1,000 s of work on half of four workers"
+    assert plant.given["slow"] - before["slow"] > 6_000.0
+
+
+def test_a_newcomer_waits_for_one_slow_cell_at_most() -> None:
+    cost = {"fast": 0.01, "slow": 600.0}
+    plant = warm(4, cost)
+    plant.add("slow", "slow", cells(200))
+    plant.run(until=plant.now + 1_000.0)
+    plant.add("fast", "fast", cells(1_000, first=100_001))
+    assert seconds_until_done(plant, "fast") <= 600.0 + 3 * time_alone(4, "fast", 1_000, cost)
