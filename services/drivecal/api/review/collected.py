@@ -69,7 +69,7 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
     front = front_of(database, stored, resolved)
     several = len(front.goals.objectives) > 1
     table: RankedIn = choice.table or ("front" if several else "solutions")
-    rows = front_table(database, stored, front, None).rows if several or table == "front" else ()
+    rows = front_table(database, stored, front) if several or table == "front" else ()
     chosen: Solution | FrontRow | None
     if table == "front":
         chosen = next((row for row in rows if row.rank == choice.rank), None)
