@@ -13,6 +13,7 @@ from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced
 from tests.support.server import free_port, serving
 
 TOKEN = "reader-0123456789abcdef"
+TINY = {"kind": "genetic", "population": 6, "iterations": 2}
 
 
 def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
@@ -31,22 +32,69 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
         page.close()
 
 
-def test_a_study_is_started_from_the_page(tmp_path: Path, opening: Opening) -> None:
+def test_a_study_is_started_from_the_page_with_its_settings(tmp_path: Path, opening: Opening) -> None:
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
         campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}")
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("422",))
         page.get_by_role("button", name="Robustness").click()
-        expect(page.get_by_text(re.compile(r"At most [\d,]+ simulations"))).to_be_visible()
+        cost = page.get_by_text(re.compile(r"At most [\d,]+ simulations"))
+        expect(cost).to_be_visible()
+        usual = cost.inner_text()
+        page.get_by_text("Settings: defaults").click()
+        page.get_by_label("steps").fill("0")
+        expect(page.get_by_text("A setting is wrong")).to_be_visible()
+        page.get_by_label("steps").fill("2")
+        expect(cost).to_be_visible()
+        expect(cost).not_to_have_text(usual)
         page.get_by_role("button", name="Validate").click()
+        page.get_by_text("Settings: defaults").click()
+        page.get_by_label("references").fill("7")
         page.get_by_role("button", name="Start the study").click()
         expect(page.get_by_role("heading", name="A validation")).to_be_visible()
         made = api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
         assert made["spec"]["optimizer"] is None
+        assert made["spec"]["validation"]["references"] == 7
         assert made["spec"]["sensitivity"] == {"map": campaign.influence_map_id or get(api.database, campaign).influence_map_id}
         page.get_by_role("link", name="Campaigns").click()
         rows = page.get_by_role("table").get_by_role("row")
         expect(rows.nth(2)).to_contain_text("test (validation)")
         expect(rows.nth(1)).to_contain_text(campaign.id[:8])
+        page.close()
+
+
+def test_campaigns_are_tagged_archived_and_deleted_where_they_are_listed(tmp_path: Path, opening: Opening) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        first, second = (run(api.database, submit(api.database, optimizer=TINY)) for _ in range(2))
+        page = opening(f"{api.url}/#/")
+        ticked = page.get_by_role("group", name="Ticked campaigns")
+        page.get_by_role("checkbox", name=first.id[:8]).check()
+        ticked.get_by_label("Tag for the ticked campaigns").fill("good car-7")
+        ticked.get_by_role("button", name="Add tag").click()
+        page.get_by_role("group", name="Only with tags").get_by_role("button", name="car-7").click()
+        boxes = page.get_by_role("table").get_by_role("checkbox")
+        expect(boxes).to_have_count(1)
+        assert barriers(page) == []
+        page.get_by_role("group", name="Only with tags").get_by_role("button", name="car-7").click()
+        expect(boxes).to_have_count(2)
+        ticked.get_by_role("button", name="Archive").click()
+        expect(boxes).to_have_count(1)
+        page.get_by_label("Archived").check()
+        expect(page.get_by_role("checkbox", name=first.id[:8])).to_be_visible()
+        page.get_by_label("Archived").uncheck()
+        page.get_by_role("checkbox", name=second.id[:8]).check()
+        ticked.get_by_role("button", name="Delete").click()
+        ticked.get_by_role("button", name="Really delete").click()
+        expect(page.get_by_role("heading", name="No campaign yet")).to_be_visible()
+        assert api.http.get(f"/api/v1/campaigns/{second.id}").status_code == 404
+        page.goto(f"{api.url}/#/campaigns/{first.id}")
+        expect(page.get_by_text("Archived: lists leave it out.")).to_be_visible()
+        rerun = api.http.post(f"/api/v1/campaigns/{first.id}/rerun", json={"weights": {"S1": 2}}).json()["id"]
+        page.get_by_role("button", name="Edit labels").click()
+        page.get_by_label("Comment").fill("for the review")
+        page.get_by_role("button", name="Delete", exact=True).click()
+        page.get_by_role("button", name="Really delete").click()
+        expect(page.get_by_text("archived, not deleted")).to_contain_text(rerun[:8])
+        assert api.http.get(f"/api/v1/campaigns/{first.id}").json()["comment"] == "for the review"
         page.close()
 
 

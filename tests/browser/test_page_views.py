@@ -85,7 +85,7 @@ def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, *, 
         "evaluations/1",
     )
     others = [f"{shown.api.url}/#/{one}" for one in paths]
-    charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "slices")]
+    charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "slices", "map", "importance")]
     for address in [*others, *(shown.at(tab) for tab in TABS), *charts]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
@@ -151,6 +151,83 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     page.get_by_role("button", name="Slices").click()
     expect(page.get_by_role("img", name=re.compile("score over P[1-4]: "))).to_have_count(4)
     assert rows_shown(page) == some
+
+
+def test_a_heat_map_shows_fields_with_rows_and_keeps_the_ranges_of_one(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.at('evaluations')}?chart=map&x=P1&y=P2&scenario=S1")
+    plot = page.get_by_role("img", name=re.compile(r"score over P1.* and P2.*: \d+ of 144 fields have rows"))
+    expect(plot).to_be_visible()
+    whole = rows_shown(page)
+    field = plot.locator("g").first
+    expected = int(re.search(r"([\d,]+) rows", field.locator("title").text_content() or "")[1].replace(",", ""))  # type: ignore[index]
+    field.click()
+    expect(page.get_by_label("P1 from")).to_be_visible()
+    expect(page.get_by_label("P2 to")).to_be_visible()
+    assert expected <= rows_shown(page)[0] < whole[0]
+
+
+def test_importance_is_labelled_with_its_method_and_opens_the_scatter_of_a_parameter(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.at('evaluations')}?chart=importance&of=S1")
+    bars = page.get_by_role("img", name=re.compile("Importance in the search: P1 "))
+    expect(bars).to_be_visible()  # S1 depends on P1 most of all
+    expect(page.get_by_text("permutation importance")).to_contain_text("held out: R²")
+    expect(page.get_by_role("img", name=re.compile("Importance by the analysis"))).to_be_visible()
+    bars.locator("g").nth(1).click()
+    expect(page.get_by_role("img", name=re.compile("^score over P"))).to_be_visible()
+
+
+def test_every_verdict_of_the_analysis_has_its_reason(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at("influence"))
+    rows = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/influence").json()["items"]
+    table = page.get_by_role("table", name="What decided about each parameter")
+    expect(table.get_by_role("row")).to_have_count(len(rows) + 1)
+    for place, row in enumerate(rows, start=1):
+        expect(table.get_by_role("row").nth(place)).to_contain_text(row["reason"])
+
+
+def test_a_view_is_saved_renamed_opened_and_deleted(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.at('ranking')}?chart=scatter&x=P2&b.P1=0:0.5")
+    expect(page.get_by_role("grid")).to_be_visible()
+    selected = rows_shown(page)
+    page.get_by_text("Views", exact=True).click()
+    page.get_by_label("Name of the view").fill("lower half")
+    page.get_by_label("for all campaigns").check()
+    page.get_by_role("button", name="Save").click()
+    page.get_by_role("button", name="Rename lower half").click()
+    page.get_by_label("New name of lower half").fill("P1 small")
+    page.get_by_label("New name of lower half").press("Enter")
+    expect(page.get_by_role("link", name="P1 small")).to_be_visible()
+    other = opening(shown.at("curves"))
+    other.get_by_text("Views 1").click()
+    other.get_by_role("link", name="P1 small").click()
+    expect(other.get_by_label("P1 to")).to_have_value("0.5")
+    assert rows_shown(other) == selected
+    other.get_by_text("Views 1").click()
+    other.get_by_role("button", name="Delete P1 small").click()
+    expect(other.get_by_text("No saved view yet")).to_be_visible()
+
+
+def test_views_campaigns_and_actions_are_reached_by_the_keyboard_alone(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/workers")
+    expect(page.get_by_role("heading", level=1)).to_be_visible()
+    page.keyboard.press("Control+k")
+    search = page.get_by_role("combobox", name="Search views, campaigns and actions")
+    expect(search).to_be_focused()
+    expect(page.get_by_role("option")).not_to_have_count(0)
+    assert barriers(page) == []
+    search.press_sequentially(shown.study.id[:10])
+    expect(page.get_by_role("option")).to_have_count(1)
+    search.press("Enter")
+    expect(page.get_by_role("heading", name="A robustness study")).to_be_visible()
+    page.keyboard.press("Control+k")
+    search.press_sequentially("evaluations")
+    search.press("Enter")
+    expect(page.get_by_role("grid")).to_be_visible()
+    page.keyboard.press("Control+k")
+    search.press("ArrowUp")
+    expect(page.get_by_role("option").last).to_have_attribute("aria-selected", "true")
+    search.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)
 
 
 def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, opening: Opening) -> None:

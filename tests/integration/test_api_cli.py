@@ -70,8 +70,8 @@ def test_everything_wrong_with_a_file_is_said_on_one_line_each(run: Run, command
     result = run(*command, stdin="weights: {S1: 0, S9: 1}\nfixed: {P1: 0.1}\nbaseline: {P2: 0}\n")
     assert result.exit_code == 2
     assert result.stdout == ""
-    assert "drivecal: weights.S9:" in result.stderr
-    assert "fixed.P1: 0.1" in result.stderr
+    assert "drivecal: standard input: line 1: weights.S9:" in result.stderr
+    assert "line 2: fixed.P1: 0.1" in result.stderr
     assert "Traceback" not in result.stderr
 
 

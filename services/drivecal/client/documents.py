@@ -7,7 +7,8 @@ refused: with aliases, a short file can expand without end.
 import math
 import re
 import sys
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -28,17 +29,47 @@ LARGEST_FILE = 1_048_576
 
 def read_document(file: str) -> dict[str, Any]:
     """Returns the object in `file`, `-` for standard input. Raises InvalidInputError with file, line and column of the fault."""
-    content, name = _content(file)
+    return _located_document(file)[0]
+
+
+@contextmanager
+def opened_document(file: str) -> Iterator[dict[str, Any]]:
+    """Yields the object in `file`, as `read_document` returns it. Faults that the server, for example, finds in it get file and line."""
+    document, name, lines = _located_document(file)
     try:
-        is_json = name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["})
-        document = strict_json.loads(content) if is_json else _yaml(content)
+        yield document
+    except InvalidInputError as error:
+        problems = [replace(problem, field=located(problem.field, lines, name)) for problem in error.problems]
+        raise InvalidInputError(*problems) from error
+
+
+def located(field: str, lines: Mapping[str, int], name: str) -> str:
+    """Returns a field with file and line: its own, or that of the section that lacks it."""
+    owner = field
+    while owner and owner not in lines:
+        owner = re.sub(r"(?:\.?[^.\[]*|\[\d*\]?)$", "", owner)
+    line = f"line {lines[owner]}" if owner else ""
+    return ": ".join(filter(None, (name, line, field)))
+
+
+def _located_document(file: str) -> tuple[dict[str, Any], str, Mapping[str, int]]:
+    """Returns the object in `file`, the file's name, and the lines of its fields."""
+    content, name = _content(file)
+    lines: Mapping[str, int] = {}
+    try:
+        if name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["}):
+            document = strict_json.loads(content)
+            with suppress(InvalidInputError):  # JSON that is no YAML has no lines
+                lines = located_yaml(content)[1]
+        else:
+            document, lines = located_yaml(content)
         strict_json.check_plain(document)
     except InvalidInputError as error:
-        located = (replace(problem, field=": ".join(filter(None, (name, problem.field)))) for problem in error.problems)
-        raise InvalidInputError(*located) from error
+        placed = (replace(problem, field=": ".join(filter(None, (name, problem.field)))) for problem in error.problems)
+        raise InvalidInputError(*placed) from error
     if not isinstance(document, dict):
         raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
-    return document
+    return document, name, lines
 
 
 def plain(document: Document) -> Mapping[str, Any]:
@@ -114,10 +145,6 @@ for tag, pattern, first in (
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{tag}", re.compile(pattern), first)
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_core_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _Loader.construct_core_float)
-
-
-def _yaml(content: bytes) -> object:
-    return located_yaml(content)[0]
 
 
 def located_yaml(content: bytes) -> tuple[object, dict[str, int]]:

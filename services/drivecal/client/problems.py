@@ -1,6 +1,5 @@
 """Problem bundles on disk: reads a folder with `problem.yaml` into a checked manifest and an archive."""
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from os import PathLike
@@ -11,7 +10,7 @@ from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_o
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
-from drivecal.client.documents import LARGEST_FILE, located_yaml
+from drivecal.client.documents import LARGEST_FILE, located, located_yaml
 from drivecal.configuration.pushing import HEADER, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
@@ -47,7 +46,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
     except InvalidInputError as error:
         _, lines = located_yaml(manifest_text(files))
         raise InvalidInputError(
-            *(replace(problem, field=_located(problem.field, lines)) for problem in error.problems)
+            *(replace(problem, field=located(problem.field, lines, MANIFEST)) for problem in error.problems)
         ) from error
     archive = with_files(archive, networks) if networks else archive
     manifest, road_notes = _read_archived(files_of(archive))
@@ -90,17 +89,8 @@ def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:
         document, lines = located_yaml(content)
         return check(document)
     except InvalidInputError as error:
-        problems = [replace(problem, field=_located(problem.field, lines)) for problem in error.problems]
+        problems = [replace(problem, field=located(problem.field, lines, MANIFEST)) for problem in error.problems]
     raise InvalidInputError(*problems)
-
-
-def _located(field: str, lines: Mapping[str, int]) -> str:
-    """Returns a field with file and line: its own, or that of the section that lacks it."""
-    owner = field
-    while owner and owner not in lines:
-        owner = re.sub(r"(?:\.?[^.\[]*|\[\d*\]?)$", "", owner)
-    line = f"line {lines[owner]}" if owner else ""
-    return ": ".join(filter(None, (MANIFEST, line, field)))
 
 
 Pushed = bytes | str | PathLike[str]

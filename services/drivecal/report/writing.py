@@ -57,7 +57,7 @@ def _influence(findings: ReportData) -> Iterator[Drawn]:
     if not findings.influence:
         return
     caption = (
-        "Figure 9. Where each parameter can change the score of each scenario: from its lower bound at the hub to its upper bound at "
+        "Where each parameter can change the score of each scenario: from its lower bound at the hub to its upper bound at "
         "the rim. A parameter without a grey segment has no influence anywhere."
     )
     scenarios = by_scenario(findings.influence)

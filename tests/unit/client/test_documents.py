@@ -12,8 +12,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivecal.client.documents import LARGEST_FILE, read_document
-from drivecal.domain.errors import InvalidInputError
+from drivecal.client.documents import LARGEST_FILE, opened_document, read_document
+from drivecal.domain.errors import InvalidInputError, Problem
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 plain: st.SearchStrategy[Any] = st.recursive(
@@ -140,3 +140,16 @@ def test_files_that_are_not_there_or_no_files_are_refused(tmp_path: Path) -> Non
         with pytest.raises(InvalidInputError) as refused:
             read_document(str(file))
         assert [problem.field for problem in refused.value.problems] == [str(file)]
+
+
+@pytest.mark.parametrize("name", ["campaign.yaml", "campaign.json"])
+def test_faults_that_a_server_finds_get_the_file_and_the_line_of_their_field_or_of_its_section(
+    tmp_path: Path, name: str
+) -> None:
+    file = tmp_path / name
+    file.write_text('{"name": "a",\n "weights": {"S1": 1,\n             "S9": 2},\n "optimizer": {}}')
+    faults = InvalidInputError(*(Problem(field, "wrong", "") for field in ("weights.S9", "optimizer.kind", "", "fixed")))
+    with pytest.raises(InvalidInputError) as refused, opened_document(str(file)):
+        raise faults
+    fields = [problem.field.removeprefix(f"{file}") for problem in refused.value.problems]
+    assert fields == [": line 3: weights.S9", ": line 4: optimizer.kind", "", ": fixed"]

@@ -28,7 +28,7 @@ from drivecal.cli.views.savings import (
     print_trust,
 )
 from drivecal.client.client import Action, Client
-from drivecal.client.documents import read_document
+from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.contracts.organising import Deletion
@@ -53,8 +53,7 @@ def submit(
     as_json: JsonOption = False,
 ) -> None:
     """Submit a campaign."""
-    specification = read_document(file)
-    with connect(url) as client:
+    with connect(url) as client, opened_document(file) as specification:
         if dry_run:
             print_answer(client.expected_runs(specification), as_json, _print_expected)
         else:

@@ -8,7 +8,7 @@ from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
 from drivecal.cli.views.comparisons import print_expected
 from drivecal.cli.views.output import print_answer
-from drivecal.client.documents import read_document
+from drivecal.client.documents import opened_document
 
 
 @app.command("compare-optimizers")
@@ -21,8 +21,7 @@ def compare_optimizers(
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
-    specification = read_document(file)
-    with connect(url) as client:
+    with connect(url) as client, opened_document(file) as specification:
         if dry_run:
             print_answer(client.expected_comparison(specification), as_json, print_expected)
         else:

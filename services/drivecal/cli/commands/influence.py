@@ -10,7 +10,7 @@ import typer
 from drivecal.cli.application import JsonOption, UrlOption, app, connect
 from drivecal.cli.views.output import dumped, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.client import Client
-from drivecal.client.documents import read_document
+from drivecal.client.documents import opened_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
@@ -246,8 +246,7 @@ def post_map(
     as_json: JsonOption = False,
 ) -> None:
     """Store an influence map, so that campaigns can name it in `sensitivity: {map: ID}`."""
-    specification = read_document(file)
-    with connect(url) as client:
+    with connect(url) as client, opened_document(file) as specification:
         print_answer(client.post_influence_map(specification), as_json, _print_map)
 
 

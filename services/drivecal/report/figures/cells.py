@@ -31,7 +31,7 @@ def accumulated(generations: Sequence[Generation]) -> dict[str, list[int]]:
 def drawn(generations: Sequence[Generation]) -> Drawn:
     """Returns Figure 11."""
     caption = (
-        "Figure 11. Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
+        "Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
         "the optimizer carried over unchanged is not requested; the runs of the sensitivity analysis are not in it."
     )
     totals = accumulated(generations)
@@ -45,7 +45,7 @@ def cells_table(generations: Sequence[Generation]) -> str:
     counts = zip(generations, zip(*accumulated(generations).values(), strict=True), strict=True)
     rows = {generation.iteration: [sum(totals), *totals] for generation, totals in counts}
     header = ["requested", *(label for _, label, *_ in OUTCOMES)]
-    return in_numbers("Figure 11 in numbers, added up", header, rows, generations)
+    return in_numbers("Answers of the cells in numbers, added up", header, rows, generations)
 
 
 def cells_figure(generations: Sequence[Generation]) -> Figure:

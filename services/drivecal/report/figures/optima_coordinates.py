@@ -55,7 +55,7 @@ def drawn(
     same = constant(optima, axes)
     shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else count(len(optima), "set")
     caption = (
-        f"Figure 12, left. {shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
+        f"{shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
         f"upper bound of each searched parameter; lines of one kind lie in one region."
     )
     if worse:

@@ -16,7 +16,7 @@ LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), 
 def drawn(generations: Sequence[Generation], baseline: float | None = None) -> Drawn:
     """Returns Figure 10."""
     caption = (
-        "Figure 10. Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
+        "Left: the objectives of the population in each iteration. Right: how many distinct parameter sets had been found "
         "by then with the best objective by then."
     )
     answered = [generation for generation in generations if generation.best is not None]

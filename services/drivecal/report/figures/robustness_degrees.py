@@ -30,7 +30,7 @@ def _drawn(studied: Robust, name: str) -> Drawn:
     )
     model = f"; vehicle model: {studied.study.vehicle}" if studied.study.vehicle else ""
     caption = (
-        f"Figure 12, right. For {some} (the most robust on top) the largest deviation, over all scenarios and vehicles, in growing boxes "
+        f"For {some} (the most robust on top) the largest deviation, over all scenarios and vehicles, in growing boxes "
         f"around the nominal vehicle, the first of half width {studied.study.settings['delta']:g}; condition: "
         f"{condition(studied.study.settings)}{model}. The heavy line is the widest box that holds."
     )

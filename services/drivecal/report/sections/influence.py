@@ -21,7 +21,7 @@ def parts(
     cells = {(row.scenario, row.parameter): _bounds(row) for row in rows}
     names = list(dict.fromkeys(row.parameter for row in rows))
     lines = [[name, *(cells.get((scenario, name)) for scenario in scenarios)] for name in names]
-    caption = "Figure 9 in numbers: influential bounds in parameter units, inclusive; a dash where nothing is influential"
+    caption = "Influential bounds in parameter units, inclusive; a dash where nothing is influential"
     return [paragraph(_origin(basis)), *drawings, table(["parameter", *scenarios], lines, caption)]
 
 

@@ -105,7 +105,7 @@ def _quality(main: Robust, others: Sequence[Robust]) -> str:
     degrees = [_label(study, vehicles) for study in (main, *others)]
     header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
     caption = (
-        "Table 9, robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
+        "Robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
         "a set that ranked higher in the search had the score of a reference. δ max: the widest box that holds; limited by: the "
         "scenarios that broke the condition first, with their deviations"
     )
@@ -118,7 +118,7 @@ def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
         [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(_key(row.parameters)), fixed(row.to_worse, 3)]
         for row in studied.rows
     ]
-    caption = "Table 9, the sets: parameter values in their units, regions as above, distance to the nearest worse set"
+    caption = "The sets: parameter values in their units, regions as above, distance to the nearest worse set"
     return table(["rank", *studied.rows[0].parameters, "degree", "region", "to worse"], rows, caption)
 
 

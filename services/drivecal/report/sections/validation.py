@@ -42,7 +42,7 @@ def drawn(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Iterator[Dra
     """Yields the sheets of Figure 14; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
     caption = (
-        "Figure 14. How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
+        "How far the scores of variants, which differ from a basis only where the map says that it does not matter, are from "
         "the score of the basis; on a logarithmic scale, or all but the zeros would be invisible. Hatched: by more than "
         f"{scale.amount(scale.tolerance)}, wrong."
     )
@@ -138,9 +138,7 @@ def _sizes(rows: Sequence[ValidationRow], by_scenario: dict[str, list[InfluenceR
         for row in rows
     ]
     header = ["scenario", "reducible parameters", "n", "effects", "covered", "LHS", "n*_LHS", "n_ref", "n_validation"]
-    caption = (
-        "Table 1. Sample sizes: n reducible parameters have 2^n - 1 effects; n*_LHS of the LHS sets that qualify were compared"
-    )
+    caption = "Sample sizes: n reducible parameters have 2^n - 1 effects; n*_LHS of the LHS sets that qualify were compared"
     return table(header, lines, caption)
 
 
@@ -168,7 +166,7 @@ def _histograms(rows: Sequence[ValidationRow], scale: Scale) -> str:
     lines = [[row.scenario, *(row.histogram.get(number, 0) for number in bins)] for row in compared]
     header = ["scenario", *(_difference(number, compared[0].histogram_step, scale) for number in bins)]
     return table(
-        header, lines, f"Figure 14 in numbers: variants by their difference from the basis{unit_text(scale.unit, ', in ')}"
+        header, lines, f"Deviations in numbers: variants by their difference from the basis{unit_text(scale.unit, ', in ')}"
     )
 
 
@@ -181,7 +179,7 @@ def _rates(rows: Sequence[ValidationRow]) -> str:
         for row in rows
     ]
     header = ["scenario", "compared", "different", "wrong", "R_err", "95 % from", "to"]
-    caption = "Table 2. Share of wrong answers with its 95 % interval"
+    caption = "Share of wrong answers with its 95 % interval"
     return table(header, lines, f"{caption}. {interval_text(rows)}" if any(row.compared for row in rows) else caption)
 
 
