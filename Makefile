@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults test-compose test-packages check bench train page docs format lock networks clean
+.PHONY: help demo test test-faults test-compose test-packages check bench train page docs format lock sbom networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -62,6 +62,9 @@ format: $(INSTALLED) ## format the code and mend what the linter can
 
 lock: $(INSTALLED) ## write deploy/requirements.lock anew from pyproject.toml (needs uv)
 	@deploy/lock.sh --upgrade
+
+sbom: ## write the packages of each image as CycloneDX, with known weaknesses, to .drivecal/sbom (needs uv and a network)
+	@deploy/sbom.sh
 
 networks: $(INSTALLED) ## rebuild the scenarios' SUMO networks with netconvert
 	@$(BIN)/python -m drivecal.highway.scenarios.build

@@ -62,7 +62,7 @@ def prepare_database(settings: Settings) -> Database:
     Raises DatabaseError if it cannot be used or another server uses it, and InvalidInputError if the home folder cannot be created.
     """
     try:
-        settings.home.mkdir(parents=True, exist_ok=True)
+        settings.home.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError as error:
         problem = Problem("home", f"{settings.home} cannot be made: {error.strerror}", "set DRIVECAL_HOME to a folder of yours")
         raise InvalidInputError(problem) from error

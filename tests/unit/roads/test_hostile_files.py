@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-import os
 import random
 import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.support.effort import tries
 from tests.support.mutations import mutated, outcome
 from tests.support.networks import crossing, entrance, generated
 from tests.support.opendrive_files import FILES
@@ -22,8 +22,8 @@ from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
 
-MUTATIONS = 2000 if os.environ.get("DRIVECAL_LONG") else 300
-CONVERSIONS = 100 if os.environ.get("DRIVECAL_LONG") else 10
+MUTATIONS = tries(300, 10_000)
+CONVERSIONS = tries(10, 100)
 SUBJECTS: dict[str, tuple[Callable[[], bytes], tuple[str, ...]]] = {
     "entrance": (entrance, ("before", "beside", "after")),
     "ramp": (lambda: entrance("--no-internal-links"), ("ramp", "beside", "after")),

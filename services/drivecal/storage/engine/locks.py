@@ -66,7 +66,8 @@ class _FileLock(_Releasing):
     def __init__(self, database: Path, otherwise: str, server: int) -> None:
         path = database.with_name(database.name + ".lock")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            path.touch(mode=0o600)
             self._file: IO[str] = path.open("a+", encoding="ascii")
         except OSError as error:
             raise DatabaseError(f"{path} cannot be written: {error.strerror}; name a database in another folder") from error
