@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
+from tests.benchmarks._objective import runner
 from tests.browser.conftest import Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
-from tests.support.runs import run
+from tests.support.runs import run, submit, working
 from tests.support.server import RunningApi, serving
 
 from drivecal.contracts.work import Cell, CellResult
@@ -147,7 +150,7 @@ def test_a_click_on_a_point_or_a_row_chooses_the_same_set_everywhere(shown: Show
     place = marks.last.bounding_box()  # of the best in the second objective
     assert place is not None
     page.mouse.move(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
-    tip = page.locator(".tip")
+    tip = page.locator(".hint")
     for text in (f"Set {last}", "best energy", "wins", "2 simulated", " mm", " W"):
         expect(tip).to_contain_text(text)
     page.mouse.down()
@@ -239,3 +242,54 @@ def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, op
     expect(front).to_contain_text("Baseline, dominated")
     front.get_by_role("link", name="Set 1, best heave").click()
     expect(page.get_by_role("heading", name=re.compile("^Set 1 against set"))).to_be_visible()
+
+
+def test_a_front_that_cannot_be_read_says_so_and_is_read_as_soon_as_it_can_be(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two, "ranking"), expected=("ERR_INTERNET_DISCONNECTED", "WebSocket"))
+    expect(page.get_by_role("grid")).to_be_visible()
+    page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
+    page.context.set_offline(True)
+    page.get_by_role("link", name="Front", exact=True).click()
+    expect(page.get_by_role("heading", name="The front cannot be read")).to_be_visible()
+    expect(page.get_by_text("No front yet")).to_have_count(0)
+    page.context.set_offline(False)
+    expect(page.get_by_role("region", name="Weights")).to_be_visible()
+    expect(page.get_by_text("cannot be")).to_have_count(0)
+
+
+def driven(scenario: str, cell: Cell) -> CellResult:
+    """A drive by SUMO, with its time series if they are wanted."""
+    values = list(cell.parameters.values())
+    result = runner(scenario).run(values)
+    failure = None if result.failure is None else result.failure.value
+    document = runner(scenario).trace(values).to_json() if cell.trace else None
+    trace = None if document is None else gzip.compress(json.dumps(document).encode(), mtime=0)
+    return CellResult(cell.id, result.rating.rating, result.rating.score, result.metrics, failure, 7.0, trace=trace)
+
+
+def test_the_drives_of_two_sets_of_a_front_run_on_one_clock(tmp_path: Path, opening: Opening) -> None:
+    spec: dict[str, Any] = {
+        "parameters": "highway",
+        "catalogue": ["S3"],
+        "objectives": [  # whatever steers faster jerks more: a front of several sets in a few runs
+            {"measure": "peak_lateral_acceleration_mps2", "name": "agility", "direction": "maximise", "failed": 0.0},
+            {"measure": "peak_lateral_jerk_mps3", "direction": "minimise", "failed": 20.0},
+        ],
+        "optimizer": {"kind": "nsga2", "population": 8, "iterations": 1, "seed": 3},
+        "reduction": {"mode": "exact"},
+    }
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
+        backend = ComputedBackend(answer=driven)
+        campaign = run(api.database, submit(api.database, **spec), backend).id
+        assert len(api.http.get(f"/api/v1/campaigns/{campaign}/front").json()["items"]) > 1
+        page = opening(f"{api.url}/#/campaigns/{campaign}/front?row=2&with=1")
+        page.get_by_role("button", name="Replay in S3").click()
+        both = page.get_by_role("group", name="Both in S3")
+        with working(api.database, backend):
+            expect(both.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_have_count(2)
+        both.get_by_role("slider", name="Moment").fill("2")
+        expect(both.get_by_role("img", name=re.compile("Top view of the road at 2 s"))).to_have_count(2)
+        for name in ("Set 1", "Set 2"):
+            expect(both.get_by_role("table", name="Measures of both")).to_contain_text(name)
+        assert barriers(page) == []
+        page.close()

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { cell } from "../server/columns";
 import type { FrontRow } from "../server/types";
-import { growthOf, hasFront, kindOf, madeOfText, marksOf, neighbour, pairOf, placed, rangeOf, tableOf } from "./sets";
+import { growthOf, hasFront, kindOf, madeOfText, marksOf, neighbour, pairOf, placed, rangeOf, tableOf, withColumns } from "./sets";
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
@@ -10,8 +10,9 @@ const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
 const ROWS = [row(1), row(2), row(3)];
 
 test("a front is a table with the columns of its files", () => {
-  const table = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], new Set(["rank"]), { marks: ["best", null] });
-  expect(table.names).toEqual(["rank", "marks", "objective_f1", "objective_f2", "violation", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual"]);
+  const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], new Set(["rank"]), { made: ["of", null] });
+  const table = withColumns(sets, { marks: ["best", null] });
+  expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
   expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, null, null, "true", null]);
   expect(tableOf([], new Set()).length).toBe(0);
 });

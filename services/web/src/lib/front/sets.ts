@@ -9,7 +9,7 @@ type Value = number | string | boolean | null | undefined;
 /** The names of the columns that hold what a front is searched for. */
 export const objectiveColumn = (name: string): string => `objective_${name}`;
 
-/** Sets as a table with the columns of its files; `reserved`: names that no column of a parameter may have. `further`: columns of the page alone. */
+/** Sets as a table with the columns of its files, and `further` ones; `reserved`: names that no column of a parameter may have. */
 export function tableOf(rows: readonly FrontRow[], reserved: ReadonlySet<string>, further: Readonly<Record<string, readonly Value[]>> = {}): Table {
   const first = rows[0];
   const columns: Record<string, Column> = {};
@@ -35,12 +35,24 @@ export function tableOf(rows: readonly FrontRow[], reserved: ReadonlySet<string>
   return { length: rows.length, names: Object.keys(columns), columns };
 }
 
+/** A table with further columns, for the page alone. */
+export function withColumns(table: Table, further: Readonly<Record<string, readonly Value[]>>): Table {
+  const columns = Object.fromEntries(Object.entries(further).map(([name, values]) => [name, columnOf(name, values)]));
+  return { length: table.length, names: [...table.names, ...Object.keys(columns)], columns: { ...table.columns, ...columns } };
+}
+
 function columnOf(name: string, values: readonly Value[]): Column {
   if (values.every((value) => typeof value === "number" || value === null || value === undefined)) {
     return { kind: "number", name, values: Float64Array.from(values, (value) => (typeof value === "number" ? value : NaN)) };
   }
-  const words = [...new Set(values.filter((value) => value !== null && value !== undefined).map(String))];
-  return { kind: "text", name, words, codes: Int32Array.from(values, (value) => (value === null || value === undefined ? -1 : words.indexOf(String(value)))) };
+  const words = new Map<string, number>();
+  const codes = Int32Array.from(values, (value) => {
+    if (value === null || value === undefined) return -1;
+    const code = words.get(String(value)) ?? words.size;
+    words.set(String(value), code);
+    return code;
+  });
+  return { kind: "text", name, words: [...words.keys()], codes };
 }
 
 /** How sets are answered, the least certain first. */

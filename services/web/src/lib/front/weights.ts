@@ -36,13 +36,16 @@ export function sums(scaled: readonly (readonly number[])[], weights: readonly n
 /** Sums that differ by less are equal: the first of the front wins. */
 const EQUAL = 1e-9;
 
-/** The places of the sets with the largest sums, the winner first. */
+/** The places of the few sets with the largest sums, the winner first. */
 export function leading(totals: readonly number[], most: number): number[] {
-  const places = totals.map((_, place) => place);
-  return places.sort((a, b) => {
-    const ahead = (totals[b] as number) - (totals[a] as number);
-    return Math.abs(ahead) > EQUAL ? ahead : a - b;
-  }).slice(0, most);
+  const first: number[] = [];
+  totals.forEach((total, place) => {
+    const worse = first.findIndex((other) => total > (totals[other] as number) + EQUAL);
+    if (worse >= 0) first.splice(worse, 0, place);
+    else if (first.length < most) first.push(place);
+    if (first.length > most) first.pop();
+  });
+  return first;
 }
 
 /** Weights as the API writes them, `comfort=2,gap=1`; objectives that are not named have weight 1. Null without any, and if all are 0. */
@@ -76,6 +79,24 @@ export function segments(rows: readonly Pick<FrontRow, "weights">[]): Segment[] 
     const ends = (weights ?? []).map((corner) => corner[0] as number);
     return ends.length < 2 ? [] : [{ place, from: Math.min(...ends), to: Math.max(...ends) }];
   }).sort((one, other) => one.from - other.from);
+}
+
+/** Segments beside each other joined until each is so wide, named after its widest part: thousands of them are thinner than a pixel. */
+export function joined(segments: readonly Segment[], least: number): Segment[] {
+  const wide: Segment[] = [];
+  let widest = 0;
+  for (const segment of segments) {
+    const last = wide.at(-1);
+    const width = segment.to - segment.from;
+    if (last && last.to - last.from < least) {
+      if (width > widest) [last.place, widest] = [segment.place, width];
+      last.to = segment.to;
+    } else {
+      wide.push({ ...segment });
+      widest = width;
+    }
+  }
+  return wide;
 }
 
 type Point = [number, number];
