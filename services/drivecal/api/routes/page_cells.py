@@ -7,7 +7,7 @@ from pydantic import Field, StringConstraints
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.queries import Parameters
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.evaluation import CellAnswer
 from drivecal.storage import campaigns, results
 
 router = APIRouter(prefix="/campaigns", tags=["page"])
@@ -21,12 +21,6 @@ class CellOf(Parameters):
     iteration: Place
     individual: Place
     scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-
-
-class CellAnswer(Answer):
-    """The number of the evaluation that it is."""
-
-    evaluation: int
 
 
 @router.get("/{campaign_id}/cell")
