@@ -20,7 +20,7 @@ from tests.support.command import command
 from tests.unit.cli.test_calibration_file import BEST, Campaigns
 
 from drivecal.cli.commands import evaluate, results
-from drivecal.cli.views.measurements import Recording, measurement
+from drivecal.cli.views.measurements import RecordedScenario, measurement
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 
 BEGUN = datetime(2026, 11, 22, 1, 2, 3, tzinfo=UTC)
@@ -51,7 +51,9 @@ def channels(content: bytes) -> dict[tuple[str, str], tuple[list[float], list[fl
 
 def test_a_file_has_a_group_for_each_scenario_with_units() -> None:
     content = measurement(
-        [Recording("S1", DRIVEN, {}, {}), Recording("follow", REPORTED, {}, {"gap": "m", "events": "1"})], {}, BEGUN
+        [RecordedScenario("S1", DRIVEN, {}, {}), RecordedScenario("follow", REPORTED, {}, {"gap": "m", "events": "1"})],
+        {},
+        BEGUN,
     )
     assert channels(content) == {
         ("S1", "speed_mps"): ([0.1, 0.2, 0.3], [30.0, 29.5, 29.0], "m/s"),
@@ -63,7 +65,7 @@ def test_a_file_has_a_group_for_each_scenario_with_units() -> None:
 
 def test_a_second_reader_gives_the_same(tmp_path: Path) -> None:
     file = tmp_path / "run.mf4"
-    file.write_bytes(measurement([Recording("S1", DRIVEN, {}, {})], {"campaign": "c" * 32}, BEGUN))
+    file.write_bytes(measurement([RecordedScenario("S1", DRIVEN, {}, {})], {"campaign": "c" * 32}, BEGUN))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it does not know the names of groups
         read = mdfreader.Mdf(str(file))
@@ -74,7 +76,7 @@ def test_a_second_reader_gives_the_same(tmp_path: Path) -> None:
 
 def test_the_file_names_campaign_set_and_scenario() -> None:
     facts = {"campaign": "c" * 32, "set": "2 of solutions", "parameter mode": "<eco> & \x01"}
-    with MDF(io.BytesIO(measurement([Recording("S1", DRIVEN, {"score": "5"}, {})], facts, BEGUN))) as file:
+    with MDF(io.BytesIO(measurement([RecordedScenario("S1", DRIVEN, {"score": "5"}, {})], facts, BEGUN))) as file:
         groups: list[Any] = file.groups
         header, group = file.header.comment, groups[0].channel_group.comment
         assert file.header.start_time == BEGUN
@@ -88,7 +90,7 @@ def test_the_file_names_campaign_set_and_scenario() -> None:
 @given(st.lists(st.floats(allow_nan=False), min_size=1, max_size=5))
 def test_values_keep_their_bits(values: list[float]) -> None:
     series = SeriesAnswer(measures={}, failure=None, series={"gap": values})
-    [(_, read, _)] = channels(measurement([Recording("follow", series, {}, {})], {}, BEGUN)).values()
+    [(_, read, _)] = channels(measurement([RecordedScenario("follow", series, {}, {})], {}, BEGUN)).values()
     assert np.array(read).tobytes() == np.array(values).tobytes()
 
 

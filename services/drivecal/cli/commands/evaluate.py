@@ -9,7 +9,7 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.views import traces
-from drivecal.cli.views.measurements import Recording, measurement, require_library, run_facts
+from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
@@ -119,7 +119,7 @@ def units_of(client: Client, problem: str) -> dict[str, str]:
 def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | SeriesAnswer, problem: str) -> bytes:
     facts = {"evaluation": evaluation.id, "problem": problem, "scenario": evaluation.scenario or ""}
     facts |= {f"parameter {name}": value_text(value, 17) for name, value in evaluation.parameters.items()}
-    recording = Recording(
+    recording = RecordedScenario(
         evaluation.scenario or "", trace, run_facts(evaluation.score, evaluation.failure), units_of(client, problem)
     )
     return measurement([recording], facts, None)

@@ -16,7 +16,7 @@ from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, ap
 from drivecal.cli.commands.calibration_data import NamesOption
 from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.views.front import print_front, print_trade_off
-from drivecal.cli.views.measurements import Recording, measurement, require_library, run_facts
+from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
@@ -221,7 +221,7 @@ def _time_series(client: Client, identifier: str, table: TableName, row: int, qu
     for scenario, score in chosen.scores.items():
         cell = client.cell(identifier, chosen.iteration, chosen.individual, scenario)
         trace = trace_of(client, str(cell))
-        recordings.append(Recording(scenario, trace, {"evaluation": str(cell)} | run_facts(score, trace.failure), units))
+        recordings.append(RecordedScenario(scenario, trace, {"evaluation": str(cell)} | run_facts(score, trace.failure), units))
     facts = {"campaign": campaign.id, "name": campaign.name, "set": f"{row} of {table}", "problem": problem}
     facts |= {f"parameter {name}": value_text(value, 17) for name, value in chosen.parameters.items()}
     return measurement(recordings, facts, campaign.ended_at or campaign.created_at)

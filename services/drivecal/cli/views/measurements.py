@@ -33,7 +33,7 @@ _UNPRINTABLE = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010fff
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordedScenario:
     """The time series of a run in a scenario. `facts`: what the file says of the run; `units`: of a bundle's series, by name."""
 
     scenario: str
@@ -55,7 +55,7 @@ def require_library() -> None:
     import asammdf  # noqa: F401
 
 
-def measurement(recordings: Sequence[Recording], facts: Mapping[str, str], begun: datetime | None) -> bytes:
+def measurement(recordings: Sequence[RecordedScenario], facts: Mapping[str, str], begun: datetime | None) -> bytes:
     """Returns a file with a channel group for each scenario, and one for series of another length than its time.
 
     `facts` are about all runs; `begun` is the start of measurement. Raises ModuleNotFoundError without asammdf.
@@ -117,7 +117,7 @@ def _is_time(values: Sequence[float]) -> bool:
     return len(values) > 1 and all(before <= after for before, after in pairwise(values))
 
 
-def _unit(name: str, recording: Recording) -> str:
+def _unit(name: str, recording: RecordedScenario) -> str:
     if isinstance(recording.trace, TraceAnswer):
         return SI_UNITS.get(name.rpartition("_")[2], "")
     unit = recording.units.get(name, "")
