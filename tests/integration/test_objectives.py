@@ -165,12 +165,35 @@ def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Data
     assert ended.best.objective == min(ended.best.scores.values())
 
 
-def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
-    def driven(scenario: str, cell: Cell) -> CellResult:
-        result = runner(scenario).run(list(cell.parameters.values()))
-        rating, failure = result.rating, None if result.failure is None else result.failure.value
-        return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
+def driven(scenario: str, cell: Cell) -> CellResult:
+    """A run of the simulator."""
+    result = runner(scenario).run(list(cell.parameters.values()))
+    rating, failure = result.rating, None if result.failure is None else result.failure.value
+    return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
 
+
+def test_a_killed_search_over_real_runs_ends_with_the_same_bits(database: Database) -> None:
+    spec: dict[str, Any] = {
+        "objectives": TWO,
+        "parameters": "highway",
+        "catalogue": ["S1"],
+        "optimizer": NSGA2 | {"population": 6, "iterations": 3},
+        "reduction": {"mode": "off"},
+    }
+    whole = run(database, submit(database, **spec), ComputedBackend(answer=driven))
+    killed = submit(database, **spec)
+    deaths = 0
+    while not get(database, killed).state.ended:
+        working = dispatcher(database, ComputedBackend(seed=deaths, answer=driven))
+        for _ in range(3):
+            working.step()
+        deaths += 1
+    assert deaths > 2
+    assert everything(database, killed) == everything(database, whole)
+    assert vectors(database, killed) == vectors(database, whole)
+
+
+def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
     spec: dict[str, Any] = {
         "objectives": TWO,
         "parameters": "highway",

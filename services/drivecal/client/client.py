@@ -12,7 +12,7 @@ import httpx
 from pydantic import RootModel, ValidationError
 
 from drivecal.client.answers import harmless, raise_for, unreachable
-from drivecal.client.documents import Document, plain
+from drivecal.client.documents import Document, plain, weights_text
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
 from drivecal.client.frames import DownloadedTable
@@ -25,7 +25,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
-from drivecal.contracts.evaluation import Evaluation, FailurePage, SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import CellAnswer, Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import (
@@ -196,7 +196,7 @@ class Client(CampaignLists):
         """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its
         score, another of its problem, or `NAME@PUSH`: one that another push declares."""
         return self._get(
-            SolutionPage, "campaigns", identifier, "solutions", weights=_weights_text(weights), limit=limit, score=score
+            SolutionPage, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
         )
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:
@@ -245,7 +245,7 @@ class Client(CampaignLists):
     ) -> list[FrontRow]:
         """Returns the sets of a campaign's front, best first under `weights` of the objectives if they are given; with `everything` of all
         that is stored in its setups and space."""
-        return self._rows_of(identifier, "front", FrontRow, weights=_weights_text(weights), everything=everything or None)
+        return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
 
     def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
         """Returns the objectives, knee, extremes and hypervolumes of a front."""
@@ -261,7 +261,7 @@ class Client(CampaignLists):
         everything: bool = False,
     ) -> TradeOff:
         """Returns the differences of two sets of a front, by their ranks under the same `weights`."""
-        query = {"first": first, "second": second, "weights": _weights_text(weights), "everything": everything or None}
+        query = {"first": first, "second": second, "weights": weights_text(weights), "everything": everything or None}
         return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
 
     def setup(self, identifier: str) -> CampaignSetup:
@@ -337,6 +337,11 @@ class Client(CampaignLists):
         """Returns a single evaluation by the id that `evaluate` returned."""
         return self._get(Evaluation, "evaluations", identifier)
 
+    def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
+        """Returns the number of the evaluation by which the set at a place of a campaign is ranked in a scenario."""
+        query = {"iteration": iteration, "individual": individual, "scenario": scenario}
+        return self._get(CellAnswer, "campaigns", identifier, "cell", **query).evaluation
+
     def trace(self, evaluation: str) -> TraceAnswer | SeriesAnswer | None:
         """Returns the time series of an evaluation, None while they are being made; of a bundle's, those of its simulator.
 
@@ -387,9 +392,3 @@ class Client(CampaignLists):
     def workers(self) -> WorkerPage:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
-
-
-def _weights_text(weights: Mapping[str, float] | str | None) -> str | None:
-    if isinstance(weights, Mapping):
-        return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
-    return weights

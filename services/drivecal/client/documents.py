@@ -185,3 +185,10 @@ def _lines(root: yaml.Node) -> dict[str, int]:
 def _refusal(message: str, mark: Any, remedy: str = "correct the file there") -> InvalidInputError:
     where = f"line {mark.line + 1}, column {mark.column + 1}" if mark else ""
     return InvalidInputError(Problem(where, message, remedy))
+
+
+def weights_text(weights: Mapping[str, float] | str | None) -> str | None:
+    """Returns weights as a query has them: `S1=2,S2=1`."""
+    if isinstance(weights, Mapping):
+        return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
+    return weights

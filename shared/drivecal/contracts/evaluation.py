@@ -48,6 +48,12 @@ class EvaluationDetail(EvaluationRow):
     campaign: CampaignOfEvaluation
 
 
+class CellAnswer(Answer):
+    """The number of the evaluation by which a set is ranked in a scenario."""
+
+    evaluation: int
+
+
 class PendingTrace(Answer):
     """The time series of an evaluation are being made."""
 

@@ -11,6 +11,7 @@ from drivecal.api.http.queries import Parameters
 from drivecal.api.review.collected import LARGEST_RANK, Choice, review_of
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.report.review.data import RankedIn
+from drivecal.storage import campaigns
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
 
@@ -48,6 +49,8 @@ def review(campaign_id: str, query: ReviewQuery, database: DatabaseDependency) -
     confidence, and the digest of its content. Equal results give equal bytes."""
     from drivecal.report.review.page import sheet  # Jinja, for this answer only
 
+    with database.read() as connection:
+        campaigns.get(connection, campaign_id)
     if query.rank is not None and query.front is not None:
         raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
     table: RankedIn | None = "front" if query.front is not None else "solutions" if query.rank is not None else None

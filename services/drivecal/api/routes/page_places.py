@@ -9,7 +9,7 @@ from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters, ViewsQuery
 from drivecal.api.responses import ROOT
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.evaluation import CellAnswer
 from drivecal.contracts.organising import SavedView, SavedViewChanges, SavedViewList, SavedViewSpecification
 from drivecal.storage import campaigns, results
 from drivecal.storage.organising import saved_views
@@ -26,12 +26,6 @@ class CellOf(Parameters):
     iteration: Place
     individual: Place
     scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)]
-
-
-class CellAnswer(Answer):
-    """The number of the evaluation that it is."""
-
-    evaluation: int
 
 
 @router.get("/campaigns/{campaign_id}/cell")

@@ -9,14 +9,17 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.views import traces
+from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.client.client import Client
-from drivecal.contracts.assignments import assignments, settings
+from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
+TRACE_FILES = (*traces.SUFFIXES, traces.MEASUREMENT)
+"""Endings of files for time series."""
 
 
 @app.command()
@@ -39,7 +42,9 @@ def evaluate(
     ] = "reference",
     trace: Annotated[
         Path | None,
-        typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step) or .json (all of it)."),
+        typer.Option(
+            help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it) or .mf4 (MDF 4.1)."
+        ),
     ] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
     url: UrlOption = None,
@@ -57,12 +62,18 @@ def evaluate(
     }
     if scenario is not None:
         specification["scenario"] = scenario
-    if trace is not None and (scenario is None or trace.suffix not in traces.SUFFIXES):
-        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(traces.SUFFIXES)}")
+    if trace is not None and (scenario is None or trace.suffix not in TRACE_FILES):
+        raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(TRACE_FILES)}")
+    if trace is not None and trace.suffix == traces.MEASUREMENT:
+        require_library()
     with connect(url) as client:
         evaluation = _ended(client, client.evaluate(specification), timeout)
         if trace is not None:
-            traces.save(_trace(client, evaluation, timeout), trace)
+            series = trace_of(client, evaluation.id, timeout)
+            if trace.suffix == traces.MEASUREMENT:
+                traces.save_measurement(trace, _measurement(client, evaluation, series, problem))
+            else:
+                traces.save(series, trace)
             tell(f"time series: {trace}")
     print_answer(evaluation, as_json, _print)
     raise typer.Exit(code_of_state(evaluation.state))
@@ -89,14 +100,29 @@ def _ended(client: Client, evaluation: Evaluation, timeout: float | None) -> Eva
     return evaluation
 
 
-def _trace(client: Client, evaluation: Evaluation, timeout: float | None) -> TraceAnswer | SeriesAnswer:
-    """Returns the time series, for which the server simulates the evaluation again."""
-    pauses = _pauses(
-        timeout, f"the time series of evaluation {evaluation.id} are not there after {timeout or 0:g} s; ask again"
-    )
-    while (trace := client.trace(evaluation.id)) is None:
+def trace_of(client: Client, evaluation: str, timeout: float | None = None) -> TraceAnswer | SeriesAnswer:
+    """Returns the time series of an evaluation, for which the server simulates it again.
+
+    Raises WaitTimedOutError after `timeout` seconds.
+    """
+    pauses = _pauses(timeout, f"the time series of evaluation {evaluation} are not there after {timeout or 0:g} s; ask again")
+    while (trace := client.trace(evaluation)) is None:
         next(pauses)
     return trace
+
+
+def units_of(client: Client, problem: str) -> dict[str, str]:
+    """Returns the units of the series that runs of a pushed problem have; nothing for the built-in one, which has them in its names."""
+    return {} if problem == HIGHWAY else client.problem(problem).series
+
+
+def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | SeriesAnswer, problem: str) -> bytes:
+    facts = {"evaluation": evaluation.id, "problem": problem, "scenario": evaluation.scenario or ""}
+    facts |= {f"parameter {name}": value_text(value, 17) for name, value in evaluation.parameters.items()}
+    recording = RecordedScenario(
+        evaluation.scenario or "", trace, run_facts(evaluation.score, evaluation.failure), units_of(client, problem)
+    )
+    return measurement([recording], facts, None)
 
 
 def _print(evaluation: Evaluation) -> None:

@@ -14,17 +14,20 @@ from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
+from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.views.front import print_front, print_trade_off
+from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
-from drivecal.contracts.assignments import assignments
+from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
-Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
+Format = Literal["csv", "parquet", "json", "dcm", "cdfx", "mf4"]
 ScoreOption = Annotated[
     str | None,
     typer.Option(
@@ -140,7 +143,8 @@ def export(
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
-    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row)."""
+    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row) or as
+    time series of all scenarios (mf4)."""
     form = "json" if as_json else form
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
@@ -155,7 +159,9 @@ def export(
     query = {name: value for name, value in given.items() if value}
     with connect(url) as client:
         campaign_id = client.full_id(identifier)
-        if form in {"dcm", "cdfx"} or row is not None or names is not None:
+        if form == "mf4":
+            pieces = iter([_time_series(client, campaign_id, table, row or 1, query)])
+        elif form in {"dcm", "cdfx"} or row is not None or names is not None:
             pieces = iter([_calibration_file(client, campaign_id, table, form, row or 1, names, query)])
         else:
             pieces = _pieces(client, campaign_id, table, form, query)
@@ -177,30 +183,57 @@ def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
     """Returns the set of a rank as a calibration file."""
-    if table not in {"solutions", "front"}:
-        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if form not in get_args(CalibrationFormat):
         raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
-    if "where" in query:
-        raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
+    _refuse_unranked(table, query)
     setup = client.setup(identifier)
     labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
     weights, score = query.get("weights"), query.get("score")
     given = None if weights is None else assignments(weights.split(","), "--weights")
     campaign, robustness = client.campaign(identifier), client.robustness(identifier)
-    chosen: Solution | FrontRow
-    if table == "front":
-        whole = "everything" in query
-        chosen = _of_rank(client.front(identifier, weights, everything=whole), row, table)
-        objectives = client.front_summary(identifier, everything=whole).objectives
+    chosen = _chosen(client, identifier, table, row, query)
+    if isinstance(chosen, FrontRow):
+        objectives = client.front_summary(identifier, everything="everything" in query).objectives
         figures = front_figures(campaign, chosen, objectives, robustness, given)
     else:
-        chosen = _of_rank(client.solutions(identifier, weights, row, score).items, row, table)
         own = weights is None and score is None
         ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))
         figures = solution_figures(campaign, setup, chosen, robustness, ranked_by)
     characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
     return write(cast("CalibrationFormat", form), characteristics, quality_of(campaign, setup, chosen, figures))
+
+
+def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:
+    if table not in {"solutions", "front"}:
+        raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
+    if "where" in query:
+        raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
+
+
+def _chosen(client: Client, identifier: str, table: TableName, row: int, query: Mapping[str, Any]) -> Solution | FrontRow:
+    weights = query.get("weights")
+    if table == "front":
+        return _of_rank(client.front(identifier, weights, everything="everything" in query), row, table)
+    return _of_rank(client.solutions(identifier, weights, row, query.get("score")).items, row, table)
+
+
+def _time_series(client: Client, identifier: str, table: TableName, row: int, query: Mapping[str, Any]) -> bytes:
+    """Returns the time series of the set of a rank in all its scenarios; the server simulates each once more."""
+    require_library()
+    _refuse_unranked(table, query)
+    chosen = _chosen(client, identifier, table, row, query)
+    if chosen.iteration is None or chosen.individual is None:
+        raise InvalidInputError(Problem("--row", "only other campaigns evaluated this set", "export it from one of them"))
+    campaign = client.campaign(identifier)
+    problem = str(campaign.spec.get("problem", HIGHWAY))
+    units, recordings = units_of(client, problem), []
+    for scenario, score in chosen.scores.items():
+        cell = client.cell(identifier, chosen.iteration, chosen.individual, scenario)
+        trace = trace_of(client, str(cell))
+        recordings.append(RecordedScenario(scenario, trace, {"evaluation": str(cell)} | run_facts(score, trace.failure), units))
+    facts = {"campaign": campaign.id, "name": campaign.name, "set": f"{row} of {table}", "problem": problem}
+    facts |= {f"parameter {name}": value_text(value, 17) for name, value in chosen.parameters.items()}
+    return measurement(recordings, facts, campaign.ended_at or campaign.created_at)
 
 
 def _of_rank(rows: Sequence[Ranked], rank: int, table: TableName) -> Ranked:

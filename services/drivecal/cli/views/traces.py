@@ -8,6 +8,7 @@ from pathlib import Path
 from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
 
+MEASUREMENT = ".mf4"
 SUFFIXES = (".csv", ".parquet", ".json")
 
 
@@ -39,8 +40,19 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
             with file.open("w", newline="", encoding="utf-8") as out:
                 csv.writer(out).writerows([columns, *zip_longest(*columns.values())])
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InvalidInputError(Problem(str(file), f"it cannot be written: {reason}", "give another file")) from error
+        raise _unwritable(file, error) from error
+
+
+def save_measurement(file: Path, content: bytes) -> None:
+    """Writes a measurement file. Raises InvalidInputError if it cannot be written."""
+    try:
+        file.write_bytes(content)
+    except OSError as error:
+        raise _unwritable(file, error) from error
+
+
+def _unwritable(file: Path, error: OSError) -> InvalidInputError:
+    return InvalidInputError(Problem(str(file), f"it cannot be written: {error.strerror or error}", "give another file"))
 
 
 def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
