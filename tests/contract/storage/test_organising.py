@@ -138,14 +138,14 @@ def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(d
 def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use: str) -> None:
     with database.transaction() as connection:
         first = campaigns.request_action(connection, campaign(connection).id, "cancel")
-        common = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
+        common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
         made = influence_maps.insert(connection, source=first.id, **common)
-        given = {
+        uses: dict[str, dict[str, Any]] = {
             "rerun of it": {"rerun_of": first.id},
             "study of it": {"spec": {"robustness": {"of": first.id}}},
             "use of its influence map": {"influence_map_id": made.id},
-        }[use]
-        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | given))
+        }
+        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | uses[use]))
         [reference] = deletion.references(connection, first)
         with pytest.raises(ConflictError):
             delete_campaign(connection, first.id)

@@ -6,6 +6,7 @@ deleted, and which no list and no look-up by id returns.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 from sqlalchemy import Connection, delete, exists, or_, select, update
 
@@ -98,8 +99,22 @@ def _remove(connection: Connection, sequence: int, identifier: str) -> None:
     for table in (campaign_stages, generations, lots, studies, events):
         connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
     connection.execute(delete(saved_views).where(saved_views.c.campaign == identifier))
-    emptied = {"tags": [], "comment": "", "notes": [], "best": None, "baseline": None, "narrowed": None, "secret": None}
-    freed = {"influence_map_id": None, "parent_sequence": None, "idempotency_key": None, "error_rate": {}, "released": None}
+    emptied: dict[str, Any] = {
+        "tags": [],
+        "comment": "",
+        "notes": [],
+        "best": None,
+        "baseline": None,
+        "narrowed": None,
+        "secret": None,
+    }
+    freed: dict[str, Any] = {
+        "influence_map_id": None,
+        "parent_sequence": None,
+        "idempotency_key": None,
+        "error_rate": {},
+        "released": None,
+    }
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     _remove_maps(connection, identifier)
