@@ -304,9 +304,11 @@ def python() -> str:
     parts = ["# Python\n\n[Examples](../how-to/python.md). Answers are pydantic models with the fields of the REST API.\n"]
     for public in (client.Client, client.DownloadedTable):
         parts.append(f"## {public.__name__}\n\n{prose(public.__doc__)}\n")
+        inherited = (vars(owner) for owner in reversed(public.__mro__) if owner.__module__.startswith(client.__name__))
+        declared = {name: member for owner in inherited for name, member in owner.items()}
         members = [
             (name, member)
-            for name, member in vars(public).items()
+            for name, member in (vars(public) | declared).items()
             if isinstance(member, types.FunctionType) and (not name.startswith("_") or name == "__init__") and member.__doc__
         ]
         parts.append(

@@ -140,12 +140,12 @@ def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use:
         first = campaigns.request_action(connection, campaign(connection).id, "cancel")
         common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
         made = influence_maps.insert(connection, source=first.id, **common)
-        values: dict[str, dict[str, Any]] = {
+        uses: dict[str, dict[str, Any]] = {
             "rerun of it": {"rerun_of": first.id},
             "study of it": {"spec": {"robustness": {"of": first.id}}},
             "use of its influence map": {"influence_map_id": made.id},
         }
-        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | values[use]))
+        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | uses[use]))
         [reference] = deletion.references(connection, first)
         with pytest.raises(ConflictError):
             delete_campaign(connection, first.id)

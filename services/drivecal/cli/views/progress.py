@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Column
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
 from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
@@ -82,10 +83,16 @@ def reporter() -> Iterator[Bar | Lines]:
     if not sys.stderr.isatty():
         yield Lines()
         return
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
-    detail = TextColumn("{task.fields[detail]}")
-    with Progress(*columns, detail, console=Console(stderr=True), transient=True) as progress:
+    with progress_line(Console(stderr=True)) as progress:
         yield Bar(progress)
+
+
+def progress_line(console: Console) -> Progress:
+    """Returns a progress of one line in any width: its details give way to stage, bar and count."""
+    rest = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
+    detail = TextColumn("{task.fields[detail]}", table_column=rest)
+    return Progress(*columns, detail, console=console, transient=True, expand=True)
 
 
 def follow(client: Client, identifier: str, timeout: float | None = None, *, from_beginning: bool = True) -> Campaign:

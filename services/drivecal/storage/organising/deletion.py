@@ -115,7 +115,7 @@ def _remove(connection: Connection, sequence: int, identifier: str) -> None:
         "error_rate": {},
         "released": None,
     }
-    marked: dict[str, Any] = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
+    marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     _remove_maps(connection, identifier)
 
