@@ -170,7 +170,7 @@ class _Group:
                     values[position] = keys[bytes(value)]
                 elif name in _MOMENTS:
                     values[position] = _stored(moment)
-                elif name in _DOCUMENTS:
+                elif name in _DOCUMENTS and not isinstance(value, float):  # generations have a number `best`
                     document = value if connection.dialect.name == "sqlite" else json.dumps(value)
                     values[position] = document if name == "metrics" else _replaced(document, texts)
                 elif name in _NAMES:

@@ -1,4 +1,4 @@
-"""How does a database of years work? `python tests/benchmarks/run.py years [--cells 100000 1000000] [--backends sqlite postgresql]`.
+"""How does a database of years work? `python tests/benchmarks/run.py years [--cells 20000 200000] [--backends sqlite postgresql]`.
 
 Fills databases with campaigns of 1,219 cells each, four of a group and half of the groups of one problem (`_years_rows.py`), and measures
 what users and operators do: questions over HTTP, look-ups of 6,000 cells, start of the server, check, backup, upgrade and pruning. A
@@ -47,11 +47,16 @@ QUESTIONS = {
     "solutions": "/campaigns/{id}/solutions?limit=50",
     "solutions, other weights": "/campaigns/{id}/solutions?limit=50&weights=S1=3,S2=0",
     "front": "/campaigns/{id}/front?limit=50",
+    "explanation of a copy": "/evaluations/{copy}/explain",
     "trust": "/campaigns/{id}/trust",
     "studies": "/campaigns/{id}/studies",
     "problems": "/problems?limit=50",
 }
-WHOLE = {"references": "/references", "metrics": "/metrics"}
+WHOLE = {
+    "explanation of a simulated cell": "/evaluations/{simulated}/explain",
+    "references": "/references",
+    "metrics": "/metrics",
+}
 """Questions about the whole database."""
 Figures = dict[str, float]
 
@@ -59,7 +64,7 @@ Figures = dict[str, float]
 def main(arguments: Sequence[str]) -> int:
     """Measures, prints and writes; 0 if nothing grows that should not, and look-ups are fast enough."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cells", type=int, nargs="+", default=[100_000, 1_000_000], help="sizes of the databases")
+    parser.add_argument("--cells", type=int, nargs="+", default=[20_000, 200_000], help="sizes of the databases")
     parser.add_argument("--backends", nargs="+", choices=["sqlite", "postgresql"], default=["sqlite", "postgresql"])
     parser.add_argument(
         "--folder", type=Path, default=Path(".drivecal/bench/years"), help="where the databases are made, and removed"
@@ -86,8 +91,8 @@ def measure(url: str, cells: int, folder: Path) -> Figures:
     with database.read() as connection:
         figures |= sizes(connection)
         figures |= look_ups(connection)
-        newest = connection.scalar(text("SELECT id FROM campaigns ORDER BY sequence DESC LIMIT 1"))
-    figures |= over_http(url, folder, str(newest))
+        asked_about = examples(connection)
+    figures |= over_http(url, folder, asked_about)
     copy = folder / "backup.db"
     figures["backup"] = timed(lambda: backup.write(database, copy, lambda *_: None, force=True))
     copy.unlink()
@@ -162,14 +167,27 @@ def look_ups(connection: Connection) -> Figures:
     }
 
 
-def over_http(url: str, folder: Path, campaign: str) -> Figures:
+def examples(connection: Connection) -> dict[str, str]:
+    """Returns a young campaign of the first problem that reused results, a cell that it copied and a cell that it simulated."""
+    newest = "SELECT max(campaign_sequence) FROM evaluations WHERE outcome = 'reused' AND setup_id = 1"
+    sequence = connection.scalar(text(newest))
+    campaign = connection.scalar(text("SELECT id FROM campaigns WHERE sequence = :number"), {"number": sequence})
+    cell = "SELECT max(id) FROM evaluations WHERE campaign_sequence = :number AND NOT audited AND outcome = :outcome"
+    cells = {
+        name: connection.scalar(text(cell), {"number": sequence, "outcome": outcome})
+        for name, outcome in (("copy", "reused"), ("simulated", "simulated"))
+    }
+    return {"id": str(campaign)} | {name: str(number) for name, number in cells.items()}
+
+
+def over_http(url: str, folder: Path, about: dict[str, str]) -> Figures:
     """Times the start of the API, and its answers."""
     figures: Figures = {}
     began = time.perf_counter()
     with api_process(url, folder) as api:
         figures["start of the API"] = time.perf_counter() - began
         for name, path in (QUESTIONS | WHOLE).items():
-            address = path if path == "/metrics" else "/api/v1" + path.format(id=campaign)
+            address = path if path == "/metrics" else "/api/v1" + path.format(**about)
             figures[f"first: {name}"] = timed(lambda address=address: asked(api.http, address))  # type: ignore[misc]
             figures[name] = best(lambda address=address: asked(api.http, address))  # type: ignore[misc]
         figures["memory of the API, MB"] = api.megabytes
@@ -187,11 +205,19 @@ def upgrade(database: Database) -> float:
         for statement in (
             "DROP INDEX ix_campaigns_rerun_of",
             "DROP INDEX ix_evaluations_run_id",
+            "DROP INDEX ix_campaigns_listed",
+            "ALTER TABLE metric_names RENAME TO kept_names",
             "ALTER TABLE campaigns DROP COLUMN pruned",
             "UPDATE drivecal_revision SET version_num = '0011'",
         ):
             connection.execute(text(statement))
-    return timed(database.upgrade)
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("ALTER INDEX pk_metric_names RENAME TO pk_kept_names"))
+    seconds = timed(database.upgrade)
+    with database.transaction() as connection:
+        connection.execute(text("INSERT INTO metric_names SELECT * FROM kept_names"))
+        connection.execute(text("DROP TABLE kept_names"))
+    return seconds
 
 
 def timed(use: Callable[[], Any]) -> float:

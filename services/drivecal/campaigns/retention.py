@@ -22,8 +22,8 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.problems import bundles
-from drivecal.storage.retention import removal, sizes
-from drivecal.storage.retention.marking import Doomed, mark
+from drivecal.storage.retention import removal
+from drivecal.storage.retention.marking import Doomed, bytes_of, mark
 from drivecal.storage.retention.selection import (
     Prunable,
     Selection,
@@ -34,7 +34,7 @@ from drivecal.storage.retention.selection import (
 )
 
 SLICE = 1_000
-"""Cells that go in a transaction: some 50 ms, for which other writers wait."""
+"""Cells that go in a transaction, for which other writers wait."""
 CAMPAIGNS = 20
 """Campaigns that are marked, or removed, in a transaction."""
 Item = TypeVar("Item")
@@ -63,14 +63,15 @@ def plan(database: Database, before: datetime, keep_best: int, problem: str | No
         selection = select_campaigns(connection, before, None if problem is None else _pushes(connection, problem))
         best = {campaign.sequence: _best(connection, campaign, keep_best) for campaign in selection.prunable}
         doomed = mark(connection, list(best), best)
-        freed = sizes.bytes_of(connection, doomed)
+        freed = bytes_of(connection, doomed)
         return RetentionPlan(selection, doomed, best, freed, open_campaigns(connection))
 
 
 def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> None:
     """Removes what was planned. Raises ConflictError if a campaign started meanwhile that may use what goes; the rest stays then."""
     moment = now()
-    for some in _slices(planned.selection.prunable, CAMPAIGNS):
+    touched = [campaign for campaign in planned.selection.prunable if campaign.sequence in planned.doomed.by_campaign]
+    for some in _slices(touched, CAMPAIGNS):
         with _guarded(database, planned) as connection:
             for campaign in some:
                 sets = planned.best[campaign.sequence]

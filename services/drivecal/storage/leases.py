@@ -9,7 +9,7 @@ A lease has no row of its own before it was taken once, and none any more when t
 """
 
 from collections.abc import Mapping, Sequence
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, delete, select, update
 
@@ -17,6 +17,9 @@ from drivecal.storage.engine.bulk import among, insert, rows_among
 from drivecal.storage.engine.tables import evaluations, leases
 from drivecal.storage.engine.types import now
 from drivecal.storage.processes import term_in_office
+
+OVER = datetime(1970, 1, 1, tzinfo=UTC)
+"""End of a lease that was given back: long ago, whatever the clock is set to afterwards."""
 
 
 def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) -> dict[int, int]:
@@ -51,7 +54,7 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:
     statement = (
         update(leases)
         .where(leases.c.evaluation_id == bindparam("evaluation"), leases.c.term == term_in_office(connection))
-        .values(attempts=bindparam("breakdowns"), expires_at=now())
+        .values(attempts=bindparam("breakdowns"), expires_at=OVER)
     )
     connection.execute(
         statement, [{"evaluation": evaluation, "breakdowns": count} for evaluation, count in sorted(breakdowns.items())]

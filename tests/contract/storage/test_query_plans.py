@@ -251,6 +251,23 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert scanned(plan) == set(), plan
 
 
+def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> None:
+    with database.transaction() as connection:
+        for number in range(300):
+            campaign(connection, str(number))
+        connection.execute(text("UPDATE campaigns SET kind = 'evaluation' WHERE sequence > 5"))
+        for number in range(5):
+            columns = "kind, name, state, spec, notes, progress, error_rate, simulating_seconds, created_at"
+            copied = f"INSERT INTO campaigns (id, {columns}) SELECT id || '{number}', {columns} FROM campaigns"
+            connection.execute(text(f"{copied} WHERE kind = 'evaluation'"))
+    gather_statistics(database)
+    with database.read() as connection:
+        plan = plans(connection, lambda one: campaigns.page(one, limit=50))
+        assert len(campaigns.page(connection, limit=50)[0]) == 5
+    assert "ix_campaigns_listed" in plan, plan
+    assert "TEMP B-TREE" not in plan
+
+
 def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection).sequence for _ in range(40)]

@@ -92,6 +92,8 @@ campaigns = Table(
     Column("pruned", Document),  # when most of its cells were removed, and which sets stayed (`storage.retention`)
     _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
     _partial_index(None, "rerun_of", where="rerun_of IS NOT NULL"),
+    # Lists show these: without it, a page reads past every single evaluation and every run of a comparison.
+    _partial_index("ix_campaigns_listed", "sequence", where="kind <> 'evaluation' AND parent_sequence IS NULL"),
     # The dispatcher asks for these all the time: some campaigns among all that ever were.
     _partial_index("ix_campaigns_active", "sequence", where="ended_at IS NULL"),
     sqlite_autoincrement=True,

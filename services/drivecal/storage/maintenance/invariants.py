@@ -27,6 +27,7 @@ from drivecal.storage.evaluations import COPIES, DONORS
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.consistency import Check
 from drivecal.storage.maintenance.transfer import last_numbers
+from drivecal.storage.references.runs import largest_id
 from drivecal.storage.references.withdrawal import WITHDRAWN
 
 ENDED = tuple(state for state in CampaignState if state.ended)
@@ -162,7 +163,7 @@ def check_references(connection: Connection) -> Iterator[str]:
         count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"
-    newest = last_numbers(connection, [runs]).get("runs", 0)  # runs may be pruned
+    newest = max(largest_id(connection), last_numbers(connection, [runs]).get("runs", 0))  # the newest may be pruned
     beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
     for name, watermark in connection.execute(beyond):
         yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"

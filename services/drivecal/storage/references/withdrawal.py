@@ -6,7 +6,7 @@ results of the setup that no simulation gave. They stay as answers of their cell
 
 from collections.abc import Collection
 
-from sqlalchemy import Connection, and_, delete, func, or_, select, update
+from sqlalchemy import Connection, and_, delete, select, update
 
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.bulk import among
@@ -29,15 +29,21 @@ def withdraw_certified(connection: Connection, setup_ids: Collection[int]) -> in
         .where(of_setup, origin.c.outcome == Outcome.CERTIFIED)
     )
     ids = list(connection.scalars(certified))
-    own = and_(evaluations.c.setup_id.in_(sorted(setup_ids)), evaluations.c.outcome == Outcome.CERTIFIED)
-    resting = or_(own, evaluations.c.run_id.in_(certified))
-    count = connection.scalar(select(func.count()).where(resting)) or 0
-    connection.execute(update(evaluations).where(resting).values(run_id=None, detail=WITHDRAWN))
-    reused = and_(evaluations.c.setup_id.in_(sorted(setup_ids)), evaluations.c.plan == Outcome.REUSED)
-    connection.execute(update(evaluations).where(reused, evaluations.c.proven_by.is_not(None)).values(proven_by=None))
+    # by the runs of the setups and their index, for only a whole read would find cells by their setup
+    answered = evaluations.c.run_id.in_(select(runs.c.id).where(of_setup))
+    pending = evaluations.c.outcome.is_(None) & evaluations.c.setup_id.in_(sorted(setup_ids))
+    for cells in (answered, pending):
+        reused = and_(cells, evaluations.c.plan == Outcome.REUSED, evaluations.c.proven_by.is_not(None))
+        connection.execute(update(evaluations).where(reused).values(proven_by=None))
+    own = and_(answered, evaluations.c.outcome == Outcome.CERTIFIED)
+    withdrawn = set(connection.scalars(select(evaluations.c.id).where(own)))
+    for chunk in among(connection, evaluations.c.run_id, ids):
+        withdrawn |= set(connection.scalars(select(evaluations.c.id).where(chunk)))
+    for chunk in among(connection, evaluations.c.id, sorted(withdrawn)):
+        connection.execute(update(evaluations).where(chunk).values(run_id=None, detail=WITHDRAWN))
     for table in (reference_keys, ratings):
         for chunk in among(connection, table.c.run_id, ids):
             connection.execute(delete(table).where(chunk))
     for chunk in among(connection, runs.c.id, ids):
         connection.execute(delete(runs).where(chunk))
-    return count
+    return len(withdrawn)

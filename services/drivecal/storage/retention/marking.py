@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Column, Connection, Select, case, func, select
+from sqlalchemy import Column, Connection, Select, case, func, select, text
 
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, reference_keys, runs
 
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -172,3 +172,24 @@ def _largest(connection: Connection, column: Column[int]) -> int:
 def _chunks(connection: Connection, query: Select[tuple[int, ...]]) -> Iterator[Integers]:
     for rows in connection.execute(query.execution_options(yield_per=CHUNK)).partitions():
         yield np.array([tuple(row) for row in rows], dtype=np.int64)
+
+
+_TABLES = (evaluations, runs, ratings, reference_keys)
+_PRAGMAS = ("page_count", "freelist_count", "page_size")
+
+
+def bytes_of(connection: Connection, doomed: Doomed) -> int:
+    """Returns about how many bytes the doomed rows take, indexes included: their share of the cells and runs of the database."""
+    cells = connection.scalar(select(func.count()).select_from(evaluations)) or 0
+    made = connection.scalar(select(func.count()).select_from(runs)) or 0
+    share = (doomed.cells + doomed.runs) / max(1, cells + made)
+    return round(share * _total(connection))
+
+
+def _total(connection: Connection) -> int:
+    if connection.dialect.name == "sqlite":
+        pages, free, size = (connection.exec_driver_sql(f"PRAGMA {name}").scalar_one() for name in _PRAGMAS)
+        return int((pages - free) * size)
+    names = [table.name for table in _TABLES]
+    query = text("SELECT sum(pg_total_relation_size(CAST(name AS regclass))) FROM unnest(CAST(:names AS text[])) AS name")
+    return int(connection.scalar(query, {"names": names}) or 0)

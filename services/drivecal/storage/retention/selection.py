@@ -142,8 +142,8 @@ def _campaigns(connection: Connection) -> Iterable[_Campaign]:
 
 
 def _setups(resolution: Mapping[str, Any] | None) -> frozenset[str]:
-    """Returns the fingerprints in a resolution: all texts of their form, whatever the release called the field."""
-    return frozenset(_ID.findall(json.dumps(resolution))) if resolution else frozenset()
+    """Returns the fingerprints of a resolution's setups; the vehicles of a study follow from them."""
+    return frozenset((resolution or {}).get("setups", {}).values())
 
 
 def started_since(

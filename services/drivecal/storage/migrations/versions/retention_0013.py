@@ -17,6 +17,8 @@ def upgrade() -> None:
     for table, column in (("campaigns", "rerun_of"), ("evaluations", "run_id")):
         filled = sa.text(f"{column} IS NOT NULL")
         op.create_index(op.f(f"ix_{table}_{column}"), table, [column], sqlite_where=filled, postgresql_where=filled)
+    listed = sa.text("kind <> 'evaluation' AND parent_sequence IS NULL")
+    op.create_index(op.f("ix_campaigns_listed"), "campaigns", ["sequence"], sqlite_where=listed, postgresql_where=listed)
     op.create_table(
         "metric_names",
         sa.Column("digest", NAME, nullable=False),

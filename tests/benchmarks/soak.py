@@ -1,0 +1,219 @@
+"""Does anything grow for hours? `python tests/benchmarks/run.py soak [--minutes 20] [--backend processes|ray]`.
+
+Runs a server with many small campaigns, comparisons and single evaluations, clients that follow them, and workers that are killed now and
+then. Every few seconds it notes memory, handles, threads and children of every role of the server, temporary files, and Ray's store. It
+prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches fill) and a verdict: flat, if the slope adds
+less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`; 0 if all is flat and no campaign failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from statistics import median
+
+import psutil
+
+from drivecal.cli.commands.demo.coordinator import coordinator
+from drivecal.client import Client
+from drivecal.domain.errors import DrivecalError
+
+TARGET = Path(".drivecal/bench/soak.json")
+EVERY = 5.0
+"""Seconds between two looks."""
+SETTLING = 0.3
+"""Share of the time in which caches fill and that does not count."""
+KILL_EVERY = 60.0
+SHARE = 0.1
+FLOORS = {"MB": 8.0, "handles": 4.0, "threads": 2.0, "processes": 1.0, "files": 20.0}
+"""Growth that is no growth, by unit."""
+ROLES = {
+    "drivecal.api": "API",
+    "drivecal.dispatch": "dispatcher",
+    "drivecal.server.guardian": "guardian",
+    "drivecal.execution.processes.child": "workers",
+    "ray::": "Ray's workers",
+    "raylet": "raylet",
+    "gcs_server": "Ray's head",
+    "drivecal.cli": "supervisor",
+}
+SPACE = [{"name": f"P{number}", "lower": 0, "upper": 1, "step": 0.25} for number in range(1, 12)]
+
+
+@dataclass
+class Course:
+    """Measured values by what they are of and their unit, each with its time; what was done, and what failed."""
+
+    values: dict[tuple[str, str], list[tuple[float, float]]] = field(default_factory=lambda: defaultdict(list))
+    done: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    faults: list[str] = field(default_factory=list)
+
+
+def main() -> int:
+    """Measures, prints, writes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=float, default=20.0)
+    parser.add_argument("--backend", choices=["processes", "ray"], default="processes")
+    chosen = parser.parse_args()
+    course = Course()
+    with tempfile.TemporaryDirectory(prefix="drivecal-soak-") as folder, _settings(folder, chosen.backend):
+        home, temporary = Path(folder) / "home", Path(folder) / "tmp"
+        home.mkdir()
+        with coordinator(home) as client:
+            over = threading.Event()
+            busy = [threading.Thread(target=work, args=(client.url, over, course, number)) for number in range(2)]
+            for thread in busy:
+                thread.start()
+            began = killed = time.monotonic()
+            while (passed := time.monotonic() - began) < 60 * chosen.minutes:
+                look(course, passed, temporary)
+                if time.monotonic() - killed >= KILL_EVERY:
+                    killed = time.monotonic()
+                    course.done["workers killed"] += kill_a_worker()
+                time.sleep(EVERY)
+            over.set()
+            for thread in busy:
+                thread.join()
+    rows = verdicts(course, 60 * chosen.minutes)
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(
+        json.dumps({"minutes": chosen.minutes, "done": course.done, "faults": course.faults, "slopes": rows}, indent=2)
+    )
+    print(", ".join(f"{number:,} {what}" for what, number in course.done.items()))
+    for row in rows:
+        print(f"{row['of']:16} {row['unit']:10} {row['median']:10,.1f} {row['per_hour']:+10,.1f} per hour  {row['verdict']}")
+    print("\n".join(course.faults))
+    return int(bool(course.faults) or any(row["verdict"] != "flat" for row in rows))
+
+
+@contextmanager
+def _settings(folder: str, backend: str) -> Iterator[None]:
+    """Has the server keep its temporary files where they can be counted."""
+    temporary = Path(folder) / "tmp"
+    temporary.mkdir()
+    before = dict(os.environ)
+    os.environ |= {"TMPDIR": str(temporary), "DRIVECAL_BACKEND": backend}
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ |= before
+
+
+def work(url: str, over: threading.Event, course: Course, number: int) -> None:
+    """Submits one thing after the other and follows each to its end, as users do, until `over`."""
+    with Client(url, token="") as client:
+        for turn in count():
+            if over.is_set():
+                return
+            try:
+                one_turn(client, course, 1 + number + 2 * turn)
+            except DrivecalError as error:
+                course.faults.append(f"{type(error).__name__}: {error}")
+
+
+def one_turn(client: Client, course: Course, seed: int) -> None:
+    """A campaign, at times a comparison or a single evaluation, with the questions of a page."""
+    search = {"kind": "genetic", "population": 12, "iterations": 2, "seed": seed}
+    common = {"parameters": SPACE, "catalogue": ["S1", "S2"]}
+    if seed % 7 == 0:
+        optimizers = [{"kind": "genetic"}, {"kind": "swarm"}]
+        document = {"name": "soak", "optimizers": optimizers, "populations": [6], "seeds": [seed], "iterations": 2, **common}
+        ended = client.wait(client.compare(document).id, progress=False)
+        course.done["comparisons"] += 1
+    else:
+        ended = client.wait(client.submit({"name": "soak", "optimizer": search, **common}).id, progress=False)
+        course.done["campaigns"] += 1
+        for _ in client.events(ended.id):
+            pass
+        client.solutions(ended.id)
+        first = next(client.rows(ended.id, "evaluations"))
+        client.explanation(str(first["id"]))
+        client.trust(ended.id)
+    if ended.state != "succeeded":
+        course.faults.append(f"{ended.id} {ended.state}: {ended.error}")
+    client.workers()
+
+
+def look(course: Course, passed: float, temporary: Path) -> None:
+    """Notes the size of every role, of temporary files and of Ray's store."""
+    sums: dict[tuple[str, str], float] = defaultdict(float)
+    for process in psutil.Process().children(recursive=True):
+        try:
+            command = " ".join(process.cmdline())
+            role = next((name for part, name in ROLES.items() if part in command), None)
+            if role is not None:
+                sums[role, "MB"] += process.memory_full_info().uss / 2**20
+                sums[role, "handles"] += process.num_fds()
+                sums[role, "threads"] += process.num_threads()
+                sums[role, "processes"] += 1
+                if role == "raylet":
+                    sums["Ray's store", "MB"] += process.memory_info().shared / 2**20
+        except psutil.Error:  # it ended meanwhile
+            continue
+    files = [path for path in temporary.rglob("*") if path.is_file()]
+    sums["temporary", "files"] = len(files)
+    sums["temporary", "MB"] = sum(_size(path) for path in files) / 2**20
+    for key, value in sums.items():
+        course.values[key].append((passed, value))
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
+
+
+def kill_a_worker() -> int:
+    """Kills the first worker; returns how many were there."""
+    for process in psutil.Process().children(recursive=True):
+        try:
+            command = " ".join(process.cmdline())
+            if "drivecal.execution.processes.child" in command or "ray::" in command:
+                process.kill()
+                return 1
+        except psutil.Error:
+            continue
+    return 0
+
+
+def verdicts(course: Course, seconds: float) -> list[dict[str, float | str]]:
+    """Returns the median, the slope per hour and the verdict of every value."""
+    rows: list[dict[str, float | str]] = []
+    for (of, unit), points in sorted(course.values.items()):
+        later = [(moment, value) for moment, value in points if moment >= SETTLING * seconds]
+        if len(later) < 2:
+            continue
+        middle, slope = median(value for _, value in later), theil_sen(later)
+        grown = slope * (1 - SETTLING) * seconds
+        flat = grown <= max(SHARE * middle, FLOORS[unit])
+        rows.append(
+            {"of": of, "unit": unit, "median": middle, "per_hour": 3600 * slope, "verdict": "flat" if flat else "grows"}
+        )
+    return rows
+
+
+def theil_sen(points: list[tuple[float, float]]) -> float:
+    """Returns the median slope of all pairs of points, which single peaks do not move."""
+    thinned = points[:: max(1, len(points) // 300)]
+    return median(
+        (later - earlier) / (after - before)
+        for position, (before, earlier) in enumerate(thinned)
+        for after, later in thinned[position + 1 :]
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
