@@ -90,8 +90,8 @@ def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> Non
                 removal.remove_cells(connection, cells, made)
             gone += len(cells)
             progress("cells", gone, planned.doomed.cells)
-    single = [campaign.sequence for campaign in planned.selection.prunable if campaign.kind == "evaluation"]
-    for numbers in _slices(single, CAMPAIGNS):
+    whole = [campaign.sequence for campaign in planned.selection.prunable if campaign.whole]
+    for numbers in _slices(whole, CAMPAIGNS):
         with _guarded(database, planned) as connection:
             for number in numbers:
                 removal.remove_campaign(connection, number)

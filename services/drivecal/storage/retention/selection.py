@@ -20,7 +20,10 @@ _ENDED = tuple(state for state in CampaignState if state.ended)
 
 @dataclass(frozen=True, slots=True)
 class Prunable:
-    """A campaign that may be pruned. `sets`: the parameter sets that an earlier pruning kept, best first; None if there was none."""
+    """A campaign that may be pruned. `sets`: the parameter sets that an earlier pruning kept, best first; None if there was none.
+
+    `whole`: whether its row goes with its last cell, as that of a single evaluation or a deleted campaign does.
+    """
 
     sequence: int
     id: str
@@ -28,6 +31,7 @@ class Prunable:
     kind: str
     ended_at: datetime
     sets: tuple[int, ...] | None
+    whole: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +67,7 @@ class _Campaign:
     """Ids of campaigns that it reruns or examines."""
     problem: str | None
     pruned: Mapping[str, Any] | None
+    deleted: bool
 
 
 def select_campaigns(connection: Connection, before: datetime, problems: Collection[str] | None) -> Selection:
@@ -111,14 +116,15 @@ def _prunable(row: _Campaign) -> Prunable:
     if row.ended_at is None:
         raise AssertionError(f"campaign {row.id} has not ended")
     kept = None if row.pruned is None else tuple(row.pruned["sets"])
-    return Prunable(row.sequence, row.id, row.name, row.kind, row.ended_at, kept)
+    whole = row.deleted or row.kind == "evaluation"
+    return Prunable(row.sequence, row.id, row.name, row.kind, row.ended_at, () if row.deleted else kept, whole)
 
 
 def _campaigns(connection: Connection) -> Iterable[_Campaign]:
     table = campaigns.c
     query = select(
         *(table.sequence, table.id, table.name, table.kind, table.state, table.started_at, table.ended_at),
-        *(table.parent_sequence, table.rerun_of, table.pruned, table.resolution),
+        *(table.parent_sequence, table.rerun_of, table.pruned, table.deleted_at, table.resolution),
         cast(table.spec, Text).label("spec"),
     ).order_by(table.sequence)
     for row in connection.execute(query.execution_options(yield_per=100)):
@@ -138,6 +144,7 @@ def _campaigns(connection: Connection) -> Iterable[_Campaign]:
             names=frozenset(named | set(_ID.findall(row.spec)) - {row.id}),
             problem=json.loads(row.spec).get("problem"),
             pruned=row.pruned,
+            deleted=row.deleted_at is not None,
         )
 
 
