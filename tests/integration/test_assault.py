@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -35,13 +36,15 @@ CROWD = 300
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server of a user whose files everybody may write by default."""
-    folder, before = tmp_path_factory.mktemp("assault"), os.umask(0)
+    folder = tmp_path_factory.mktemp("assault")
     (folder / "temporary").mkdir()
-    try:
-        with serving(folder, DRIVECAL_BACKEND="processes", TMPDIR=str(folder / "temporary")) as started:
-            yield started
-    finally:
-        os.umask(before)
+    with ExitStack() as stack:
+        before = os.umask(0)
+        try:
+            started = stack.enter_context(serving(folder, DRIVECAL_BACKEND="processes", TMPDIR=str(folder / "temporary")))
+        finally:
+            os.umask(before)
+        yield started
 
 
 @pytest.mark.parametrize(
