@@ -249,6 +249,10 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
     assert barriers(page) == []
     page.get_by_role("button", name="Report").click()
     expect(page.get_by_text(f"drivecal report {heater.campaign.id[:8]}")).to_be_visible()
+    with page.expect_popup() as opened:
+        page.get_by_role("link", name="Review sheet").click()
+    expect(opened.value.get_by_role("heading", name="Signatures")).to_be_visible()
+    opened.value.close()
 
     page.get_by_role("link", name="Clone").click()
     expect(page.get_by_label("name")).to_have_value("test again")
