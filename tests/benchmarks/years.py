@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -257,11 +257,11 @@ def _database(backend: str, folder: Path) -> Iterator[str]:
     """Yields the URL of a new database; it is gone afterwards."""
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        own = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True)))
         if backend == "sqlite":
-            yield f"sqlite:///{folder / 'drivecal.db'}"
+            yield f"sqlite:///{own / 'drivecal.db'}"
             return
-        url = stack.enter_context(running_postgres(folder))
+        url = stack.enter_context(running_postgres(own))
         with psycopg.connect(url, autocommit=True) as connection:
             connection.execute("CREATE DATABASE years")
         yield make_url(url).set(database="years").render_as_string(hide_password=False)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import Connection, text
 from tests.integration.test_certified_campaigns import alike
@@ -140,9 +140,10 @@ def dangling(connection: Connection) -> int:
     return sum(connection.execute(text(query.format(name))).scalar_one() for name in ("reference", "proven_by"))
 
 
-@settings(max_examples=examples(6))
+@settings(max_examples=examples(2))
+@example([Told("influence", 1, True, None), Told("influence", 2, True, None), Told("certified", 1, False, None)], 1, 3)
 @given(
-    history=st.lists(campaigns_of_a_history, min_size=2, max_size=4),
+    history=st.lists(campaigns_of_a_history, min_size=2, max_size=3),
     keep_best=st.integers(0, 3),
     killed_after=st.none() | st.integers(1, 12),
 )
