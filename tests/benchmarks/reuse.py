@@ -5,14 +5,21 @@ database of its own, with ready workers, in a turning order, for every seed. Run
 the confirmed optimum: sensitivity analysis, samples, walks, fits, audits and confirmation are in them. Ratios and differences are paired
 by seed, with 95 % t-intervals. `black box` denies certificates, as for a function that is no sum of weighted terms.
 
-A seed takes 15 to 20 minutes on two cores. Finished campaigns are kept in `.drivecal/bench/reuse.jsonl` and not made again.
+A seed takes 15 to 20 minutes on two cores. Every finished campaign adds a line to `docs/pages/results/data/reuse.jsonl`, with the machine,
+the versions and the commit of the code, so that seeds of several days add up: campaigns of the same code and machine are not made again.
+`--commit` counts those of other commits too.
 """
 
 import argparse
 import json
+import os
+import platform
+import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +30,10 @@ from tests.benchmarks.certified import carry_out
 from drivecal.contracts.campaign import Campaign
 
 HOME = Path(".drivecal/bench/reuse").absolute()
-TARGET = Path(".drivecal/bench/reuse.jsonl")
+TARGET = Path("docs/pages/results/data/reuse.jsonl")
+CODE = ("services", "shared", "workers", "pyproject.toml")
+"""Paths whose last commit names the code."""
+PACKAGES = ("drivecal", "numpy", "scikit-learn", "libsumo", "ray")
 EXACT: dict[str, Any] = {"mode": "exact", "confirm": 20}
 PREDICTED: dict[str, Any] = {"mode": "predicted", "confirm": 20}
 WITH_ANALYSIS: dict[str, Any] = {"sensitivity": {}}
@@ -48,6 +58,34 @@ MARGIN = 1 / 12
 
 
 @dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What a campaign was measured with. Lines of earlier releases say nothing of it."""
+
+    commit: str = ""
+    """Last commit of the code, with a plus sign if files differ from it."""
+    machine: str = ""
+    cores: int = 0
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @staticmethod
+    def here() -> "Circumstances":
+        """Returns those of this process."""
+        commit = _git("log", "-1", "--format=%h", "--", *CODE) + "+" * bool(_git("status", "--porcelain", "--", *CODE))
+        models = [line.split(":", 1)[1].strip() for line in _cpu_lines() if line.startswith("model name")]
+        versions = {"python": platform.python_version()} | {package: version(package) for package in PACKAGES}
+        return Circumstances(commit, models[0] if models else platform.machine(), os.cpu_count() or 0, versions)
+
+
+def _git(*arguments: str) -> str:
+    return subprocess.run(["git", *arguments], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def _cpu_lines() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+
+
+@dataclass(frozen=True, slots=True)
 class Outcome:
     """A campaign, from submission to the confirmed optimum: simulations of all stages, CPU and wall seconds."""
 
@@ -61,9 +99,17 @@ class Outcome:
     best: float
     released: int
     rejected: int
+    day: str = ""
+    measured_with: Circumstances = Circumstances()
+
+    @staticmethod
+    def read(line: str) -> "Outcome":
+        """Reads a stored line, of earlier releases too."""
+        document = json.loads(line)
+        return Outcome(**document | {"measured_with": Circumstances(**document.get("measured_with", {}))})
 
 
-def measured(kind: str, seed: int, population: int, iterations: int) -> Outcome:
+def measured(kind: str, seed: int, population: int, iterations: int, circumstances: Circumstances) -> Outcome:
     """Carries a campaign out."""
     optimizer = {"kind": "genetic", "population": population, "iterations": iterations, "seed": seed}
     specification = {"name": kind, "sensitivity": None, "optimizer": optimizer} | KINDS[kind]
@@ -82,6 +128,8 @@ def measured(kind: str, seed: int, population: int, iterations: int) -> Outcome:
         campaign.best.objective,
         sum(lots.predicted for lots in campaign.released.values()),
         sum(lots.rejected for lots in campaign.released.values()),
+        datetime.now(UTC).date().isoformat(),
+        circumstances,
     )
 
 
@@ -133,20 +181,29 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--population", type=int, default=1000)
     parser.add_argument("--iterations", type=int, default=20)
     parser.add_argument("--only", action="append", choices=list(KINDS), help="besides off")
+    parser.add_argument("--file", type=Path, default=TARGET, help="of finished campaigns, a line each")
+    parser.add_argument(
+        "--commit", action="append", default=[], help="whose campaigns count as well as those of the current code"
+    )
     given = parser.parse_args(arguments)
     kinds = [kind for kind in KINDS if kind == "off" or given.only is None or kind in given.only]
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
-    lines = TARGET.read_text().splitlines() if TARGET.exists() else []
-    known = [Outcome(**json.loads(line)) for line in lines]
-    size = given.population, given.iterations
-    outcomes = {(one.kind, one.seed): one for one in known if (one.population, one.iterations) == size}
+    given.file.parent.mkdir(parents=True, exist_ok=True)
+    known = map(Outcome.read, given.file.read_text(encoding="utf-8").splitlines() if given.file.exists() else [])
+    here, size = Circumstances.here(), (given.population, given.iterations)
+    outcomes = {
+        (one.kind, one.seed): one
+        for one in known
+        if (one.population, one.iterations) == size
+        and one.measured_with.machine in {here.machine, ""}
+        and one.measured_with.commit in {here.commit, *given.commit}
+    }
     seeds = range(1, given.seeds + 1)
     for seed in seeds:
         turned = [*kinds[seed % len(kinds) :], *kinds[: seed % len(kinds)]]
         for kind in turned:
             if (kind, seed) not in outcomes:
-                outcome = outcomes[kind, seed] = measured(kind, seed, *size)
-                with TARGET.open("a") as file:
+                outcome = outcomes[kind, seed] = measured(kind, seed, *size, here)
+                with given.file.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(outcome)) + "\n")
                 print(f"seed {seed}, {kind}: {outcome.runs:,} runs, {outcome.wall:.0f} s, best {outcome.best:.4f}", flush=True)
     print()

@@ -45,6 +45,19 @@ def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend 
     raise AssertionError("the campaign did not end")
 
 
+def test_what_a_later_campaign_may_need_is_prepared_once_and_while_none_is_active(database: Database) -> None:
+    campaign = submit(database)
+    states: list[CampaignState] = []
+    working = dispatcher(database, when_idle=lambda: states.append(_get(database, campaign).state))
+    for _ in range(3_000):
+        working.step()
+        if _get(database, campaign).state.ended:
+            break
+    for _ in range(3):
+        working.step()
+    assert states == [CampaignState.SUCCEEDED]
+
+
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:
     ended = _run(database, submit(database))
     assert ended.state is CampaignState.SUCCEEDED

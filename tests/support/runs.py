@@ -121,11 +121,12 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     return cells, figures, ended.cells, ended.best, ended.error_rate, ended.notes
 
 
-def dispatcher(database: Database, backend: Backend | None = None) -> Dispatcher:
+def dispatcher(database: Database, backend: Backend | None = None, **settings: Any) -> Dispatcher:
     """A newly elected one, that looks and reports in every step. Those before write nothing any more."""
     ticks = iter(range(10**9))
     own = database.fenced(Leadership.begin(database).fence)
-    return Dispatcher(own, WorkPool(backend or ComputedBackend(), StoredLeases(own)), clock=lambda: float(next(ticks)))
+    pool = WorkPool(backend or ComputedBackend(), StoredLeases(own))
+    return Dispatcher(own, pool, clock=lambda: float(next(ticks)), **settings)
 
 
 def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:

@@ -12,6 +12,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
+from drivecal.campaigns.cells.predicting import load_predictors
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.configuration import logs
 from drivecal.configuration.settings import Settings, load_settings
@@ -79,8 +80,6 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
     import_module("scipy.stats")
-    # two seconds that the first campaign with predictions would wait for, with idle workers
-    threading.Thread(target=import_module, args=("drivecal.reduction.forest",), name="predictor", daemon=True).start()
     try:
         dispatcher = Dispatcher(
             database,
@@ -88,6 +87,7 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
             heartbeat.tell,
             running_campaigns=settings.running_campaigns,
             event_days=settings.event_days,
+            when_idle=load_predictors,
         )
         dispatcher.run(stop)
     except BackendLostError as error:

@@ -48,14 +48,17 @@ class Dispatcher:
         *,
         running_campaigns: int = 8,
         event_days: int = 30,
+        when_idle: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`running_campaigns` limits concurrent campaigns, without single evaluations; `event_days` is how long events are kept."""
+        """`running_campaigns` limits concurrent campaigns, without single evaluations; `event_days` is how long events are kept.
+        `when_idle` is called once, when there is no campaign: it prepares what a later one may need."""
         self._database = database
         self._pool = pool
         self._tell = tell
         self._running_campaigns = running_campaigns
         self._event_age = timedelta(days=event_days)
+        self._when_idle: Callable[[], None] | None = when_idle
         self._clock = clock
         self._active: dict[int, Active] = {}
         self._next_look = self._next_tell = self._next_tidy = 0.0
@@ -85,6 +88,9 @@ class Dispatcher:
         if self._clock() >= self._next_look:
             self._look()
             self._next_look = self._clock() + LOOK_SECONDS
+            if not self._active and self._when_idle is not None:
+                self._when_idle()
+                self._when_idle = None
         if self._clock() >= self._next_tidy:
             self._tidy()
             self._next_tidy = self._clock() + TIDY_SECONDS

@@ -114,7 +114,11 @@ def smallest_plan(size: int, limit: float, acceptance: int) -> SamplingPlan:
     """
     if not 0.0 < limit < 1.0:
         raise ValueError(f"the limit of released errors must lie between 0 and 1, not {limit}")
-    few, enough = 0, size  # a whole lot in the sample releases no error
+    few = smallest_plan(size, limit, acceptance - 1).sample - 1 if acceptance else 0  # too few for fewer errors already
+    step = 8
+    while few + step < size and not _keeps(SamplingPlan(size, few + step, acceptance), limit):
+        few, step = few + step, 2 * step
+    enough = min(few + step, size)  # a whole lot in the sample releases no error
     while enough - few > 1:
         middle = (few + enough) // 2
         if _keeps(SamplingPlan(size, middle, acceptance), limit):
@@ -126,8 +130,15 @@ def smallest_plan(size: int, limit: float, acceptance: int) -> SamplingPlan:
 
 def best_plan(size: int, limit: float, error_rate: float) -> SamplingPlan:
     """Returns the plan of an AOQL of at most `limit` with the largest expected saving at an expected share of wrong predictions."""
-    plans = [smallest_plan(size, limit, acceptance) for acceptance in range(MOST_ACCEPTED + 1)]
-    return max(plans, key=lambda plan: (plan.expected_saving(error_rate), -plan.sample))
+    best = smallest_plan(size, limit, 0)
+    saving = best.expected_saving(error_rate)
+    for acceptance in range(1, MOST_ACCEPTED + 1):
+        plan = smallest_plan(size, limit, acceptance)
+        if plan.size - plan.sample <= saving:  # samples grow with the acceptance number
+            break
+        if (expected := plan.expected_saving(error_rate)) > saving:
+            best, saving = plan, expected
+    return best
 
 
 def draw(members: Sequence[bytes], sample: int, secret: bytes) -> list[int]:

@@ -23,8 +23,8 @@ RECENT = 6
 """Batches that a calibration remembers."""
 LEFT_OUT = 0.2
 """Weight of a left-out error of the training data beside a prediction's own."""
-SIZES = 24
-"""Lot sizes that `choose_lot` compares."""
+FINENESS = 32
+"""Lot sizes between a number and its double: so few that most plans are known from earlier lots, because finding one takes a while."""
 LEVELS = 40
 """Levels of confidence in a calibration, of equal weight."""
 REFIT = 1.1
@@ -222,14 +222,23 @@ def choose_lot(error_rates: Floats, limit: float) -> Lot | None:
     """
     order = np.argsort(error_rates, kind="stable")
     expected = np.cumsum(error_rates[order]) / np.arange(1, len(order) + 1)
-    sizes = sorted({int(size) for size in np.linspace(1, len(order), min(SIZES, len(order))).round()}) if len(order) else []
-    best: tuple[float, Lot] | None = None
-    for size in sizes:
-        rate = float(expected[size - 1])
-        if rate > limit:
+    within = int(np.searchsorted(expected, limit, side="right"))
+    best: tuple[float, SamplingPlan] | None = None
+    for size in reversed(lot_sizes(within)):
+        if best is not None and size <= best[0]:
             break
+        rate = float(expected[size - 1])
         plan = best_plan(size, limit, rate)
         saving = plan.expected_saving(rate)
         if saving >= 1.0 and (best is None or saving > best[0]):
-            best = saving, Lot(order[:size], plan)
-    return None if best is None else best[1]
+            best = saving, plan
+    return None if best is None else Lot(order[: best[1].size], best[1])
+
+
+def lot_sizes(most: int) -> list[int]:
+    """Returns the sizes up to `most` that lots may have, ascending: steps of at most a 32nd, the same in every batch."""
+    sizes, size = [], 1
+    while size <= most:
+        sizes.append(size)
+        size += max(1, (1 << size.bit_length() - 1) // FINENESS)
+    return sizes

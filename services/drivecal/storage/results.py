@@ -34,8 +34,8 @@ from drivecal.storage.references import metrics
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
-MOST_SETS = 10_000
-"""Parameter sets that the reader of a query remembers."""
+_parsed = lru_cache(10_000)(ParameterSet.from_json)
+"""Reads a stored set. Each is requested in several scenarios, and read when it waits and when predictors learn its answers."""
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
@@ -98,7 +98,10 @@ class KnownAnswer:
     stands_for: float
 
 
-_STORED = tuple(field.name for field in fields(StoredEvaluation) if field.name in evaluations.c)
+_NAMES = tuple(field.name for field in fields(StoredEvaluation))
+_PARAMETERS, _PLAN, _OUTCOME, _REFERENCE, _PROVEN_BY = map(
+    _NAMES.index, ("parameters", "plan", "outcome", "reference", "proven_by")
+)
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -339,9 +342,8 @@ def known(
         )
         .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
     )
-    read = lru_cache(MOST_SETS)(ParameterSet.from_json)
     rows = connection.execute(query).all()
-    answers = [KnownAnswer(*row[:5], read(row.parameter_values), *row[6:]) for row in rows]
+    answers = [KnownAnswer(*row[:5], _parsed(row.parameter_values), *row[6:]) for row in rows]
     return answers, max((row.id for row in rows), default=after)
 
 
@@ -369,7 +371,9 @@ def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> 
 
 
 def _select() -> Select[Any]:
-    return select(evaluations, parameter_sets.c.parameter_values).join(parameter_sets)
+    """Selects the columns of `StoredEvaluation`, in its order."""
+    columns = (parameter_sets.c.parameter_values if name == "parameters" else evaluations.c[name] for name in _NAMES)
+    return select(*columns).select_from(evaluations.join(parameter_sets))
 
 
 def _of_campaign(campaign_sequence: int) -> Select[Any]:
@@ -377,12 +381,12 @@ def _of_campaign(campaign_sequence: int) -> Select[Any]:
 
 
 def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
-    read = lru_cache(MOST_SETS)(ParameterSet.from_json)  # each set is requested in several scenarios
     for row in rows:
-        values = {name: getattr(row, name) for name in _STORED} | {
-            "parameters": read(row.parameter_values),
-            "plan": Outcome(row.plan),
-            "outcome": None if row.outcome is None else Outcome(row.outcome),
-            "reference": row.proven_by if row.outcome == Outcome.CERTIFIED else row.reference,
-        }
-        yield StoredEvaluation(**values)
+        values = list(row)
+        values[_PARAMETERS] = _parsed(values[_PARAMETERS])
+        values[_PLAN] = Outcome(values[_PLAN])
+        if values[_OUTCOME] is not None:
+            values[_OUTCOME] = Outcome(values[_OUTCOME])
+        if values[_OUTCOME] is Outcome.CERTIFIED:
+            values[_REFERENCE] = values[_PROVEN_BY]
+        yield StoredEvaluation(*values)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from decimal import Decimal
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,8 +13,15 @@ from hypothesis import strategies as st
 from drivecal.domain.parameter_sets import ParameterSet
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.reduction.forest import Forest
-from drivecal.reduction.lots import outgoing_errors
-from drivecal.reduction.prediction import ConfidenceRecord, FeatureSpace, Floats, choose_lot
+from drivecal.reduction.lots import MOST_ACCEPTED, outgoing_errors, smallest_plan
+from drivecal.reduction.prediction import (
+    FINENESS,
+    ConfidenceRecord,
+    FeatureSpace,
+    Floats,
+    choose_lot,
+    lot_sizes,
+)
 
 GENERATOR = np.random.default_rng(3)
 SETS = GENERATOR.random((600, 4))
@@ -65,6 +73,29 @@ def test_a_lot_holds_the_most_certain_predictions_and_keeps_the_limit(rates: lis
         assert not len(left) or max(rates[member] for member in lot.members) <= min(rates[place] for place in left)
         assert lot.plan.size == len(lot.members)
         assert outgoing_errors(lot.plan).max() <= limit or lot.plan.sample == lot.plan.size
+
+
+@given(st.lists(st.floats(0, 0.3), max_size=80), st.sampled_from([0.01, 0.05]))
+def test_no_other_size_of_a_lot_is_expected_to_save_more(rates: list[float], limit: float) -> None:
+    expected = np.cumsum(np.sort(rates)) / np.arange(1, len(rates) + 1)
+    savings = [
+        smallest_plan(size, limit, acceptance).expected_saving(float(expected[size - 1]))
+        for size in lot_sizes(len(rates))
+        if expected[size - 1] <= limit
+        for acceptance in range(MOST_ACCEPTED + 1)
+    ]
+    lot = choose_lot(np.array(rates), limit)
+    saving = 0.0 if lot is None else lot.plan.expected_saving(float(expected[lot.plan.size - 1]))
+    assert saving == pytest.approx(max([saved for saved in savings if saved >= 1.0], default=0.0))
+
+
+@given(st.integers(0, 100_000))
+def test_lot_sizes_are_few_and_close_and_the_same_in_every_batch(most: int) -> None:
+    sizes = lot_sizes(most)
+    assert sizes == [size for size in lot_sizes(100_000) if size <= most]
+    assert sizes[:1] == [1][:most]
+    assert all(larger - size <= max(1, size / FINENESS) for size, larger in pairwise(sizes))
+    assert len(sizes) <= 2 * FINENESS + FINENESS * max(most, 1).bit_length()
 
 
 def test_the_forest_is_better_than_its_most_frequent_score_and_knows_when() -> None:
@@ -136,12 +167,12 @@ def test_weights_are_those_of_the_leaves_and_add_up_to_one() -> None:
 
 
 def test_mean_and_variance_are_those_of_the_votes() -> None:
-    told = learned().predict(SETS[400:])
-    certain = told.confidence > 1.0 - 1e-9
-    assert certain.any()
-    assert told.mean[certain] == pytest.approx(told.scores[certain])
-    assert told.variance[certain] == pytest.approx(0.0, abs=1e-9)
-    assert (told.variance[~certain] > 0.0).all()
+    forest = learned()
+    told = forest.predict(SETS[400:420])
+    for place, (mean, variance) in enumerate(zip(told.mean, told.variance, strict=True)):
+        weights = forest.weights(SETS[400 + place])
+        assert mean == pytest.approx(weights @ SCORES[:400])
+        assert variance == pytest.approx(weights @ (SCORES[:400] - mean) ** 2)
 
 
 def test_features_are_positions_in_the_searched_ranges_in_the_order_of_the_columns() -> None:

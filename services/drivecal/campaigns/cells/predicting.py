@@ -6,12 +6,15 @@ certified, so lots depend on stored rows, never on the order of answers. CPU tim
 
 import math
 import os
+import sys
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from itertools import groupby
 
 import numpy as np
@@ -79,8 +82,17 @@ class _Forecast:
     seconds: float
 
 
+_PREDICTORS = "drivecal.reduction.regression_forest"
+
+
+def load_predictors() -> None:
+    """Loads the default predictors in a thread: scikit-learn takes seconds, which nothing should wait for."""
+    if _PREDICTORS not in sys.modules:
+        threading.Thread(target=import_module, args=(_PREDICTORS,), name="predictors", daemon=True).start()
+
+
 def _predictor(scale: Scale, tolerance: float) -> Predictor:
-    """Returns an untrained predictor. scikit-learn loads slowly, so it loads while the first cells are simulated, if not before."""
+    """Returns an untrained predictor."""
     from drivecal.reduction.regression_forest import predictor_on
 
     return predictor_on(scale, tolerance)()
@@ -203,6 +215,8 @@ class LotPlanner:
         Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective, or of the front if `reaches` is
         given, are simulated whole; so are audited cells and those that answer others.
         """
+        if not any(learner.trained_on for learner in self._learners.values()):
+            load_predictors()  # while the first cells are simulated
         if not self._forecasts or not cells:
             return list(cells)
         promoted = {*whole, *(self._promoted(cells, best) if reaches is None else self._reaching(cells, best, reaches))}
