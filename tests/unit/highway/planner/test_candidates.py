@@ -8,8 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.domain.scenarios import SpeedKnot, Task
+from drivecal.highway.planner import plans
 from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.highway.planner.cost import LATEST_DECELERATION
+from drivecal.highway.planner.lanes import LANES
+from drivecal.highway.planner.scratch import TIMES
 
 S = np.linspace(0.0, 500.0, 1001)
 
@@ -67,3 +70,13 @@ def test_the_desired_speed_never_exceeds_the_task_nor_asks_for_hard_braking(knot
     assert (np.diff(speeds**2) >= -2 * LATEST_DECELERATION * 0.5 - 1e-9).all()
     later = np.minimum.accumulate(task[::-1])[::-1]
     assert (speeds >= later - 1e-9).all()
+
+
+def test_the_kernels_are_compiled_for_as_many_plans_as_there_are_in_whole_blocks() -> None:
+    assert lateral_ends(3.75, 0, 1).shape == lateral_ends(3.75, 1, 1).shape == (2, plans.LATERAL_PLANS)
+    assert longitudinal_ends().shape == (2, plans.LONGITUDINAL_PLANS)
+    assert plans.LATERAL_PLANS % LANES == 0
+    assert plans.POINTS <= TIMES == -(-plans.POINTS // LANES) * LANES
+    places = [plans.place_of(plan, plans.LATERAL_PLANS) for plan in range(plans.LATERAL_PLANS)]
+    assert sorted(places) == list(range(plans.LATERAL_PLANS))
+    assert places[-1] == 0, "the rest of the previous plan comes first"

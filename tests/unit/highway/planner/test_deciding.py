@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.unit.highway.planner import exhaustive
 
-from drivecal.highway.planner import deciding, kernel
+from drivecal.highway.planner import deciding
 
 
 def random_state(seed: int, n_longitudinal: int, n_lateral: int) -> tuple[np.ndarray, ...]:
@@ -18,17 +19,16 @@ def random_state(seed: int, n_longitudinal: int, n_lateral: int) -> tuple[np.nda
 
 @given(st.integers(0, 10_000), st.integers(1, 6), st.integers(1, 9))
 def test_the_cost_of_a_stored_candidate_is_that_of_the_plan(seed: int, n_longitudinal: int, n_lateral: int) -> None:
-    """`walk` must choose what `costs_of` and `cheapest` choose: with one node whose children are all candidates."""
+    """`walk` must choose the cheapest candidate in the planner's order of summation: with one node whose children are all candidates."""
     lateral, longitudinal, combined = random_state(seed, n_longitudinal, n_lateral)
     generator = np.random.default_rng(seed)
     weights = generator.exponential(1.0, 12) * generator.choice([0.0, 0.1, 30.0], 12)
     n = n_longitudinal * n_lateral
     infeasible = generator.random(n) < 0.4
-    costs = np.empty((n_longitudinal, n_lateral))
-    kernel.costs_of(lateral, longitudinal, combined, weights, costs)
-    expected = kernel.cheapest(costs, infeasible)
+    costs = exhaustive.costs_of(lateral, longitudinal, combined, weights)
+    expected = exhaustive.cheapest(costs, infeasible)
     if expected < 0:
-        expected = kernel.cheapest(costs, np.zeros(n, dtype=np.bool_))
+        expected = exhaustive.cheapest(costs, np.zeros(n, dtype=np.bool_))
     values = np.empty((n, len(deciding.TERM)))
     deciding.values_of(lateral, longitudinal, combined, np.arange(n), values)
     packed = (values * 256).astype(np.uint16)
@@ -45,7 +45,6 @@ def test_the_cost_of_a_stored_candidate_is_that_of_the_plan(seed: int, n_longitu
 def test_features_added_up_by_weight_give_the_cost() -> None:
     lateral, longitudinal, combined = random_state(4, 3, 5)
     weights = np.random.default_rng(4).exponential(1.0, 12)
-    costs, features = np.empty((3, 5)), np.empty((15, 12))
-    kernel.costs_of(lateral, longitudinal, combined, weights, costs)
+    costs, features = exhaustive.costs_of(lateral, longitudinal, combined, weights), np.empty((15, 12))
     deciding.by_term(lateral, longitudinal, combined, features)
     assert features @ weights == pytest.approx(costs.ravel(), rel=1e-12)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.effort import tries
+from tests.unit.highway.planner import exhaustive
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import (
     BENDING,
@@ -28,7 +29,6 @@ from tests.unit.highway.planner.situations import (
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.planner import kernel
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.spaces import HIGHWAY
@@ -61,8 +61,8 @@ def planner_of(scenario: Scenario) -> FrenetPlanner:
 
 def costs_of(planner: FrenetPlanner) -> Floats:
     """J of the last plan's candidates in the kernel's own arithmetic, shape (n_candidates,)."""
-    costs = np.empty(planner._combined.shape[1:])
-    kernel.costs_of(planner._lateral, planner._longitudinal, planner._combined, planner._weights, costs)
+    planner.features()
+    costs = exhaustive.costs_of(planner._lateral, planner._longitudinal, planner._combined, planner._weights)
     return costs.ravel()
 
 
@@ -155,12 +155,33 @@ def test_scaling_all_weights_changes_no_decision(parameters: tuple[float, ...], 
     assert (costs_of(planner) == factor * costs).all()
 
 
+extreme_weights = st.lists(st.sampled_from([0.0, 1e-3, 1.0, 40.0, 1e6, -2.0]), min_size=12, max_size=12).map(np.array)
+
+
+@given(st.integers(0, 10_000), st.sampled_from([KEEPING, CHANGING, BENDING]), st.one_of(parameters_of_table6, extreme_weights))
+def test_bounds_leave_out_no_candidate_that_looking_at_all_of_them_chooses(
+    seed: int, scenario: Scenario, parameters: tuple[float, ...] | Floats
+) -> None:
+    planner = planner_of(scenario)
+    planner.reset(MIDDLE)
+    planner._weights = parameters if isinstance(parameters, np.ndarray) else weights(parameters)
+    for observation in random_drive(np.random.default_rng(seed), scenario, plans=3):
+        planner.plan(observation)
+        chosen, infeasible = exhaustive.decide(planner, planner.state, planner._weights)
+        assert planner.chosen == chosen
+        assert np.array_equal(planner.infeasible, infeasible)
+
+
 def test_ties_go_to_the_lowest_index_that_is_feasible() -> None:
-    costs = np.array([[3.0, 1.0, 2.0], [1.0, 1.0, np.nan]])
-    infeasible = np.zeros(6, dtype=np.bool_)
-    for expected in (1, 3, 4, 2, 0, -1):
-        assert kernel.cheapest(costs, infeasible) == expected
-        infeasible[expected] = True
+    planner = planner_of(KEEPING)
+    for observation, first in ((seen(), 0), (seen(s1=14.0), None)):
+        planner.reset(MIDDLE)
+        planner._weights = np.zeros(12)
+        planner.plan(observation)
+        assert not planner.infeasible[planner.chosen]
+        assert planner.infeasible[: planner.chosen].all(), "all cost nothing"
+        assert not planner.infeasible[planner.chosen :].any()
+        assert first is None or planner.chosen == first
 
 
 @pytest.mark.parametrize("seed", range(20))

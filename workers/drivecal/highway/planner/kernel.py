@@ -2,7 +2,11 @@
 
 One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits, in planning and in re-evaluating
 a stored planning state. Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
-longitudinal index * n_lateral + lateral index. Arrays: see `plans`.
+longitudinal index * n_lateral + lateral index. Arrays: see `plans`; `work`: see `scratch`.
+
+Features and weights are not negative, and rounding keeps order. So a cost whose features are not all computed yet is a bound: no candidate
+above the cheapest feasible candidate so far is chosen, whatever its other features are. Blocks of eight candidates that are all above it
+are left.
 """
 
 from typing import Any
@@ -10,8 +14,39 @@ from typing import Any
 import numpy as np
 
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.planner import plans, terms
-from drivecal.highway.planner.plans import fit, is_feasible, start_at, trace
+from drivecal.highway.planner import lanes, neighbours, plans, scratch, terms
+from drivecal.highway.planner.lanes import LANES, bits, load, lowest_bit, store
+from drivecal.highway.planner.neighbours import approach, foresee, look_beside
+from drivecal.highway.planner.plans import (
+    LATERAL_PLANS,
+    LONGITUDINAL_PLANS,
+    POINTS,
+    fit,
+    is_feasible,
+    place_of,
+    start_at,
+    trace,
+)
+from drivecal.highway.planner.scratch import (
+    AHEAD,
+    ALONGSIDE,
+    ASIDE,
+    BEHIND,
+    BLOCKS,
+    CLEAR,
+    COSTS,
+    HEADINGS,
+    IS_SEEN,
+    LATERAL,
+    LONGITUDINAL,
+    NEAR,
+    NEARS,
+    OTHER,
+    OTHERS,
+    REFUSED,
+    SIDES,
+    TOUCHING,
+)
 from drivecal.highway.planner.terms import (
     ARRIVAL,
     BOUNDARY,
@@ -28,84 +63,239 @@ from drivecal.highway.planner.terms import (
     LEADER,
     LONGITUDINAL_BASE,
     LONGITUDINAL_JERK,
-    evaluate,
+    look_ahead,
+    look_along,
+    look_aside,
+    on_grid,
 )
 
-compiled = compiled_with(plans, terms, error_model="numpy")
+compiled = compiled_with(lanes, neighbours, plans, scratch, terms, error_model="numpy")
+inlined = compiled_with(lanes, neighbours, plans, scratch, terms, error_model="numpy", forceinline=True)
+
+ALL = (1 << LANES) - 1
+"""Bits of all lanes."""
 
 
-@compiled
-def costs_of(lateral: Any, longitudinal: Any, combined: Any, weights: Any, costs: Any) -> None:
-    """J of all candidates, shape (n_longitudinal, n_lateral), from their features and the weights (12,) of base and P1..P11."""
-    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
-    for j in range(n_longitudinal):
-        along = weights[0] * longitudinal[LONGITUDINAL_BASE, j] + weights[1] * longitudinal[LONGITUDINAL_JERK, j]
-        for i in range(n_lateral):
-            aside = (
-                weights[0] * lateral[LATERAL_BASE, i]
-                + weights[1] * lateral[LATERAL_JERK, i]
-                + weights[3] * lateral[CENTRE, i]
-                + weights[5] * lateral[CONSISTENCY, i]
-                + weights[6] * lateral[ARRIVAL, i]
-                + weights[9] * lateral[BOUNDARY, i]
-            )
-            costs[j, i] = (
-                (along + aside)
-                + weights[0] * combined[COLLISION, j, i]
-                + weights[2] * combined[LATERAL_ACCELERATION, j, i]
-                + weights[4] * combined[HEADING, j, i]
-                + weights[7] * combined[CLEARANCE, j, i]
-                + weights[8] * combined[LEADER, j, i]
-                + weights[10] * combined[CLOSING, j, i]
-                + weights[11] * combined[FOLLOWER, j, i]
-            )
+@inlined
+def aside_of(weights: Any, work: Any, i: int) -> Any:
+    """Returns the costs of eight lateral plans from place i on."""
+    at = LATERAL + i
+    return (
+        weights[0] * load(work, at + LATERAL_BASE * LATERAL_PLANS)
+        + weights[1] * load(work, at + LATERAL_JERK * LATERAL_PLANS)
+        + weights[3] * load(work, at + CENTRE * LATERAL_PLANS)
+        + weights[5] * load(work, at + CONSISTENCY * LATERAL_PLANS)
+        + weights[6] * load(work, at + ARRIVAL * LATERAL_PLANS)
+        + weights[9] * load(work, at + BOUNDARY * LATERAL_PLANS)
+    )
 
 
-@compiled
-def cheapest(costs: Any, infeasible: Any) -> int:
-    """Returns the lowest index among the cheapest candidates not known to be infeasible; -1 if none is left."""
-    best = -1
-    lowest = np.inf
-    flat = costs.ravel()
-    for candidate in range(len(flat)):
-        if flat[candidate] < lowest and not infeasible[candidate]:
-            best, lowest = candidate, flat[candidate]
-    return best
+@inlined
+def along_of(weights: Any, work: Any, j: int) -> float:
+    """Returns the cost of the longitudinal plan in place j."""
+    at = LONGITUDINAL + j
+    along: float = (
+        weights[0] * work[at + LONGITUDINAL_BASE * LONGITUDINAL_PLANS]
+        + weights[1] * work[at + LONGITUDINAL_JERK * LONGITUDINAL_PLANS]
+    )
+    return along
+
+
+@inlined
+def near_of(scales: Any, work: Any, block: int) -> Any:
+    """Returns COLLISION, CLEARANCE, LEADER, CLOSING and FOLLOWER of a block, with the neighbours so far."""
+    at = NEARS + block * NEAR
+    return (
+        on_grid(load(work, at + TOUCHING), scales[15] / POINTS),
+        on_grid(load(work, at + CLEAR), scales[7] / POINTS),
+        on_grid(load(work, at + AHEAD), scales[8]),
+        on_grid(load(work, at + ALONGSIDE), scales[10] / POINTS),
+        on_grid(load(work, at + BEHIND), scales[11]),
+    )
+
+
+@inlined
+def costs_of(scales: Any, weights: Any, along: float, work: Any, block: int) -> Any:
+    """Returns J of a block along a longitudinal plan of cost `along`; as `deciding.walk` adds it up."""
+    collision, clearance, leader, closing, follower = near_of(scales, work, block)
+    return (
+        (along + load(work, ASIDE + block * LANES))
+        + weights[0] * collision
+        + weights[2] * load(work, SIDES + block * LANES)
+        + weights[4] * load(work, HEADINGS + block * LANES)
+        + weights[7] * clearance
+        + weights[8] * leader
+        + weights[10] * closing
+        + weights[11] * follower
+    )
+
+
+@inlined
+def prepare(
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, ego: Any, neighbours: Any, elapsed: float,
+    memory: Any, quintics: Any, quartics: Any, work: Any,
+) -> None:  # fmt: skip
+    """Writes the plans, their features, and the neighbours' motion."""
+    start = np.empty(8)
+    start_at(ego, memory, elapsed, start)
+    fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
+    look_aside(scene, scales, start, memory, elapsed, quintics, work)
+    look_ahead(road, scales, start, quartics, work)
+    foresee(scene, start, neighbours, work)
+
+
+@inlined
+def look(scales: Any, weights: Any, others: int, j: int, limit: float, known: int, work: Any) -> tuple[int, int]:
+    """Writes the features of the candidates along a longitudinal plan, block by block until all costs of a block are above the limit.
+
+    `others`: number of neighbours. Returns the bits of the blocks below it, whose features are complete, and `known` as of `look_along`.
+    """
+    along, left = along_of(weights, work, j), 0
+    for block in range(BLOCKS):
+        costs = along + load(work, ASIDE + block * LANES)
+        if bits(costs > limit) == ALL:
+            continue
+        known = look_along(scales, work, j, block, known)
+        costs = costs + weights[2] * load(work, SIDES + block * LANES) + weights[4] * load(work, HEADINGS + block * LANES)
+        if bits(costs > limit) == ALL:
+            continue
+        left |= 1 << block
+        for kind in range(0, NEAR, LANES):
+            store(work, NEARS + block * NEAR + kind, 0.0)
+    for m in range(others):
+        if not left:
+            break
+        if work[OTHERS + m * OTHER + IS_SEEN] == 0.0:
+            continue
+        points = approach(work, m, j)
+        if not points[0] | points[1] | points[2] | points[3]:
+            continue
+        for block in range(BLOCKS):
+            if left >> block & 1:
+                look_beside(work, m, block, points)
+                if bits(costs_of(scales, weights, along, work, block) > limit) == ALL:
+                    left &= ~(1 << block)
+    return left, known
 
 
 @compiled
 def consider(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, ego: Any, neighbours: Any, elapsed: float,
-    memory: Any, quintics: Any, quartics: Any, lateral: Any, longitudinal: Any, combined: Any,
+    memory: Any, work: Any, lateral: Any, longitudinal: Any, combined: Any,
 ) -> None:  # fmt: skip
-    """Writes plans and features of all candidates; changes nothing else."""
-    start = np.empty(8)
-    start_at(ego, memory, elapsed, start)
-    fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
-    evaluate(road, scene, scales, start, neighbours, memory, elapsed, quintics, quartics, lateral, longitudinal, combined)
+    """Writes the features of all candidates, and to `work`."""
+    quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
+    prepare(
+        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
+    )  # fmt: skip
+    for i in range(LATERAL_PLANS):
+        work[ASIDE + i] = 0.0
+        for row in range(6):
+            lateral[row, i] = work[LATERAL + row * LATERAL_PLANS + place_of(i, LATERAL_PLANS)]
+    weights, known = np.zeros(12), 0
+    for j in range(LONGITUDINAL_PLANS):
+        place = place_of(j, LONGITUDINAL_PLANS)
+        for row in range(2):
+            longitudinal[row, j] = work[LONGITUDINAL + row * LONGITUDINAL_PLANS + place]
+        _, known = look(scales, weights, len(neighbours), place, np.inf, known, work)
+        for block in range(BLOCKS):
+            near, at = near_of(scales, work, block), NEARS + block * NEAR
+            store(work, at + TOUCHING, near[0])
+            store(work, at + CLEAR, near[1])
+            store(work, at + AHEAD, near[2])
+            store(work, at + ALONGSIDE, near[3])
+            store(work, at + BEHIND, near[4])
+        for i in range(LATERAL_PLANS):
+            column = place_of(i, LATERAL_PLANS)
+            at = NEARS + column // LANES * NEAR + column % LANES
+            combined[COLLISION, j, i] = work[at + TOUCHING]
+            combined[LATERAL_ACCELERATION, j, i] = work[SIDES + column]
+            combined[HEADING, j, i] = work[HEADINGS + column]
+            combined[CLEARANCE, j, i] = work[at + CLEAR]
+            combined[LEADER, j, i] = work[at + AHEAD]
+            combined[CLOSING, j, i] = work[at + ALONGSIDE]
+            combined[FOLLOWER, j, i] = work[at + BEHIND]
+
+
+@compiled
+def choose(
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
+    elapsed: float, memory: Any, quintics: Any, quartics: Any, infeasible: Any, work: Any,
+) -> int:  # fmt: skip
+    """Returns the candidate to drive, -1 if no cost is a number. Writes the plans, and which cheaper candidates are infeasible.
+
+    The cheapest feasible candidate is driven, of equal ones the first; if none is feasible, the cheapest of all: braking and steering at
+    the limit is the vehicle's affair then. A negative weight allows no bounds.
+    """
+    prepare(
+        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
+    )  # fmt: skip
+    for i in range(0, LATERAL_PLANS, LANES):
+        store(work, ASIDE + i, aside_of(weights, work, i))
+    infeasible[:] = False
+    is_bounded = True
+    for weight in weights:
+        is_bounded = is_bounded and weight >= 0.0
+    chosen, limit, cheapest, lowest, known, is_refused = -1, np.inf, -1, np.inf, 0, False
+    for j in range(LONGITUDINAL_PLANS):
+        left, known = look(scales, weights, len(neighbours), j, limit if is_bounded else np.inf, known, work)
+        along = along_of(weights, work, j)
+        while left:
+            block = lowest_bit(left)
+            left &= left - 1
+            costs = costs_of(scales, weights, along, work, block)
+            store(work, COSTS, costs)
+            open_lanes = bits(costs <= limit)
+            while open_lanes:
+                best, candidate, cost = 0, -1, np.inf
+                rest = open_lanes
+                while rest:
+                    lane = lowest_bit(rest)
+                    rest &= rest - 1
+                    place = block * LANES + lane
+                    number = (j - 1 if j > 0 else LONGITUDINAL_PLANS - 1) * LATERAL_PLANS
+                    number += place - 1 if place > 0 else LATERAL_PLANS - 1
+                    if work[COSTS + lane] < cost or (work[COSTS + lane] == cost and number < candidate):
+                        best, candidate, cost = lane, number, work[COSTS + lane]
+                open_lanes &= ~(1 << best)
+                if candidate < 0 or cost > limit or (cost == limit and candidate > chosen):
+                    break
+                if cost < lowest or (cost == lowest and candidate < cheapest):
+                    cheapest, lowest = candidate, cost
+                if is_feasible(road, scene, quintics, quartics, block * LANES + best, j):
+                    chosen, limit = candidate, cost
+                else:
+                    infeasible[candidate], work[REFUSED + candidate], is_refused = True, cost, True
+    if is_refused and chosen >= 0:
+        for number in range(len(infeasible)):  # other candidates were checked while the cheapest feasible one was not known yet
+            cost = work[REFUSED + number]
+            infeasible[number] = infeasible[number] and (cost < limit or (cost == limit and number < chosen))
+    return chosen if chosen >= 0 else cheapest
 
 
 @compiled
 def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
-    elapsed: float, memory: Any, lateral: Any, longitudinal: Any, combined: Any, infeasible: Any, trajectory: Any, state: Any,
+    elapsed: float, memory: Any, infeasible: Any, trajectory: Any, state: Any, work: Any,
 ) -> int:  # fmt: skip
-    """Makes a plan: writes features, infeasible candidates (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,),
-    all that decided besides the weights. Returns the chosen candidate, -1 if no cost is a number."""
-    n_lateral, n_longitudinal = lateral_ends.shape[1], longitudinal_ends.shape[1]
+    """Makes a plan: writes infeasible candidates (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,), all that
+    decided besides the weights. Returns the chosen candidate, -1 if no cost is a number."""
     state[0], state[1] = scene[0], elapsed
-    state[2:8] = ego
-    state[8:24] = memory.ravel()
-    state[24:] = neighbours.ravel()
-    quintics, quartics = np.empty((8, n_lateral)), np.empty((7, n_longitudinal))
-    consider(
-        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed,
-        memory, quintics, quartics, lateral, longitudinal, combined,
+    for index in range(6):
+        state[2 + index] = ego[index]
+    for index in range(16):
+        state[8 + index] = memory[index // 2, index % 2]
+    for m in range(len(neighbours)):
+        for index in range(6):
+            state[24 + 6 * m + index] = neighbours[m, index]
+    quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
+    chosen = choose(
+        road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed,
+        memory, quintics, quartics, infeasible, work,
     )  # fmt: skip
-    chosen = choose(road, scene, weights, quintics, quartics, lateral, longitudinal, combined, infeasible)
     if chosen < 0:
         return -1
-    i, j = chosen % n_lateral, chosen // n_lateral
+    i, j = place_of(chosen % LATERAL_PLANS, LATERAL_PLANS), place_of(chosen // LATERAL_PLANS, LONGITUDINAL_PLANS)
     trace(road, quintics, quartics, i, j, scene[7], trajectory)
     for index in range(8):
         memory[index, 0] = quintics[index, i]
@@ -116,44 +306,12 @@ def plan(
 
 @compiled
 def decide(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, state: Any,
-    lateral: Any, longitudinal: Any, combined: Any, infeasible: Any,
+    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, state: Any, infeasible: Any,
+    work: Any,
 ) -> int:  # fmt: skip
-    """Returns the choice of `plan` in a `state` that it wrote; writes features and infeasible candidates."""
-    quintics, quartics = np.empty((8, lateral_ends.shape[1])), np.empty((7, longitudinal_ends.shape[1]))
-    consider(
-        road, scene, scales, lateral_ends, longitudinal_ends, state[2:8], state[24:].reshape(-1, 6), state[1],
-        state[8:24].reshape(8, 2), quintics, quartics, lateral, longitudinal, combined,
+    """Returns the choice of `plan` in a `state` that it wrote; writes infeasible candidates."""
+    quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
+    return choose(
+        road, scene, scales, lateral_ends, longitudinal_ends, weights, state[2:8], state[24:].reshape(-1, 6), state[1],
+        state[8:24].reshape(8, 2), quintics, quartics, infeasible, work,
     )  # fmt: skip
-    return choose(road, scene, weights, quintics, quartics, lateral, longitudinal, combined, infeasible)
-
-
-@compiled
-def choose(
-    road: Any,
-    scene: Any,
-    weights: Any,
-    quintics: Any,
-    quartics: Any,
-    lateral: Any,
-    longitudinal: Any,
-    combined: Any,
-    infeasible: Any,
-) -> int:
-    """Returns the candidate to drive, -1 if no cost is a number. Writes which candidates are infeasible.
-
-    Candidates are checked in the order of their cost until a candidate is feasible; if none is, the cheapest is driven all the same:
-    braking and steering at the limit is the vehicle's affair then.
-    """
-    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
-    costs = np.empty((n_longitudinal, n_lateral))
-    costs_of(lateral, longitudinal, combined, weights, costs)
-    infeasible[:] = False
-    cheapest_of_all = cheapest(costs, infeasible)
-    if cheapest_of_all < 0:
-        return -1
-    chosen = cheapest_of_all
-    while chosen >= 0 and not is_feasible(road, scene, quintics, quartics, chosen % n_lateral, chosen // n_lateral):
-        infeasible[chosen] = True
-        chosen = cheapest(costs, infeasible)
-    return chosen if chosen >= 0 else cheapest_of_all

@@ -10,9 +10,10 @@ from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.certification.kernels import NONE, contenders
 from drivecal.highway.certification.nodes import Nodes
-from drivecal.highway.planner import deciding, kernel, plans, terms
+from drivecal.highway.planner import deciding, kernel, neighbours, plans, terms
 from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.highway.planner.cost import scales, weights
+from drivecal.highway.planner.scratch import size_for
 from drivecal.highway.planner.spaces import HIGHWAY
 from drivecal.plugins.ports import Observation
 
@@ -89,6 +90,9 @@ class FrenetPlanner:
         self._memory = np.zeros((8, 2))
         self.state = np.zeros(24 + 6 * len(scenario.traffic))
         """See `drivecal.plugins.ports.CertifiablePlanner`: as from `kernel.plan`."""
+        self._decided = self.state
+        """State of the last plan or decision."""
+        self._work = scratch_for(self.state)
         self._weights = np.zeros(12)
         self._asked: tuple[tuple[float, ...], Floats, bool] = ((), self._weights, False)
         """The last parameters, their weights, and whether a certificate may cover them."""
@@ -110,6 +114,8 @@ class FrenetPlanner:
         wanted = self._wanted(observation.time)
         if len(self.state) != 24 + observation.neighbours.size:
             self.state = np.zeros(24 + observation.neighbours.size)
+        self._decided = self.state
+        self._make_room(self.state)
         self.chosen = kernel.plan(
             self._road,
             self._scenes[wanted],
@@ -121,12 +127,10 @@ class FrenetPlanner:
             observation.neighbours,
             observation.time - self._planned_at,
             self._memory,
-            self._lateral,
-            self._longitudinal,
-            self._combined,
             self.infeasible,
             trajectory,
             self.state,
+            self._work,
         )
         if self.chosen < 0:
             raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
@@ -139,25 +143,12 @@ class FrenetPlanner:
 
         `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
         """
+        if observation is None:
+            self._consider(self._decided)
+        else:
+            rows = [[self._scenes[self._wanted(observation.time)][0], observation.time - self._planned_at], observation.ego]
+            self._consider(np.concatenate([*rows, self._memory.ravel(), observation.neighbours.ravel()]))
         n_longitudinal, n_lateral = self._combined.shape[1:]
-        if observation is not None:
-            wanted = self._wanted(observation.time)
-            kernel.consider(
-                self._road,
-                self._scenes[wanted],
-                self._scales,
-                self._lateral_ends[wanted],
-                self._longitudinal_ends,
-                observation.ego,
-                observation.neighbours,
-                observation.time - self._planned_at,
-                self._memory,
-                np.empty((8, n_lateral)),
-                np.empty((7, n_longitudinal)),
-                self._lateral,
-                self._longitudinal,
-                self._combined,
-            )
         features = np.zeros((n_longitudinal, n_lateral, 12))
         for row, column in _LONGITUDINAL.items():
             features[:, :, column] += self._longitudinal[row][:, None]
@@ -169,7 +160,9 @@ class FrenetPlanner:
 
     def decide(self, state: Floats, parameters: Sequence[float]) -> int:
         """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        wanted = 0 if state[0] == self._scenes[0][0] else 1
+        wanted = self._wanted_in(state)
+        self._decided = state
+        self._make_room(state)
         self.chosen = kernel.decide(
             self._road,
             self._scenes[wanted],
@@ -178,15 +171,14 @@ class FrenetPlanner:
             self._longitudinal_ends,
             self._weights_of(parameters)[0],
             state,
-            self._lateral,
-            self._longitudinal,
-            self._combined,
             self.infeasible,
+            self._work,
         )
         return self.chosen
 
     def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
         """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
+        self._consider(self._decided)
         deciding.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
         rivals = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
         values = np.empty((len(rivals), self.n_values))
@@ -215,6 +207,31 @@ class FrenetPlanner:
             nodes.decision,
         )
 
+    def _consider(self, state: Floats) -> None:
+        """Computes the features of all candidates in a state."""
+        wanted = self._wanted_in(state)
+        self._make_room(state)
+        kernel.consider(
+            self._road,
+            self._scenes[wanted],
+            self._scales,
+            self._lateral_ends[wanted],
+            self._longitudinal_ends,
+            state[2:8],
+            state[24:].reshape(-1, 6),
+            state[1],
+            state[8:24].reshape(8, 2),
+            self._work,
+            self._lateral,
+            self._longitudinal,
+            self._combined,
+        )
+
+    def _make_room(self, state: Floats) -> None:
+        """Lets the scratch memory hold the neighbours of a state."""
+        if len(self._work) < size_for((len(state) - 24) // 6):
+            self._work = scratch_for(state)
+
     def _weights_of(self, parameters: Sequence[float]) -> tuple[Floats, bool]:
         asked = tuple(parameters)
         if asked != self._asked[0]:  # many questions about the same set follow each other
@@ -225,3 +242,13 @@ class FrenetPlanner:
     def _wanted(self, time: float) -> int:
         """Returns 0 before the lane change, 1 after it."""
         return 1 if time >= self._change_after else 0
+
+    def _wanted_in(self, state: Floats) -> int:
+        return 0 if state[0] == self._scenes[0][0] else 1
+
+
+def scratch_for(state: Floats) -> Floats:
+    """Returns scratch memory for plans with as many neighbours as a state has."""
+    work = np.zeros(size_for((len(state) - 24) // 6))
+    neighbours.prepare(work)
+    return work

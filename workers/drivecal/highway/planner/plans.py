@@ -9,7 +9,8 @@ scales (18,): see `cost.scales`
 lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
 ego (6,): s, s', s'', d, d', d''; start (8,): the same at the start of the plan, and the rest (s) of the previous lateral and
     longitudinal plan, 0 without a previous plan; neighbours (m, 6): see `ports.Observation`
-quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon
+quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon; the
+    last plan in column 0, see `place_of`
 memory (8, 2): the previous plan, its quintic in column 0 and its quartic in column 1; horizons of 0 without a previous plan
 lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
 """
@@ -20,8 +21,11 @@ from typing import Any
 from drivecal.highway.compilation import compiled_with
 
 compiled = compiled_with(error_model="numpy")
+inlined = compiled_with(error_model="numpy", forceinline=True)
 """Python's error model checks every division for zero, and a loop that may raise is not vectorised."""
 
+LATERAL_PLANS, LONGITUDINAL_PLANS = 24, 12
+"""Numbers of plans, see `candidates`."""
 POINTS = 30
 INTERVAL = 0.25
 """Seconds between the points at which candidates are judged, in the middle of thirty intervals: a horizon of 7.5 s."""
@@ -147,26 +151,30 @@ def start_at(ego: Any, memory: Any, elapsed: float, start: Any) -> None:
 
 
 @compiled
+def place_of(plan: int, plans: int) -> int:
+    """Returns the column of a plan: the last plan is in column 0, because it is chosen most, and the others follow."""
+    return plan + 1 if plan < plans - 1 else 0
+
+
+@compiled
 def fit(road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, memory: Any, quintics: Any, quartics: Any) -> None:
-    """Fits all plans from `start`. The last lateral and the last longitudinal plan continue the previous plan."""
-    last = lateral_ends.shape[1] - 1
-    for i in range(last + 1):
-        fit_quintic(quintics, i, start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
+    """Fits all plans from `start`. The last lateral and the last longitudinal plan continue the previous plan, and come first."""
+    for i in range(LATERAL_PLANS):
+        fit_quintic(quintics, place_of(i, LATERAL_PLANS), start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
     if start[6] > 0.0:
-        fit_quintic(quintics, last, start[3], start[4], start[5], memory[6, 0], start[6])
+        fit_quintic(quintics, 0, start[3], start[4], start[5], memory[6, 0], start[6])
     _, _, limit = road_ahead(road, start[0])
-    last = longitudinal_ends.shape[1] - 1
-    for j in range(last + 1):
+    for j in range(LONGITUDINAL_PLANS):
         horizon = longitudinal_ends[1, j]
         _, _, desired = road_ahead(road, start[0] + start[1] * horizon)
         _, _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
         speed = max(min(limit, desired) + longitudinal_ends[0, j], 0.0)
-        fit_quartic(quartics, j, start[0], start[1], start[2], speed, horizon)
+        fit_quartic(quartics, place_of(j, LONGITUDINAL_PLANS), start[0], start[1], start[2], speed, horizon)
     if start[7] > 0.0:
-        fit_quartic(quartics, last, start[0], start[1], start[2], memory[5, 1], start[7])
+        fit_quartic(quartics, 0, start[0], start[1], start[2], memory[5, 1], start[7])
 
 
-@compiled
+@inlined
 def motion_at(
     road: Any, quintics: Any, quartics: Any, i: int, j: int, t: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -181,7 +189,7 @@ def motion_at(
     forward = s1 * stretch
     tangential = s2 * stretch - s1 * (bend * s1 * d + 2.0 * curvature * d1)
     normal = d2 + curvature * s1 * s1 * stretch
-    speed = hypot(forward, d1)
+    speed = hypot(forward, d1) if d1 != 0.0 else abs(forward)
     if speed < STANDSTILL:
         return s, d, 0.0, forward, curvature, speed, tangential
     path = (forward * normal - d1 * tangential) / (speed * speed * speed)
@@ -208,12 +216,15 @@ def is_feasible(road: Any, scene: Any, quintics: Any, quartics: Any, i: int, j: 
 @compiled
 def trace(road: Any, quintics: Any, quartics: Any, i: int, j: int, step: float, trajectory: Any) -> None:
     """Writes candidate (i, j) as the Cartesian trajectory of `ports.Planner.plan`, shape (rows, 7)."""
+    before, cosine, sine = 0.0, 1.0, 0.0
     for row in range(len(trajectory)):
         t = row * step
         s, d, d1, forward, curvature, speed, acceleration = motion_at(road, quintics, quartics, i, j, t)
         x, y, heading = point_of(road, s)
+        if heading != before:
+            before, cosine, sine = heading, cos(heading), sin(heading)
         trajectory[row, 0] = t
-        trajectory[row, 1] = x - d * sin(heading)
-        trajectory[row, 2] = y + d * cos(heading)
+        trajectory[row, 1] = x - d * sine
+        trajectory[row, 2] = y + d * cosine
         trajectory[row, 3] = heading + (atan2(d1, forward) if d1 != 0.0 else 0.0)
         trajectory[row, 4], trajectory[row, 5], trajectory[row, 6] = curvature, speed, acceleration

@@ -1,26 +1,43 @@
-"""Compiled features of candidates, by the terms of the cost. Inner loops run over lateral plans, side by side in memory, so that they
-vectorise. Arrays: see `plans`."""
+"""Compiled features of candidates, by the terms of the cost: those of lateral plans, of longitudinal plans, and of both without traffic.
+
+Eight lateral plans, or eight points in time, are computed side by side. Arrays: see `plans`; `work`: see `scratch`. Plans stand in the
+order of `quintics` and `quartics`.
+"""
 
 from typing import Any
 
 import numpy as np
 
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.planner import plans
-from drivecal.highway.planner.plans import INTERVAL, POINTS, lateral_at, road_ahead
+from drivecal.highway.planner import lanes, plans, scratch
+from drivecal.highway.planner.lanes import LANES, absolute, bits, floor, larger, load, smaller, spread, store, where
+from drivecal.highway.planner.plans import INTERVAL, LATERAL_PLANS, LONGITUDINAL_PLANS, POINTS, lateral_at, road_ahead
+from drivecal.highway.planner.scratch import (
+    BEND,
+    BLOCK,
+    BLOCKS,
+    HEADINGS,
+    IS_STRAIGHT,
+    LATERAL,
+    LEFTMOST,
+    LONGITUDINAL,
+    MEETING,
+    MOTION,
+    RIGHTMOST,
+    ROW,
+    ROWS,
+    S1,
+    SIDES,
+    SLOWNESS,
+    STRAIGHT_SIDES,
+    TIME,
+    TIMES,
+    S,
+)
 
-compiled = compiled_with(plans, error_model="numpy")
+compiled = compiled_with(lanes, plans, scratch, error_model="numpy")
+inlined = compiled_with(lanes, plans, scratch, error_model="numpy", forceinline=True)
 
-WIDTH = 32
-"""Lateral plans, at most: rows of them in one array, at constant distances, need no checks whether they overlap before they are computed
-with vector instructions. Rows are computed as a whole, what is beside the plans is never looked at: four vectors of 512 bits and no rest
-take half the time of 24 plans alone. (Loops over a constant number would be unrolled instead.)"""
-DEPTH = 16
-"""Longitudinal plans, at most, likewise."""
-TOUCHING, CLEAR, AHEAD, ALONGSIDE, BEHIND = (row * WIDTH for row in range(5))
-NEAR = 5 * WIDTH
-"""Features of the neighbours for the candidates of one longitudinal plan, unscaled: rows of COLLISION, CLEARANCE, LEADER, CLOSING,
-FOLLOWER."""
 FEATURE_GRID = 256.0
 """Features are multiples of 1 / 256, exact in binary. Smaller differences cannot be felt. Without the grid, rounding errors would choose
 between equal plans; with it such plans tie, and the tie goes to the same candidate for all weights."""
@@ -56,296 +73,149 @@ SLOWEST = 1.0
 """Least speed for divisions, m/s."""
 
 
-@compiled
-def on_grid(raw: float, scale: float) -> float:
-    """The feature of a raw quantity: scaled, then rounded to the grid of features."""
-    return float(np.floor(raw * (scale * FEATURE_GRID) + 0.5) * (1.0 / FEATURE_GRID))
+BETWEEN = 1e-9
+"""Distance (in lanes) from the middle between two lanes beyond which multiplying by the inverse width gives the same lane as dividing."""
 
 
-@compiled
-def evaluate(
-    road: Any, scene: Any, scales: Any, start: Any, neighbours: Any, memory: Any, elapsed: float, quintics: Any, quartics: Any,
-    lateral: Any, longitudinal: Any, combined: Any,
-) -> None:  # fmt: skip
-    """Writes the features of all candidates, of `WIDTH` lateral and `DEPTH` longitudinal plans at most."""
-    n_longitudinal = quartics.shape[1]
-    motion = np.empty(POINTS * 3 * WIDTH)
-    width, depth = max(quintics.shape[1], WIDTH), max(n_longitudinal, DEPTH)
-    look_aside(scene, scales, start, memory, elapsed, quintics, lateral, motion, width)
-    s, s1 = np.zeros((POINTS, DEPTH)), np.zeros((POINTS, DEPTH))
-    look_ahead(road, scales, start, quartics, motion, s, s1, longitudinal, combined, width)
-    near = np.zeros(n_longitudinal * NEAR)
-    moments, aside, by_plan = np.empty((POINTS, 6)), np.empty(5 * WIDTH), np.empty(5 * DEPTH)
-    survey(motion, s, s1, moments, quintics.shape[1], n_longitudinal)
-    for m in range(len(neighbours)):
-        look_at(scene, start, neighbours[m], motion, s, s1, moments, aside, by_plan, near, width, depth, n_longitudinal)
-    n_lateral = quintics.shape[1]
-    for j in range(n_longitudinal):
-        at = j * NEAR
-        for i in range(n_lateral):
-            combined[COLLISION, j, i] = on_grid(near[at + TOUCHING + i], scales[15] / POINTS)
-        for i in range(n_lateral):
-            combined[CLEARANCE, j, i] = on_grid(near[at + CLEAR + i], scales[7] / POINTS)
-        for i in range(n_lateral):
-            combined[LEADER, j, i] = on_grid(near[at + AHEAD + i], scales[8])
-        for i in range(n_lateral):
-            combined[CLOSING, j, i] = on_grid(near[at + ALONGSIDE + i], scales[10] / POINTS)
-        for i in range(n_lateral):
-            combined[FOLLOWER, j, i] = on_grid(near[at + BEHIND + i], scales[11])
+@inlined
+def on_grid(raw: Any, scale: float) -> Any:
+    """Returns the features of raw quantities: scaled, then rounded to the grid of features."""
+    return floor(raw * (scale * FEATURE_GRID) + 0.5) * (1.0 / FEATURE_GRID)
 
 
-@compiled
-def look_aside(
-    scene: Any, scales: Any, start: Any, memory: Any, elapsed: float, quintics: Any, lateral: Any, motion: Any, width: int
-) -> None:
-    """Writes the features of lateral plans, and d, d', d'' of all of them at each point to `motion`, rows of `WIDTH`."""
-    n_lateral = quintics.shape[1]
+@inlined
+def nearest_lane(d: Any, lane_width: float, last_lane: float) -> Any:
+    """Returns the numbers of the nearest lanes, floor(d / lane_width + 0.5) within those of the road."""
+    position = d * (1.0 / lane_width) + 0.5
+    lane = floor(position)
+    if bits((position - lane < BETWEEN) | (position - lane > 1.0 - BETWEEN)):  # dividing takes several times as long
+        lane = floor(d / lane_width + 0.5)
+    return smaller(larger(lane, 0.0), last_lane)
+
+
+@inlined
+def look_aside(scene: Any, scales: Any, start: Any, memory: Any, elapsed: float, quintics: Any, work: Any) -> None:
+    """Writes the features of lateral plans, their motion, and their least and largest d at each point."""
     wanted, lane_width, last_lane, half_width = scene[0], scene[1], scene[2], scene[4]
-    plans, sums = np.ones(8 * WIDTH), np.zeros(5 * WIDTH)
-    for row in range(8):
-        for i in range(n_lateral):
-            plans[row * WIDTH + i] = quintics[row, i]
     edge = 0.5 * lane_width - half_width - BOUNDARY_SPACE
+    consistency = scales[5] / POINTS if memory[7, 0] > 0.0 else 0.0
     for k in range(POINTS):
-        t = (k + 0.5) * INTERVAL
-        planned, _, _ = lateral_at(memory, 0, t + elapsed)
-        at = k * 3 * WIDTH
-        for i in range(width):
-            c0, c1, c2 = plans[i], plans[WIDTH + i], plans[2 * WIDTH + i]
-            c3, c4, c5 = plans[3 * WIDTH + i], plans[4 * WIDTH + i], plans[5 * WIDTH + i]
-            moving = t < plans[7 * WIDTH + i]
+        work[MEETING + k], _, _ = lateral_at(memory, 0, (k + 0.5) * INTERVAL + elapsed)
+    for block in range(BLOCKS):
+        column = block * LANES
+        c0, c1 = load(quintics, column), load(quintics, LATERAL_PLANS + column)
+        c2, c3 = load(quintics, 2 * LATERAL_PLANS + column), load(quintics, 3 * LATERAL_PLANS + column)
+        c4, c5 = load(quintics, 4 * LATERAL_PLANS + column), load(quintics, 5 * LATERAL_PLANS + column)
+        end, horizon = load(quintics, 6 * LATERAL_PLANS + column), load(quintics, 7 * LATERAL_PLANS + column)
+        jerks = offsets = changes = arrivals = shortfalls = spread(0.0)
+        here = end
+        for k in range(POINTS):
+            t, planned = (k + 0.5) * INTERVAL, work[MEETING + k]
+            moving = horizon > t
             here = c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5))))
             speed = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
             acceleration = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
             jerk = 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5)
-            here = here if moving else plans[6 * WIDTH + i]
-            jerk = jerk if moving else 0.0
-            motion[at + i] = here
-            motion[at + WIDTH + i] = speed if moving else 0.0
-            motion[at + 2 * WIDTH + i] = acceleration if moving else 0.0
-            sums[i] += jerk * jerk
-            lane = np.floor(here / lane_width + 0.5)
-            lane = max(lane, 0.0)
-            lane = min(lane, last_lane)
-            offset = abs(here - lane * lane_width)
-            sums[WIDTH + i] += offset * offset / (1.0 + offset * offset)
-            missing = (offset - edge) / BOUNDARY_SPACE
-            missing = max(missing, 0.0)
-            sums[4 * WIDTH + i] += missing * missing
+            here, jerk = where(moving, here, end), where(moving, jerk, 0.0)
+            at = MOTION + block * BLOCK + k * 3 * LANES
+            store(work, at, here)
+            store(work, at + LANES, where(moving, speed, 0.0))
+            store(work, at + 2 * LANES, where(moving, acceleration, 0.0))
+            rightmost, leftmost = here, here
+            if block > 0:
+                rightmost = smaller(load(work, RIGHTMOST + k * LANES), here)
+                leftmost = larger(load(work, LEFTMOST + k * LANES), here)
+            store(work, RIGHTMOST + k * LANES, rightmost)
+            store(work, LEFTMOST + k * LANES, leftmost)
+            jerks = jerks + jerk * jerk
+            offset = absolute(here - nearest_lane(here, lane_width, last_lane) * lane_width)
+            offsets = offsets + offset * offset / (1.0 + offset * offset)
+            missing = larger((offset - edge) / BOUNDARY_SPACE, 0.0)
+            shortfalls = shortfalls + missing * missing
             change = (here - planned) * (here - planned)
-            sums[2 * WIDTH + i] += change / (1.0 + change * (1.0 / (LARGEST_CHANGE * LARGEST_CHANGE)))
-            away = (abs(here - wanted) - ARRIVED) / (NOT_ARRIVED - ARRIVED)
-            away = max(away, 0.0)
-            sums[3 * WIDTH + i] += min(away, 1.0)
-    consistency = scales[5] / POINTS if memory[7, 0] > 0.0 else 0.0
-    for i in range(n_lateral):
-        offset = abs(motion[(POINTS - 1) * 3 * WIDTH + i] - wanted)
-        changed = scales[16] if start[6] > 0.0 and i != n_lateral - 1 else 0.0
-        lateral[LATERAL_BASE, i] = on_grid(scales[13] * 2.0 * offset * offset / (1.0 + offset) + changed, 1.0)
-        lateral[LATERAL_JERK, i] = on_grid(sums[i], scales[1] / POINTS)
-        lateral[CENTRE, i] = on_grid(sums[WIDTH + i], scales[3] / POINTS)
-        lateral[CONSISTENCY, i] = on_grid(sums[2 * WIDTH + i], consistency)
-        lateral[ARRIVAL, i] = on_grid(sums[3 * WIDTH + i], scales[6] * INTERVAL)
-        lateral[BOUNDARY, i] = on_grid(sums[4 * WIDTH + i], scales[9] / POINTS)
+            changes = changes + change / (1.0 + change * (1.0 / (LARGEST_CHANGE * LARGEST_CHANGE)))
+            away = absolute(here - wanted) - ARRIVED
+            if bits(away > 0.0):
+                arrivals = arrivals + smaller(larger(away / (NOT_ARRIVED - ARRIVED), 0.0), 1.0)
+        offset = absolute(here - wanted)
+        at = LATERAL + column
+        store(work, at + LATERAL_BASE * LATERAL_PLANS, scales[13] * 2.0 * offset * offset / (1.0 + offset))
+        store(work, at + LATERAL_JERK * LATERAL_PLANS, on_grid(jerks, scales[1] / POINTS))
+        store(work, at + CENTRE * LATERAL_PLANS, on_grid(offsets, scales[3] / POINTS))
+        store(work, at + CONSISTENCY * LATERAL_PLANS, on_grid(changes, consistency))
+        store(work, at + ARRIVAL * LATERAL_PLANS, on_grid(arrivals, scales[6] * INTERVAL))
+        store(work, at + BOUNDARY * LATERAL_PLANS, on_grid(shortfalls, scales[9] / POINTS))
+    changed = scales[16] if start[6] > 0.0 else 0.0
+    for i in range(1, LATERAL_PLANS):  # all but the rest of the previous plan
+        work[LATERAL + i] += changed
+    for i in range(0, LATERAL_PLANS, LANES):
+        store(work, LATERAL + i, on_grid(load(work, LATERAL + i), 1.0))
 
 
-@compiled
-def look_ahead(
-    road: Any,
-    scales: Any,
-    start: Any,
-    quartics: Any,
-    motion: Any,
-    s: Any,
-    s1: Any,
-    longitudinal: Any,
-    combined: Any,
-    width: int,
-) -> None:
-    """Writes the features of longitudinal plans, s and s' at each point, shape (POINTS, DEPTH), and LATERAL_ACCELERATION and
-    HEADING of the candidates."""
-    n_longitudinal, n_lateral = combined.shape[1], combined.shape[2]
-    sums, bends, slownesses, moved = np.empty(WIDTH), np.empty(POINTS), np.empty(WIDTH), np.empty(4 * WIDTH)
+@inlined
+def look_ahead(road: Any, scales: Any, start: Any, quartics: Any, work: Any) -> None:
+    """Writes the features of longitudinal plans, and their motion."""
     _, _, limit = road_ahead(road, start[0])
-    straight_on = -1
-    for j in range(n_longitudinal):
-        error_sum, acceleration_sum, jerk_sum = 0.0, 0.0, 0.0
-        straight = True
+    for j in range(LONGITUDINAL_PLANS):
         c0, c1, c2, c3, c4 = quartics[0, j], quartics[1, j], quartics[2, j], quartics[3, j], quartics[4, j]
         cruise, end = quartics[5, j], quartics[6, j]
-        for k in range(width):  # `longitudinal_at`, side by side; values beyond the last point are unused
-            t = (k + 0.5) * INTERVAL
-            beyond = max(t - end, 0.0)
-            t = min(t, end)
+        row, accelerations, jerks = ROWS + j * ROW, MEETING, MEETING + TIMES
+        for k in range(0, TIMES, LANES):  # `longitudinal_at`, side by side
+            beyond = larger(load(work, TIME + k) - end, 0.0)
+            t = smaller(load(work, TIME + k), end)
+            cruising = beyond > 0.0
             along = c0 + t * (c1 + t * (c2 + t * (c3 + t * c4)))
-            speed = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * 4.0 * c4))
-            speed = cruise if beyond > 0.0 else speed
-            moved[k] = along + beyond * cruise if beyond > 0.0 else along
-            moved[WIDTH + k] = speed
-            moved[2 * WIDTH + k] = 0.0 if beyond > 0.0 else 2.0 * c2 + t * (6.0 * c3 + t * 12.0 * c4)
-            moved[3 * WIDTH + k] = 0.0 if beyond > 0.0 else 6.0 * c3 + t * 24.0 * c4
-            slownesses[k] = 1.0 / max(speed, SLOWEST)
+            speed = where(cruising, cruise, c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * 4.0 * c4)))
+            store(work, row + S + k, where(cruising, along + beyond * cruise, along))
+            store(work, row + S1 + k, speed)
+            store(work, row + SLOWNESS + k, 1.0 / larger(speed, SLOWEST))
+            store(work, accelerations + k, where(cruising, 0.0, 2.0 * c2 + t * (6.0 * c3 + t * 12.0 * c4)))
+            store(work, jerks + k, where(cruising, 0.0, 6.0 * c3 + t * 24.0 * c4))
+        error_sum, acceleration_sum, jerk_sum, is_straight = 0.0, 0.0, 0.0, True
         for k in range(POINTS):
-            along, speed, acceleration, jerk = moved[k], moved[WIDTH + k], moved[2 * WIDTH + k], moved[3 * WIDTH + k]
-            s[k, j], s1[k, j] = along, speed
-            curvature, _, desired = road_ahead(road, along)
+            speed, acceleration, jerk = work[row + S1 + k], work[accelerations + k], work[jerks + k]
+            curvature, _, desired = road_ahead(road, work[row + S + k])
             error = speed - min(limit, desired)
             error_sum += error * error
             acceleration_sum += acceleration * acceleration
             jerk_sum += jerk * jerk
-            bends[k] = speed * speed * curvature
-            straight = straight and bends[k] == 0.0
-        changed = scales[17] if start[7] > 0.0 and j != n_longitudinal - 1 else 0.0
+            bend = speed * speed * curvature
+            work[row + BEND + k] = bend
+            is_straight = is_straight and bend == 0.0
+        work[IS_STRAIGHT + j] = 1.0 if is_straight else 0.0
+        changed = scales[17] if start[7] > 0.0 and j > 0 else 0.0
         base = (scales[12] * error_sum + scales[14] * acceleration_sum) / POINTS + changed
-        longitudinal[LONGITUDINAL_BASE, j] = on_grid(base, 1.0)
-        longitudinal[LONGITUDINAL_JERK, j] = on_grid(jerk_sum, scales[1] / POINTS)
-        sums[:] = 0.0
-        for k in range(0, POINTS, 5):  # five at a time: sums are loaded and stored less often
-            row = (3 * k + 1) * WIDTH
-            slow0, slow1, slow2 = slownesses[k], slownesses[k + 1], slownesses[k + 2]
-            slow3, slow4 = slownesses[k + 3], slownesses[k + 4]
-            for i in range(width):
-                heading0 = motion[row + i] * slow0
-                heading1 = motion[row + 3 * WIDTH + i] * slow1
-                heading2 = motion[row + 6 * WIDTH + i] * slow2
-                heading3 = motion[row + 9 * WIDTH + i] * slow3
-                heading4 = motion[row + 12 * WIDTH + i] * slow4
-                total = sums[i] + heading0 * heading0
-                total += heading1 * heading1
-                total += heading2 * heading2
-                total += heading3 * heading3
-                sums[i] = total + heading4 * heading4
-        for i in range(n_lateral):
-            combined[HEADING, j, i] = on_grid(sums[i], scales[4] / POINTS)
-        if straight and straight_on >= 0:  # where the road is straight, speed makes no difference
-            for i in range(n_lateral):
-                combined[LATERAL_ACCELERATION, j, i] = combined[LATERAL_ACCELERATION, straight_on, i]
-            continue
-        sums[:] = 0.0
-        for k in range(0, POINTS, 5):
-            row = (3 * k + 2) * WIDTH
-            bend0, bend1, bend2, bend3, bend4 = bends[k], bends[k + 1], bends[k + 2], bends[k + 3], bends[k + 4]
-            for i in range(width):
-                side0 = motion[row + i] + bend0
-                side1 = motion[row + 3 * WIDTH + i] + bend1
-                side2 = motion[row + 6 * WIDTH + i] + bend2
-                side3 = motion[row + 9 * WIDTH + i] + bend3
-                side4 = motion[row + 12 * WIDTH + i] + bend4
-                total = sums[i] + side0 * side0
-                total += side1 * side1
-                total += side2 * side2
-                total += side3 * side3
-                sums[i] = total + side4 * side4
-        for i in range(n_lateral):
-            combined[LATERAL_ACCELERATION, j, i] = on_grid(sums[i], scales[2] / POINTS)
-        if straight:
-            straight_on = j
+        at = LONGITUDINAL + j
+        work[at + LONGITUDINAL_BASE * LONGITUDINAL_PLANS] = np.floor(base * FEATURE_GRID + 0.5) * (1.0 / FEATURE_GRID)
+        jerk_sum = np.floor(jerk_sum * (scales[1] / POINTS * FEATURE_GRID) + 0.5) * (1.0 / FEATURE_GRID)
+        work[at + LONGITUDINAL_JERK * LONGITUDINAL_PLANS] = jerk_sum
 
 
-@compiled
-def survey(motion: Any, s: Any, s1: Any, moments: Any, n_lateral: int, n_longitudinal: int) -> None:
-    """Writes, for each point in time, the remaining share of a neighbour's lateral speed and the bounds of all
-    plans: least and largest d, least and largest s, largest s'; shape (POINTS, 6)."""
-    for k in range(POINTS):
-        at = 3 * WIDTH * k
-        rightmost, leftmost = motion[at], motion[at]
-        for i in range(1, n_lateral):
-            rightmost, leftmost = min(rightmost, motion[at + i]), max(leftmost, motion[at + i])
-        last, first, fastest = s[k, 0], s[k, 0], s1[k, 0]
-        for j in range(1, n_longitudinal):
-            last, first, fastest = min(last, s[k, j]), max(first, s[k, j]), max(fastest, s1[k, j])
-        moments[k, 0] = np.exp(-((k + 0.5) * INTERVAL) / DRIFT_TIME)
-        moments[k, 1], moments[k, 2], moments[k, 3], moments[k, 4], moments[k, 5] = rightmost, leftmost, last, first, fastest
+@inlined
+def look_along(scales: Any, work: Any, j: int, block: int, known: int) -> int:
+    """Writes HEADING and LATERAL_ACCELERATION of a block along a longitudinal plan.
 
-
-@compiled
-def look_at(
-    scene: Any, start: Any, neighbour: Any, motion: Any, s: Any, s1: Any, moments: Any, aside: Any, by_plan: Any, near: Any,
-    width: int, depth: int, n_longitudinal: int,
-) -> None:  # fmt: skip
-    """Adds the features of a neighbour for each candidate to `near`, shape (n_longitudinal * NEAR,). `moments`: as from `survey`.
-
-    Scratch: `aside`, rows of `WIDTH`: space between the sides, touching, squared ratio of space to wanted space, closing rate squared, how
-    far in the path; `by_plan`, rows of `DEPTH`: shortfall of clear space beside, how far alongside, urgency, gap, how far ahead, of
-    longitudinal plans; the first three mean nothing up to 0. A vehicle that follows in the lane where the ego vehicle is already means
-    nothing: keeping its distance is its own affair. What would add nothing but zeros is left out: that changes no bit.
+    `known`: bits of the blocks whose LATERAL_ACCELERATION on a straight road is known, where speed makes no difference. Returns them.
     """
-    if neighbour[0] < start[0] and abs(neighbour[1] - start[3]) < 0.5 * scene[1]:
-        return
-    length = scene[3] + 0.5 * neighbour[4]
-    breadth = scene[4] + 0.5 * neighbour[5]
-    other_s1 = neighbour[2]
-    following = 1.0 if abs(neighbour[1] - scene[0]) < 0.5 * scene[1] else 0.0
-    for k in range(POINTS):
-        fading = moments[k, 0]
-        other_d = neighbour[1] + neighbour[3] * DRIFT_TIME * (1.0 - fading)
-        other_d1 = neighbour[3] * fading
-        other_s = neighbour[0] + other_s1 * ((k + 0.5) * INTERVAL)
-        # Rounding keeps order: a bound of the nearest, foremost or fastest plan holds for the others.
-        space = max(moments[k, 1] - other_d, other_d - moments[k, 2]) - breadth
-        out_of_path = space >= IN_PATH_FADE
-        fastest = moments[k, 5]
-        if out_of_path:
-            gap = max(other_s - moments[k, 4], moments[k, 3] - other_s) - length
-            if gap >= max(CLEAR_TIME * fastest, SHORTEST_CLEARANCE, ALONGSIDE_TIME * max(fastest, SLOWEST)):
-                continue
-        enough = space * space * (1.0 / (CLEAR_SIDE * CLEAR_SIDE)) if space > 0.0 else 0.0
-        for j in range(depth):
-            ahead, speed = other_s - s[k, j], s1[k, j]
-            gap = max(abs(ahead) - length, 0.0)
-            ratio = gap / max(CLEAR_TIME * speed, SHORTEST_CLEARANCE)
-            approach = speed - other_s1 if ahead > 0.0 else other_s1 - speed
-            rate = approach / max(gap, SMALLEST_GAP)
-            urgency = min(rate * rate, LARGEST_URGENCY)
-            urgency = urgency if approach > 0.0 else 0.0
-            by_plan[j] = 1.0 - ratio * ratio
-            by_plan[DEPTH + j] = 1.0 - gap / (ALONGSIDE_TIME * max(speed, SLOWEST))
-            by_plan[2 * DEPTH + j] = urgency if ahead > 0.0 else urgency * following
-            by_plan[3 * DEPTH + j] = gap
-            by_plan[4 * DEPTH + j] = ahead
-        row = 3 * WIDTH * k
-        looked = in_path = closing = False
-        for j in range(n_longitudinal):
-            shortfall, alongside, urgency = by_plan[j], by_plan[DEPTH + j], by_plan[2 * DEPTH + j]
-            is_short, is_alongside = shortfall > enough, alongside > 0.0
-            is_urgent = urgency > 0.0 and not out_of_path
-            if not (is_short or is_alongside or is_urgent):
-                continue
-            if not looked:
-                looked = True
-                for i in range(width):
-                    beside = abs(other_d - motion[row + i]) - breadth
-                    touching = 1.0 if beside < 0.0 else 0.0
-                    beside = max(beside, 0.0)
-                    aside[i] = beside
-                    aside[WIDTH + i] = touching
-                    aside[2 * WIDTH + i] = beside * beside * (1.0 / (CLEAR_SIDE * CLEAR_SIDE))
-            at = j * NEAR
-            if is_short:
-                for i in range(width):
-                    missing = shortfall - aside[2 * WIDTH + i]
-                    near[at + CLEAR + i] += max(missing, 0.0)
-            if is_alongside:
-                if not closing:
-                    closing = True
-                    for i in range(width):
-                        slower = motion[row + WIDTH + i] - other_d1
-                        towards = slower if other_d - motion[row + i] > 0.0 else -slower
-                        towards = max(towards, 0.0)
-                        rate = towards / max(aside[i], SMALLEST_SIDE_GAP)
-                        aside[3 * WIDTH + i] = rate * rate
-                for i in range(width):
-                    near[at + ALONGSIDE + i] += alongside * aside[3 * WIDTH + i]
-                if by_plan[3 * DEPTH + j] == 0.0 and not space >= 0.0:
-                    for i in range(width):
-                        near[at + TOUCHING + i] += aside[WIDTH + i]
-            if is_urgent:
-                if not in_path:
-                    in_path = True
-                    for i in range(width):
-                        path = 1.0 - aside[i] / IN_PATH_FADE
-                        aside[4 * WIDTH + i] = max(path, 0.0)
-                side = at + (AHEAD if by_plan[4 * DEPTH + j] > 0.0 else BEHIND)
-                for i in range(width):
-                    value = urgency * aside[4 * WIDTH + i]
-                    near[side + i] = max(near[side + i], value)
+    row, column = ROWS + j * ROW, block * LANES
+    headings, sides = spread(0.0), spread(0.0)
+    is_straight = work[IS_STRAIGHT + j] > 0.0
+    if is_straight and known >> block & 1:
+        for k in range(POINTS):
+            heading = load(work, MOTION + block * BLOCK + k * 3 * LANES + LANES) * work[row + SLOWNESS + k]
+            headings = headings + heading * heading
+        store(work, SIDES + column, load(work, STRAIGHT_SIDES + column))
+    else:
+        for k in range(POINTS):
+            at = MOTION + block * BLOCK + k * 3 * LANES
+            heading = load(work, at + LANES) * work[row + SLOWNESS + k]
+            headings = headings + heading * heading
+            side = load(work, at + 2 * LANES) + work[row + BEND + k]
+            sides = sides + side * side
+        sides = on_grid(sides, scales[2] / POINTS)
+        store(work, SIDES + column, sides)
+        if is_straight:
+            store(work, STRAIGHT_SIDES + column, sides)
+            known |= 1 << block
+    store(work, HEADINGS + column, on_grid(headings, scales[4] / POINTS))
+    return known

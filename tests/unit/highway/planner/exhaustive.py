@@ -1,0 +1,50 @@
+"""The planner's decision from the features of all candidates, in the planner's order of summation, without any bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.roads import Floats
+from drivecal.highway.planner import plans
+from drivecal.highway.planner.planner import FrenetPlanner
+
+
+def costs_of(lateral: Floats, longitudinal: Floats, combined: Floats, w: Floats) -> Floats:
+    """Returns J of all candidates, shape (n_longitudinal, n_lateral); features: as from `kernel.consider`."""
+    along = w[0] * longitudinal[0] + w[1] * longitudinal[1]
+    aside = (
+        w[0] * lateral[0] + w[1] * lateral[1] + w[3] * lateral[2] + w[5] * lateral[3] + w[6] * lateral[4] + w[9] * lateral[5]
+    )
+    costs: Floats = along[:, None] + aside
+    for row, column in enumerate((0, 2, 4, 7, 8, 10, 11)):
+        costs = costs + w[column] * combined[row]
+    return costs
+
+
+def cheapest(costs: Floats, infeasible: npt.NDArray[np.bool_]) -> int:
+    """Returns the first of the cheapest candidates not known to be infeasible; -1 if there is none."""
+    flat = np.where(infeasible | ~(costs.ravel() < np.inf), np.inf, costs.ravel())
+    return int(np.argmin(flat)) if flat.min() < np.inf else -1
+
+
+def decide(planner: FrenetPlanner, state: Floats, weights: Floats) -> tuple[int, npt.NDArray[np.bool_]]:
+    """Returns the candidate to drive in a state, and the cheaper candidates that are infeasible."""
+    planner._consider(state)
+    costs = costs_of(planner._lateral, planner._longitudinal, planner._combined, weights)
+    wanted, memory, start = planner._wanted_in(state), state[8:24].reshape(8, 2).copy(), np.empty(8)
+    plans.start_at(state[2:8], memory, state[1], start)
+    quintics, quartics = np.empty((8, plans.LATERAL_PLANS)), np.empty((7, plans.LONGITUDINAL_PLANS))
+    ends = planner._lateral_ends[wanted], planner._longitudinal_ends
+    plans.fit(planner._road, *ends, start, memory, quintics, quartics)
+    infeasible = np.zeros(costs.size, np.bool_)
+    first = cheapest(costs, infeasible)
+    candidate = first
+    while candidate >= 0:
+        column = plans.place_of(candidate % plans.LATERAL_PLANS, plans.LATERAL_PLANS)
+        row = plans.place_of(candidate // plans.LATERAL_PLANS, plans.LONGITUDINAL_PLANS)
+        if plans.is_feasible(planner._road, planner._scenes[wanted], quintics, quartics, column, row):
+            return candidate, infeasible
+        infeasible[candidate] = True
+        candidate = cheapest(costs, infeasible)
+    return first, infeasible

@@ -1,0 +1,221 @@
+"""Eight numbers side by side in compiled code: `Lanes` add, multiply and compare lane by lane, in vector registers.
+
+numba's own vectoriser keeps sums in memory, and computes one by one what does not fill a vector. `Lanes` are LLVM vectors without any
+fast-math flag: each lane has the bits of the same operations on single numbers, on every processor. `load` and `store` check no bounds,
+like all compiled code here.
+"""
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.cgutils import get_or_insert_function
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+LANES = 8
+
+_DOUBLES, _BITS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(ir.IntType(1), LANES)
+_INT32 = ir.IntType(32)
+
+
+class Lanes(types.Type):  # type: ignore[misc]  # numba ships no types
+    """Eight float64."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+
+class Mask(types.Type):  # type: ignore[misc]  # as above
+    """Eight truth values."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Mask")
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]  # as above
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _DOUBLES)
+
+
+@register_model(Mask)
+class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]  # as above
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _BITS)
+
+
+_lanes, _mask = Lanes(), Mask()
+Build = Callable[..., Any]
+
+
+def _all(builder: Any, kind: Any, value: Any) -> Any:
+    """Returns the value if it is Lanes already, else a number in all lanes."""
+    if kind == _lanes:
+        return value
+    first = builder.insert_element(ir.Constant(_DOUBLES, ir.Undefined), value, ir.Constant(_INT32, 0))
+    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(_INT32, LANES), [0] * LANES))
+
+
+def _operator(function: Any, result: Any, build: Build) -> None:
+    """Defines an operator of Lanes with Lanes and with numbers."""
+
+    @type_callable(function)
+    def typed(context: Any) -> Any:
+        del context
+
+        def resolve(left: Any, right: Any) -> Any:
+            kinds = {left, right}
+            return result if _lanes in kinds and kinds <= {_lanes, types.float64} else None
+
+        return resolve
+
+    for left, right in ((_lanes, _lanes), (_lanes, types.float64), (types.float64, _lanes)):
+
+        @lower_builtin(function, left, right)
+        def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            del context
+            return build(builder, *(_all(builder, *each) for each in zip(signature.args, arguments, strict=True)))
+
+
+def _compared(sign: str) -> Build:
+    def build(builder: Any, left: Any, right: Any) -> Any:
+        return builder.fcmp_ordered(sign, left, right)
+
+    return build
+
+
+_operator(operator.add, _lanes, lambda builder, left, right: builder.fadd(left, right))
+_operator(operator.sub, _lanes, lambda builder, left, right: builder.fsub(left, right))
+_operator(operator.mul, _lanes, lambda builder, left, right: builder.fmul(left, right))
+_operator(operator.truediv, _lanes, lambda builder, left, right: builder.fdiv(left, right))
+_operator(operator.lt, _mask, _compared("<"))
+_operator(operator.le, _mask, _compared("<="))
+_operator(operator.gt, _mask, _compared(">"))
+
+
+@type_callable(operator.or_)
+def _typed_or(context: Any) -> Any:
+    del context
+    return lambda left, right: _mask if left == right == _mask else None
+
+
+@lower_builtin(operator.or_, _mask, _mask)
+def _lowered_or(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    del context, signature
+    return builder.or_(*arguments)
+
+
+@intrinsic
+def spread(context: Any, value: Any) -> Any:
+    """Returns the number `value` in all lanes."""
+    del context
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del context, signature
+        return _all(builder, types.float64, arguments[0])
+
+    return _lanes(value), build
+
+
+def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.bitcast(builder.gep(array.data, [arguments[1]]), _DOUBLES.as_pointer())
+
+
+@intrinsic
+def load(context: Any, array: Any, at: Any) -> Any:
+    """Returns eight successive numbers of an array in C order."""
+    del context, at
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_address(context, builder, signature, arguments), align=8)
+
+    return _lanes(array, types.intp), build
+
+
+@intrinsic
+def store(context: Any, array: Any, at: Any, value: Any) -> Any:
+    """Writes eight successive numbers of an array in C order."""
+    del context, at
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = _all(builder, signature.args[2], arguments[2])
+        builder.store(value, _address(context, builder, signature, arguments), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, value), build
+
+
+@intrinsic
+def where(context: Any, condition: Any, yes: Any, no: Any) -> Any:
+    """Returns `yes` in the lanes in which the condition holds, else `no`; both may be Lanes or numbers."""
+    del context
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del context
+        pair = zip(signature.args[1:], arguments[1:], strict=True)
+        return builder.select(arguments[0], *(_all(builder, *each) for each in pair))
+
+    return _lanes(condition, yes, no), build
+
+
+def _unary(name: str) -> Any:
+    @intrinsic
+    def function(context: Any, value: Any) -> Any:
+        del context
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            del context, signature
+            kind = ir.FunctionType(_DOUBLES, [_DOUBLES])
+            return builder.call(get_or_insert_function(builder.module, kind, f"{name}.v{LANES}f64"), arguments)
+
+        return _lanes(value), build
+
+    return function
+
+
+floor, absolute = _unary("llvm.floor"), _unary("llvm.fabs")
+
+
+def _chosen(sign: str) -> Any:
+    @intrinsic
+    def function(context: Any, left: Any, right: Any) -> Any:
+        del context
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            del context
+            first, second = (_all(builder, *each) for each in zip(signature.args, arguments, strict=True))
+            return builder.select(builder.fcmp_ordered(sign, first, second), first, second)
+
+        return _lanes(left, right), build
+
+    return function
+
+
+larger, smaller = _chosen(">"), _chosen("<")
+
+
+@intrinsic
+def bits(context: Any, condition: Any) -> Any:
+    """Returns the lanes in which a condition holds as the bits of a whole number, the first lane lowest."""
+    del context
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del context, signature
+        return builder.zext(builder.bitcast(arguments[0], ir.IntType(LANES)), ir.IntType(64))
+
+    return types.int64(condition), build
+
+
+@intrinsic
+def lowest_bit(context: Any, number: Any) -> Any:
+    """Returns the place of the lowest bit of a whole number that is set."""
+    del context, number
+
+    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        del context, signature
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), build
