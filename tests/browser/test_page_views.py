@@ -169,7 +169,7 @@ def test_a_heat_map_shows_fields_with_rows_and_keeps_the_ranges_of_one(shown: Sh
 def test_importance_is_labelled_with_its_method_and_opens_the_scatter_of_a_parameter(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.at('evaluations')}?chart=importance&of=S1")
     bars = page.get_by_role("img", name=re.compile("Importance in the search: P1 "))
-    expect(bars).to_be_visible()  # S1 depends on P1 most of all
+    expect(bars).to_be_visible(timeout=120_000)  # S1 depends on P1 most of all; the server loads scikit-learn first
     expect(page.get_by_text("permutation importance")).to_contain_text("held out: R²")
     expect(page.get_by_role("img", name=re.compile("Importance by the analysis"))).to_be_visible()
     bars.locator("g").nth(1).click()
