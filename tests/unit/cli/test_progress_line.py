@@ -13,7 +13,8 @@ from drivecal.contracts.campaign import Campaign, CellCounts, Progress
 
 @pytest.mark.parametrize("width", [80, 120, 200])
 def test_the_progress_is_one_line_with_its_stage_and_count_in_any_width(width: int) -> None:
-    console = Console(width=width, file=StringIO())
+    written = StringIO()
+    console = Console(width=width, file=written)
     progress = progress_line(console)
     cells = CellCounts(proposed=120_000, requested=59_000, simulated=12_345, reused=23_456, predicted=3_456, certified=19_743)
     campaign = Campaign(
@@ -28,7 +29,7 @@ def test_the_progress_is_one_line_with_its_stage_and_count_in_any_width(width: i
     )
     Bar(progress).show(campaign)
     console.print(progress.get_renderable())
-    [line] = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    [line] = written.getvalue().splitlines()
     assert "calibration" in line
     assert "60000/120000" in line
     assert len(line) <= width
