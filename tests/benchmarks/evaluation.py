@@ -21,6 +21,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from drivecal.domain.scenarios import Scenario
+from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
@@ -153,7 +154,7 @@ def shares(runner: EpisodeRunner, parameters: Sequence[float]) -> dict[str, floa
             simulated.advance(index, pose)
 
     unread = array("d", [0.0] * len(runner._scenario.traffic))
-    with replaced(traffic.sumo, "speeds", lambda _: unread), replaced(traffic, "settle", lambda *_: False):
+    with replaced(sumo_calls, "speeds", lambda _: unread), replaced(traffic, "settle", lambda *_: False):
         sumo = seconds_of(advance, simulated.reset)
     parts = {
         "SUMO with the ego vehicle in it": sumo,

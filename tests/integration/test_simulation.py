@@ -355,4 +355,4 @@ def test_all_vehicles_are_where_sumo_has_them(scenario: Scenario) -> None:
         steps += 1
 
     runner(scenario)._loop.drive(changes_lane(scenario), compare)
-    assert steps > 100
+    assert steps > 20, "the drive ended too early to compare"

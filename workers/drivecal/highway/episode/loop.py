@@ -65,12 +65,11 @@ class ClosedLoop:
         step, steps_per_plan = scenario.step, self._steps_per_plan
         frame, motion, dynamics, motions = self._frame, self._motion, self._dynamics, self._motions
         simulation.load(scenario)
-        simulation.reset()
         line, along, ego, neighbours = simulation.line, simulation.along, simulation.ego, simulation.neighbours
-        planner.reset(parameters)
         vehicle.start(*self._start)
-        pose = vehicle.pose
-        place(line, along, frame, pose, scenario.ego.s, motions[0], ego)
+        place(line, along, frame, vehicle.pose, scenario.ego.s, motions[0], ego)
+        simulation.reset()  # puts `ego` to where SUMO starts it
+        planner.reset(parameters)
         observation = Observation(0.0, motions[0], neighbours)
         failure = None
         since, done = 0.0, 0
