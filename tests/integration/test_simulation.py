@@ -17,16 +17,20 @@ import pytest
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
-from drivecal.domain.scenarios import Scenario, SpeedKnot, TrafficVehicle
+from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.episode.loop import ClosedLoop
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.episode.trace import EGO_COLUMNS
 from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.sumo import EGO
+from drivecal.highway.traffic.geometry import LANE
+from drivecal.highway.traffic.lanes import SumoLanes
 from drivecal.highway.traffic.simulation import SimulationError, simulation
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel
+from drivecal.roads.carriageway import carriageway, corridor_of
 
 S1 = HIGHWAY.scenarios["S1"]
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -291,7 +295,7 @@ def test_a_scenario_is_loaded_anew_after_a_vehicle_got_lost_in_it() -> None:
     libsumo.vehicletype.setLength("follower", 77.0)  # what a reset does not mend
     libsumo.vehicle.remove("follower")
     with pytest.raises(SimulationError, match="lost"):
-        sumo.advance(0, to_cartesian(reference_line(S1.road), S1.ego.s, S1.ego.d), np.zeros(8))
+        sumo.advance(0, np.zeros(8))
     sumo.load(S1)
     assert libsumo.vehicletype.getLength("follower") == length
 
@@ -310,9 +314,45 @@ def test_without_libsumo_nothing_runs() -> None:
 
 def test_the_limit_of_each_edge_slows_the_traffic() -> None:
     scenario = HIGHWAY.scenarios["S5"]
-    held = replace(scenario, road=replace(scenario.road, limits=(SpeedKnot(0.0, 22.0), scenario.road.limits[1])))
-    assert held.digest != scenario.digest
-    trace = runner(scenario).trace((0.0, 1.0, 0.0))
-    speeds = trace.neighbours["second"][:, 2]
+    speeds = runner(scenario).trace((0.0, 1.0, 0.0)).neighbours["second"][:, 2]
     assert speeds[0] < 23.0
     assert speeds[-1] > 28.0
+    network = scenario.network.replace(b'speed="33.3333"', b'speed="23.0000"')
+    held = replace(scenario, network=network, road=carriageway(network, scenario.route, "S5.net.xml"))
+    assert held.digest != scenario.digest
+    assert runner(held).trace((0.0, 1.0, 0.0)).neighbours["second"][-1, 2] == pytest.approx(23.0, abs=0.1)
+
+
+def test_a_road_that_is_not_that_of_the_network_is_refused() -> None:
+    for other in (SCENARIOS[1].road, replace(S1.road, lane_width=3.5)):
+        with pytest.raises(SimulationError, match="network"):
+            simulation().load(replace(S1, road=other))
+    same = replace(S1, road=replace(S1.road, line=S1.road.line.copy()))
+    simulation().load(same)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_all_vehicles_are_where_sumo_has_them(scenario: Scenario) -> None:
+    here = simulation()
+    names = [vehicle.id for vehicle in scenario.traffic]
+    corridor = corridor_of(scenario.network, scenario.route, f"{scenario.id}.net.xml")
+    lanes = SumoLanes(corridor, scenario.road.line[:, 0], joined=True)
+    steps = 0
+
+    def compare(_: int, __: object, pose: Floats, neighbours: Floats) -> None:
+        nonlocal steps
+        rows = [(here.ego.item(0), here.ego.item(1)), *here._cells[LANE:].T.tolist()]
+        for name, (lane, along) in zip([EGO, *names], rows, strict=True):
+            edge, index, position = lanes.place(int(lane), along)
+            assert libsumo.vehicle.getLaneID(name) == f"{edge}_{index}"
+            assert libsumo.vehicle.getLanePosition(name) == pytest.approx(position, abs=1e-9)
+        assert libsumo.vehicle.getSpeed(EGO) == pytest.approx(pose[3], abs=0.6)
+        for name, outline, row in zip(names, here.outlines, neighbours, strict=True):
+            x, y, heading, half_length, _ = outline
+            front = x + half_length * np.cos(heading), y + half_length * np.sin(heading)
+            aside = row[1] - scenario.road.lane_width * round(row[1] / scenario.road.lane_width)
+            assert np.hypot(*np.subtract(libsumo.vehicle.getPosition(name), front)) == pytest.approx(abs(aside), abs=0.25)
+        steps += 1
+
+    runner(scenario)._loop.drive(changes_lane(scenario), compare)
+    assert steps > 20, "the drive ended too early to compare"

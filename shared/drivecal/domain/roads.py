@@ -35,35 +35,27 @@ class Motion(NamedTuple):
 
 
 def reference_line(road: Road, spacing: float = 0.5) -> Floats:
-    """Returns the table of a road's reference line from (0, 0, 0) at heading 0, shape (n, 5): s, x, y, heading, curvature.
+    """Returns the table of a road's reference line, shape (n, 5): s, x, y, heading, curvature.
 
-    Rows are `spacing` metres apart; the last row is the first at or beyond the road's length. Curvature is constant outside
-    the knots. Heading is exact; x and y come from five-point Gauss-Legendre quadrature between neighbouring rows and knots:
-    rounding error only (below 1e-9 m per kilometre) while the heading changes by less than 0.1 rad per row.
-
-    Raises InvalidInputError if length or spacing are not positive, or the knots are not in order.
+    Rows are `spacing` metres apart; the last row is the first at or beyond the road's length.
     """
-    if not road.length > 0 or not spacing > 0:
-        raise InvalidInputError(Problem("road.length", f"{road.length} m in rows of {spacing} m", "both must be positive"))
-    knot_s = np.array([knot.s for knot in road.knots])
-    knot_curvature = np.array([knot.curvature for knot in road.knots])
-    if not knot_s.size or np.any(np.diff(knot_s) <= 0):
-        raise InvalidInputError(Problem("road.knots", "there must be knots in order of s", "give each knot a larger s"))
+    return resampled(road.line, road.length, spacing)
 
-    s = np.arange(ceil(road.length / spacing - 1e-9) + 1) * spacing
-    edges = np.union1d(s, knot_s[(knot_s > 0) & (knot_s < s[-1])])
-    curvature = np.interp(edges, knot_s, knot_curvature)
-    length = np.diff(edges)
-    heading = np.concatenate([[0.0], np.cumsum(0.5 * (curvature[:-1] + curvature[1:]) * length)])
 
-    along = 0.5 * (1.0 + GAUSS_POINTS) * length[:, None]
-    bend = np.diff(curvature) / length
-    angle = heading[:-1, None] + curvature[:-1, None] * along + 0.5 * bend[:, None] * along**2
-    step = 0.5 * length[:, None] * (np.stack([np.cos(angle), np.sin(angle)]) @ GAUSS_WEIGHTS[:, None])[..., 0].T
-    position = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+def resampled(line: Floats, length: float, spacing: float) -> Floats:
+    """Returns a reference line from 0 to `length` in rows `spacing` metres apart; itself if it is that.
 
-    rows = np.searchsorted(edges, s)
-    return np.column_stack([s, position[rows], heading[rows], curvature[rows]])
+    Curvature, x and y are those of `pose_on`; heading is the integral of the new rows' linear curvature. Raises InvalidInputError if length
+    or spacing are not positive.
+    """
+    if not length > 0 or not spacing > 0:
+        raise InvalidInputError(Problem("road.length", f"{length} m in rows of {spacing} m", "both must be positive"))
+    s = np.arange(ceil(length / spacing - 1e-6) + 1) * spacing
+    if np.array_equal(line[:, 0], s):
+        return line
+    x, y, _, curvature, _ = np.array([pose_on(line, station) for station in s.tolist()]).T
+    turned = np.cumsum(0.5 * (curvature[:-1] + curvature[1:])) * spacing
+    return np.column_stack([s, x, y, line[0, 3] + np.concatenate([[0.0], turned]), curvature])
 
 
 def pose_on(line: Floats, s: float) -> tuple[float, float, float, float, float]:

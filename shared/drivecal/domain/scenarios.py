@@ -7,15 +7,10 @@ both in metres. Lane i (0 = rightmost) has its centre at d = i * lane width.
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
+import numpy as np
+import numpy.typing as npt
+
 from drivecal.domain.setups import canonical_json, digest
-
-
-@dataclass(frozen=True, slots=True)
-class CurvatureKnot:
-    """Curvature (1/m, positive to the left) of the reference line at arc length s; linear between knots: clothoids and arcs."""
-
-    s: float
-    curvature: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +21,19 @@ class SpeedKnot:
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Road:
-    """A motorway carriageway: `lanes` lanes of `lane_width` metres along a reference line given by its curvature."""
+    """A motorway carriageway of equal lanes, as its network has it: `drivecal.roads.carriageway` measures it.
 
+    `line`, shape (n, 5): the reference line, as in `domain.roads`; `length`: of the route along it.
+    """
+
+    line: npt.NDArray[np.float64]
     length: float
     lanes: int
     lane_width: float
-    knots: tuple[CurvatureKnot, ...]
-    limits: tuple[SpeedKnot, ...] = (SpeedKnot(0.0, 130.0 / 3.6),)
-    """Speed limits, the first at s = 0. The other vehicles obey them; each is an edge of the network."""
+    limits: tuple[SpeedKnot, ...] = ()
+    """Speed limits, the first at s = 0. The other vehicles obey them."""
 
     @property
     def right_edge(self) -> float:
@@ -110,9 +108,12 @@ class Scenario:
     """Class by which evaluators rate its runs; each catalogue has its own."""
     duration: float
     step: float
-    road: Road
     network: bytes
-    """Content of the SUMO network file built from `road`."""
+    """Content of the SUMO network file."""
+    route: tuple[str, ...]
+    """Edges of the network that the ego vehicle and the traffic drive, in order."""
+    road: Road
+    """The route's road, measured from `network`."""
     ego: EgoStart
     task: Task
     traffic: tuple[TrafficVehicle, ...] = ()
@@ -120,8 +121,8 @@ class Scenario:
 
     @cached_property  # a robustness study makes hundreds of setups of each scenario
     def digest(self) -> str:
-        """Content hash of everything that decides a run, including the network's bytes and excluding the title."""
+        """Content hash of everything that decides a run: the network's bytes, but not the road, which follows from them, nor the title."""
         document = asdict(self) | {"network": digest(self.network)}
-        del document["title"]
+        del document["title"], document["road"]
         document["manoeuvre"] = document.pop("rated_as")  # its name in the digests of stored runs
         return digest(canonical_json(document).encode())

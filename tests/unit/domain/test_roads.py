@@ -1,70 +1,46 @@
-"""The reference line against closed forms, and the way between Cartesian and Frenet coordinates there and back."""
+"""Rows of reference lines, and the way between Cartesian and Frenet coordinates there and back."""
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt
+from math import cos, sin
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import fresnel
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import Motion, pose_on, project, reference_line, to_cartesian, to_frenet
-from drivecal.domain.scenarios import CurvatureKnot, Road
+from drivecal.domain.roads import Motion, pose_on, project, reference_line, resampled, to_cartesian, to_frenet
+from drivecal.domain.scenarios import Road
+from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
+
+KNOTS = ((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
+CURVY = RoadDesign(600.0, 2, 3.75, tuple(CurvatureKnot(s, curvature) for s, curvature in KNOTS))
 
 
-def road(*knots: tuple[float, float], length: float = 600.0) -> Road:
-    return Road(length, 2, 3.75, tuple(CurvatureKnot(s, curvature) for s, curvature in knots))
+def test_rows_at_other_distances_are_on_the_same_line() -> None:
+    fine, coarse = line_of(CURVY, 0.1), resampled(line_of(CURVY, 0.5), CURVY.length, 4.0)
+    assert coarse[-1, 0] == 600.0
+    np.testing.assert_allclose(coarse[:, :3], fine[::40, :3], atol=1e-5)
+    np.testing.assert_allclose(np.diff(coarse[:, 3]), 4.0 * 0.5 * (coarse[1:, 4] + coarse[:-1, 4]))
 
 
-CURVY = road((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
+def test_a_line_with_the_rows_wanted_stays_what_it_is() -> None:
+    assert resampled(LINE, CURVY.length, 0.5) is LINE
+    assert reference_line(Road(LINE, CURVY.length, 2, 3.75)) is LINE
 
 
-def test_a_straight_road_is_straight() -> None:
-    line = reference_line(road((0.0, 0.0), length=100.2), 0.5)
-    assert line.shape == (202, 5)
-    assert line[-1].tolist() == [100.5, pytest.approx(100.5, abs=1e-12), 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(np.diff(line[:, 0]), 0.5)
-
-
-@pytest.mark.parametrize("radius", [60.0, -60.0, 400.0])
-def test_constant_curvature_is_an_arc(radius: float) -> None:
-    s, x, y, heading, curvature = reference_line(road((0.0, 1 / radius))).T
-    np.testing.assert_allclose(x, radius * np.sin(s / radius), atol=1e-10)
-    np.testing.assert_allclose(y, radius * (1 - np.cos(s / radius)), atol=1e-10)
-    np.testing.assert_allclose(heading, s / radius, atol=1e-12)
-    np.testing.assert_allclose(curvature, 1 / radius)
-
-
-def test_linear_curvature_is_a_clothoid() -> None:
-    parameter = 150.0
-    s, x, y, heading, _ = reference_line(road((0.0, 0.0), (600.0, 600.0 / parameter**2))).T
-    scale = parameter * sqrt(pi)
-    sine, cosine = fresnel(s / scale)
-    np.testing.assert_allclose(x, scale * cosine, atol=1e-9)
-    np.testing.assert_allclose(y, scale * sine, atol=1e-9)
-    np.testing.assert_allclose(heading, s**2 / (2 * parameter**2), rtol=1e-12, atol=1e-15)
-
-
-def test_knots_between_the_rows_cost_no_accuracy() -> None:
-    fine, coarse = reference_line(CURVY, 0.125), reference_line(CURVY, 2.0)
-    np.testing.assert_allclose(coarse[:, :4], fine[::16, :4], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "wrong", [road(), road((10.0, 0.0), (10.0, 0.1)), road((0.0, 0.0), length=0.0), road((0.0, 0.0), length=float("nan"))]
-)
-def test_a_road_that_makes_no_line_is_refused(wrong: Road) -> None:
-    with pytest.raises(InvalidInputError, match="road"):
-        reference_line(wrong)
+@pytest.mark.parametrize(("length", "spacing"), [(0.0, 0.5), (float("nan"), 0.5), (600.0, 0.0)])
+def test_a_line_without_length_or_rows_is_refused(length: float, spacing: float) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        resampled(LINE, length, spacing)
+    assert [problem.field for problem in refused.value.problems] == ["road.length"]
 
 
 @given(st.floats(0.0, 600.0))
 def test_the_line_between_its_rows_follows_the_finer_line(s: float) -> None:
-    coarse, fine = reference_line(CURVY, 0.5), reference_line(CURVY, 0.01)
+    coarse, fine = line_of(CURVY, 0.5), line_of(CURVY, 0.01)
     x, y, heading, curvature, _ = pose_on(coarse, s)
     row = round(s / 0.01)
     shift = s - fine[row, 0]
@@ -75,7 +51,7 @@ def test_the_line_between_its_rows_follows_the_finer_line(s: float) -> None:
     assert curvature == pytest.approx(fine[row, 4], abs=2e-5)
 
 
-LINE = reference_line(CURVY)
+LINE = line_of(CURVY)
 
 
 @given(st.floats(-20.0, 620.0), st.floats(-6.0, 12.0), st.floats(-15.0, 15.0))

@@ -1,4 +1,4 @@
-"""Corridors of motorways without ramps, against the roads that the networks were built from."""
+"""Corridors of motorways without ramps, against the designs that the networks were built from."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from drivecal.domain.roads import pose_on, project, reference_line, to_cartesian
-from drivecal.domain.scenarios import Road
+from drivecal.domain.roads import pose_on, project, to_cartesian
 from drivecal.highway.scenarios.build import NETWORKS
-from drivecal.highway.scenarios.definitions import DEFINITIONS
-from drivecal.highway.scenarios.highway import network_name
+from drivecal.highway.scenarios.designs import DESIGNS, RoadDesign, line_of
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import read_network
 
@@ -19,17 +17,16 @@ NEAR = 0.1
 """Metres."""
 
 
-def built_in(index: int) -> tuple[Road, Corridor]:
-    scenario = DEFINITIONS[index]
-    name = network_name(scenario)
+def built_in(scenario: str) -> tuple[RoadDesign, Corridor]:
+    name = f"{scenario}.net.xml"
     network = read_network((NETWORKS / name).read_bytes(), name)
-    return scenario.road, corridor(network, list(network.edges), name)
+    return DESIGNS[scenario], corridor(network, list(network.edges), name)
 
 
-@pytest.mark.parametrize("index", range(len(DEFINITIONS)), ids=[scenario.id for scenario in DEFINITIONS])
-def test_lanes_lie_where_the_road_has_them(index: int) -> None:
-    road, lanes = built_in(index)
-    truth = reference_line(road)
+@pytest.mark.parametrize("scenario", DESIGNS)
+def test_lanes_lie_where_the_road_has_them(scenario: str) -> None:
+    road, lanes = built_in(scenario)
+    truth = line_of(road)
     assert len(lanes.tracks) == road.lanes
     for row in range(0, len(lanes.stations), 20):
         s = lanes.stations[row]
@@ -40,9 +37,9 @@ def test_lanes_lie_where_the_road_has_them(index: int) -> None:
     assert abs(lanes.length - road.length) < 1.0
 
 
-@pytest.mark.parametrize("index", range(len(DEFINITIONS)), ids=[scenario.id for scenario in DEFINITIONS])
-def test_the_line_is_smooth(index: int) -> None:
-    _, lanes = built_in(index)
+@pytest.mark.parametrize("scenario", DESIGNS)
+def test_the_line_is_smooth(scenario: str) -> None:
+    _, lanes = built_in(scenario)
     spacing = lanes.line[1, 0]
     assert np.allclose(np.diff(lanes.line[:, 0]), spacing)
     before = [pose_on(lanes.line, s - 1e-9) for s in lanes.stations[1:-1]]
@@ -51,14 +48,14 @@ def test_the_line_is_smooth(index: int) -> None:
 
 
 def test_limits_are_those_of_the_edges() -> None:
-    road, lanes = built_in(4)
+    road, lanes = built_in("S5")
     assert sorted({float(limit) for limit in np.unique(lanes.limits)}) == pytest.approx(
         sorted({knot.speed for knot in road.limits}), abs=1e-3
     )
 
 
 def test_a_position_on_a_lane_is_found_again_as_its_track() -> None:
-    road, lanes = built_in(1)
+    road, lanes = built_in("S2")
     for lane in range(road.lanes):
         s, d = lanes.position("e1", lane, 100.0)
         assert lanes.lane_at(s, d) == lane

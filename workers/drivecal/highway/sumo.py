@@ -4,6 +4,7 @@
 has thousands. The namespaces `vehicle`, `edge`, `lane` and `simulation` are libsumo's own, for everything else.
 """
 
+from array import array
 from collections.abc import Sequence
 from itertools import count
 from typing import Any, NamedTuple
@@ -123,3 +124,8 @@ def read(names: Sequence[str], cells: Any) -> None:
         cells[cell], cells[cell + 1] = position(name)
         cells[cell + 2] = speed(name)
         cell += COLUMNS
+
+
+def speeds(names: Sequence[str]) -> "array[float]":
+    """Returns the speeds (m/s) of vehicles. SUMO moves each along its lane by its speed times the step, so that this is all to read."""
+    return array("d", map(GET_SPEED, names))

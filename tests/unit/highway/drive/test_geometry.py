@@ -11,24 +11,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.bundles import highway_catalogue as catalogue
-from drivecal.domain.roads import project, reference_line, to_cartesian
-from drivecal.domain.scenarios import CurvatureKnot, Road
+from drivecal.domain.roads import project, to_cartesian
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.observation import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
 from drivecal.highway.geometry import foot
 from drivecal.highway.geometry import hit as first_hit
+from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
-CURVE = Road(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)), limits=())
+CURVE = RoadDesign(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)))
 SIZE = np.array([2.5, 1.0])
 
 
-def line_of(road: Road) -> np.ndarray:
-    line = reference_line(road)
+def line_with_directions(road: RoadDesign) -> np.ndarray:
+    line = line_of(road)
     return np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])])
 
 
-LINE = line_of(CURVE)
+LINE = line_with_directions(CURVE)
 
 
 def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.ndarray:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from tests.support.roads import road_of
 
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task
+from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.spaces import HIGHWAY
+from drivecal.highway.scenarios.designs import CurvatureKnot
 from drivecal.plugins.ports import Observation
 
 LANE = 3.75
@@ -28,13 +30,14 @@ KEEPING = Scenario(
     rated_as=Manoeuvre.LANE_KEEPING,
     duration=10.0,
     step=0.1,
-    road=Road(1000.0, 3, LANE, STRAIGHT),
+    road=road_of(1000.0, 3, LANE, STRAIGHT),
     network=b"",
+    route=(),
     ego=EgoStart(s=100.0, d=LANE, speed=30.0),
     task=Task(1, 1, (SpeedKnot(0.0, 30.0),)),
 )
 CHANGING = replace(KEEPING, id="changing", task=Task(0, 1, (SpeedKnot(0.0, 30.0),), lane_change_after=1.0))
-BENDING = replace(KEEPING, id="bending", road=Road(1000.0, 3, LANE, WINDING))
+BENDING = replace(KEEPING, id="bending", road=road_of(1000.0, 3, LANE, WINDING))
 
 
 def vehicle(s: float, lane: float, speed: float, drift: float = 0.0, length: float = 4.6, width: float = 1.9) -> list[float]:
@@ -61,7 +64,7 @@ def random_scenario(random: np.random.Generator) -> Scenario:
     start, target = (int(lane) for lane in random.integers(0, lanes, 2))
     speeds = tuple(SpeedKnot(s, float(random.uniform(15, 38))) for s in (0.0, 180.0, float(random.uniform(200, 500))))
     task = Task(start, target, speeds, lane_change_after=float(random.uniform(0, 2)))
-    road = Road(600.0, lanes, LANE, (STRAIGHT, WINDING)[int(random.integers(2))])
+    road = road_of(600.0, lanes, LANE, (STRAIGHT, WINDING)[int(random.integers(2))])
     ego = EgoStart(s=100.0, d=start * LANE, speed=30.0, width=float(random.uniform(1.7, 2.1)))
     return replace(KEEPING, road=road, task=task, ego=ego)
 

@@ -6,12 +6,14 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.scenarios.build import build, edge_ranges, without_origin
+from drivecal.highway.scenarios.designs import DESIGNS, line_of
 from drivecal.highway.scenarios.highway import HIGHWAY
 
 SCENARIOS = list(HIGHWAY.scenarios.values())
@@ -30,8 +32,22 @@ def test_the_catalogue_holds_the_six_scenarios_of_the_paper_in_order() -> None:
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
-def test_the_committed_network_is_what_its_road_builds(scenario: Scenario) -> None:
-    assert build(scenario.road) == scenario.network, "run `make networks`"
+def test_the_committed_network_is_what_its_design_builds(scenario: Scenario) -> None:
+    assert build(DESIGNS[scenario.id]) == scenario.network, "run `make networks`"
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_the_measured_road_is_the_designed_one(scenario: Scenario) -> None:
+    road, design = scenario.road, DESIGNS[scenario.id]
+    assert (road.lanes, road.lane_width) == (design.lanes, design.lane_width)
+    assert road.length == pytest.approx(design.length, abs=0.01)
+    assert [knot.speed for knot in road.limits] == pytest.approx([knot.speed for knot in design.limits], abs=1e-4)
+    assert [knot.s for knot in road.limits] == pytest.approx([knot.s for knot in design.limits], abs=0.6)
+    line, truth = reference_line(road), line_of(design)
+    assert line.shape == truth.shape
+    assert np.abs(line[:, 1:3] - truth[:, 1:3]).max() < 0.01
+    assert np.abs(line[:, 3] - truth[:, 3]).max() < 0.001
+    assert np.abs(line[:, 4] - truth[:, 4]).max() < 0.05 * max(np.abs(truth[:, 4]).max(), 1e-9)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
@@ -57,7 +73,7 @@ def test_no_two_vehicles_start_at_the_same_place(scenario: Scenario) -> None:
 
 
 def test_the_even_scenarios_of_lane_change_and_keeping_are_curved_and_the_odd_ones_straight() -> None:
-    bent = {scenario.id: bool(abs(reference_line(scenario.road)[:, 4]).max() > 0) for scenario in SCENARIOS}
+    bent = {scenario.id: bool(abs(reference_line(scenario.road)[:, 4]).max() > 1e-4) for scenario in SCENARIOS}
     assert bent == {"S1": False, "S2": True, "S3": False, "S4": True, "S5": False, "S6": True}
 
 
@@ -74,16 +90,19 @@ def test_the_limit_rises_in_s5_and_the_desired_speed_falls_before_the_curve_in_s
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
 def test_edges_cover_the_road_and_change_at_every_speed_limit(scenario: Scenario) -> None:
-    ranges = edge_ranges(scenario.road, reference_line(scenario.road))
+    design = DESIGNS[scenario.id]
+    ranges = edge_ranges(design, line_of(design))
     assert [begin for begin, _, _ in ranges] == [0.0, *(end for _, end, _ in ranges[:-1])]
-    assert ranges[-1][1] == scenario.road.length
-    assert {(knot.s, knot.speed) for knot in scenario.road.limits} <= {(begin, speed) for begin, _, speed in ranges}
+    assert ranges[-1][1] == design.length
+    assert scenario.route == tuple(f"e{number}" for number in range(len(ranges)))
+    assert {(knot.s, knot.speed) for knot in design.limits} <= {(begin, speed) for begin, _, speed in ranges}
 
 
 def test_the_digest_follows_definition_and_network() -> None:
     scenario = SCENARIOS[0]
     others = [replace(scenario, network=scenario.network + b" "), replace(scenario, duration=17.0), replace(scenario, seed=2)]
-    assert len({variant.digest for variant in [scenario, *others]}) == 4
+    others.append(replace(scenario, route=("e1",)))
+    assert len({variant.digest for variant in [scenario, *others]}) == 5
     assert replace(scenario).digest == scenario.digest
 
 

@@ -7,10 +7,9 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from drivecal.domain.errors import InvalidInputError
 from drivecal.highway import sumo
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.traffic.configuration import drift_offsets, edges, routes
+from drivecal.highway.traffic.configuration import drift_offsets, routes
 
 S3 = HIGHWAY.scenarios["S3"]
 
@@ -34,24 +33,6 @@ def test_the_route_covers_every_edge_in_the_direction_of_travel(name: str) -> No
     assert len(named) > 1
     assert named == [f"e{index}" for index in range(len(named))]
     assert sorted(named) == sorted(edge.attrib["id"] for edge in ET.fromstring(scenario.network).iter("edge"))
-
-
-@pytest.mark.parametrize(
-    ("network", "message"),
-    [
-        (b"", "XML"),
-        (b"<net>", "XML"),
-        (b"<net/>", "one carriageway"),
-        (b'<net><edge id="a" from="1" to="2"/></net>', "edge a .*3 lanes"),
-        (b'<net><edge id="a" from="1" to="1"/></net>', "one carriageway"),
-        (S3.network.replace(b"</net>", b'<edge id="other" from="x" to="y"/></net>'), "one carriageway|lanes"),
-        (S3.network[: len(S3.network) // 2], "XML"),
-    ],
-)
-def test_a_network_that_is_no_carriageway_is_refused(network: bytes, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message) as refused:
-        edges(network, S3.road.lanes)
-    assert [problem.field for problem in refused.value.problems] == ["network"]
 
 
 def test_hostile_names_are_escaped() -> None:

@@ -6,8 +6,8 @@ from math import atan, cos, isnan, sin
 import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
-from drivecal.highway.drive.lanes import SumoLanes
 from drivecal.highway.geometry import with_directions
+from drivecal.highway.traffic.lanes import SumoLanes
 from drivecal.roads.corridor import Corridor
 
 SMOOTHING = 5.0
@@ -22,7 +22,7 @@ class HighwayRoad:
         self.corridor, self.levels = corridor, levels
         line = corridor.line
         self.line: Floats = with_directions(line)
-        self.sumo = SumoLanes(corridor)
+        self.sumo = SumoLanes(corridor, line[:, 0])
         self.lanes: Floats = np.ascontiguousarray(
             np.stack(
                 [corridor.centres, corridor.widths, corridor.limits, slopes(line, corridor.centres), self.sumo.totals], axis=-1

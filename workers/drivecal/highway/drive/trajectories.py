@@ -9,7 +9,7 @@ import numpy as np
 from drivecal.bundles.highway import Ego, HighwayScenario, PlannerController
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.roads import Floats, to_frenet
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task
+from drivecal.domain.scenarios import EgoStart, Road, Scenario, SpeedKnot, Task
 from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.road import HighwayRoad
@@ -222,8 +222,9 @@ def _task(section: PlannerController, ego: Ego, road: HighwayRoad, start: tuple[
         rated_as=Manoeuvre.LANE_KEEPING,
         duration=1.0,
         step=PLANNER_STEP,
-        road=Road(float(line[-1, 0]), lanes, width, (CurvatureKnot(0.0, 0.0),)),
         network=b"",
+        route=(),
+        road=Road(line[:, :5], float(line[-1, 0]), lanes, width),
         ego=EgoStart(start[0], start[1], ego.speed, length=ego.length, width=ego.width),
         task=Task(first, target, knots),
     )

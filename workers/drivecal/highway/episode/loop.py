@@ -9,9 +9,10 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.geometry import with_directions
+from drivecal.highway.episode.moving import OFF_ROAD, mover
 from drivecal.highway.traffic.geometry import place
 from drivecal.highway.traffic.simulation import Simulation
+from drivecal.highway.vehicle.kernels import FOLLOWED
 from drivecal.plugins.ports import Observation, Planner, VehicleModel
 
 SAMPLE_TIME = 0.01
@@ -40,6 +41,7 @@ class ClosedLoop:
     def __init__(self, scenario: Scenario, planner: Planner, vehicle: VehicleModel, simulation: Simulation) -> None:
         """Prepares the runs. Raises InvalidInputError if scenario step, planning period and the vehicle's sample time do not fit."""
         self._scenario, self._planner, self._vehicle, self._simulation = scenario, planner, vehicle, simulation
+        self._move = mover(vehicle)
         self._steps = round(scenario.duration / scenario.step)
         self._steps_per_plan = round(planner.period / scenario.step)
         samples = round(scenario.step / SAMPLE_TIME)
@@ -48,52 +50,47 @@ class ClosedLoop:
         if self._steps_per_plan < 1 or abs(self._steps_per_plan * scenario.step - planner.period) > 1e-9:
             raise InvalidInputError(Problem("period", f"{planner.period} s", f"plan every multiple of {scenario.step} s"))
         road, ego = scenario.road, scenario.ego
-        line = reference_line(road)
-        self._line = with_directions(line)
-        self._outline = np.array([0.5 * ego.length, 0.5 * ego.width, road.right_edge, road.left_edge])
+        lanes = (road.right_edge, road.left_edge, road.lane_width, road.lanes - 1.0)
+        self._frame = np.array([0.5 * ego.length, 0.5 * ego.width, *lanes, scenario.step])
         self._dynamics = np.zeros((self._steps * samples, 5))
-        self._samples = [self._dynamics[index * samples : (index + 1) * samples] for index in range(self._steps)]
         self._motion = np.zeros((self._steps + 1, 6))
         self._motions = list(self._motion)
-        self._front = np.zeros(3)
-        x, y, heading = to_cartesian(line, ego.s, ego.d)
+        x, y, heading = to_cartesian(reference_line(road), ego.s, ego.d)
         self._start = (x, y, heading + ego.heading, ego.speed)
 
     def drive(self, parameters: Sequence[float], watch: Watcher | None = None, planner: Planner | None = None) -> Drive:
         """Drives one run. `planner` replaces the loop's own. Raises SimulationError if SUMO fails."""
-        scenario, vehicle, simulation = self._scenario, self._vehicle, self._simulation
+        scenario, vehicle, simulation, move = self._scenario, self._vehicle, self._simulation, self._move
         planner = planner or self._planner
         step, steps_per_plan = scenario.step, self._steps_per_plan
-        line, outline, motions, front = self._line, self._outline, self._motions, self._front
-        front_values = front.data  # a memoryview returns single items several times faster
+        frame, motion, dynamics, motions = self._frame, self._motion, self._dynamics, self._motions
         simulation.load(scenario)
-        simulation.reset()
-        neighbours = simulation.neighbours
-        planner.reset(parameters)
+        line, along, ego, neighbours = simulation.line, simulation.along, simulation.ego, simulation.neighbours
         vehicle.start(*self._start)
-        place(line, vehicle.pose, scenario.ego.s, outline, motions[0], front)
+        place(line, along, frame, vehicle.pose, scenario.ego.s, motions[0], ego)
+        simulation.reset()  # puts `ego` to where SUMO starts it
+        planner.reset(parameters)
         observation = Observation(0.0, motions[0], neighbours)
         failure = None
         since, done = 0.0, 0
-        for index, dynamics in enumerate(self._samples):
+        for index in range(self._steps):
             planned = None
             if index % steps_per_plan == 0:
                 observation.time = index * step
                 observation.ego = motions[index]
                 planned = trajectory = planner.plan(observation)
                 since = 0.0
-            stable = vehicle.follow(trajectory, since, step, dynamics)
+            moved = move(line, along, frame, trajectory, since, index, motion, dynamics, ego)
             since += step
             done = index + 1
-            pose, motion = vehicle.pose, motions[done]
-            on_road = place(line, pose, motions[index].item(0), outline, motion, front)
-            if not stable or not on_road:
-                failure = Failure.OFF_ROAD if stable else Failure.UNSTABLE
+            if moved != FOLLOWED:
+                failure = Failure.OFF_ROAD if moved == OFF_ROAD else Failure.UNSTABLE
                 break
-            collided = simulation.advance(index, front_values, pose)
+            pose = vehicle.pose
+            collided = simulation.advance(index, pose)
             if watch is not None:
                 watch(index, planned, pose, neighbours)
             if collided:
                 failure = Failure.COLLISION
                 break
-        return Drive(self._motion[: done + 1], self._dynamics[: done * len(self._samples[0])], failure)
+        return Drive(motion[: done + 1], dynamics[: done * len(dynamics) // self._steps], failure)

@@ -1,7 +1,7 @@
 """Builds the SUMO networks of the built-in scenarios: `python -m drivecal.highway.scenarios.build` (`make networks`).
 
-Writes each road as plain nodes and edges, which netconvert turns into a network. Equal roads give equal bytes, because netconvert's comment
-on time and place is removed. netconvert is part of `eclipse-sumo`, which only this module needs.
+Writes each design as plain nodes and edges, which netconvert turns into a network. Equal designs give equal bytes, because netconvert's
+comment on time and place is removed. netconvert is part of `eclipse-sumo`, which only this module needs.
 """
 
 import re
@@ -15,21 +15,19 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from drivecal.domain.errors import UnavailableError
-from drivecal.domain.roads import Floats, pose_on, reference_line, to_cartesian
-from drivecal.domain.scenarios import Road
-from drivecal.highway.scenarios.definitions import DEFINITIONS
-from drivecal.highway.scenarios.highway import network_name
+from drivecal.domain.roads import Floats, pose_on, to_cartesian
+from drivecal.highway.scenarios.designs import DESIGNS, RoadDesign, line_of
 from drivecal.roads.conversion import netconvert
 
-POINT_SPACING = 20.0
-"""Metres between points of a bent edge: on a radius of 900 m the chord stays within 6 cm of the arc."""
+POINT_SPACING = 5.0
+"""Metres between points of a bent edge: on a radius of 480 m the chord stays within 7 mm of the arc."""
 LONGEST_BENT_EDGE = 300.0
-"""Metres. SUMO searches all points of nearby edges at each placement of the ego vehicle; shorter edges cost time at their joints."""
+"""Metres, as in networks of motorways: vehicles pass from edge to edge."""
 DECIMALS = 4
 NETWORKS = Path(__file__).parent / "networks"
 
 
-def edge_ranges(road: Road, line: Floats) -> list[tuple[float, float, float]]:
+def edge_ranges(road: RoadDesign, line: Floats) -> list[tuple[float, float, float]]:
     """Returns (begin, end, speed limit) of each edge, m and m/s: one edge per speed limit, several on bent roads."""
     ranges = []
     ends = [knot.s for knot in road.limits[1:]] + [road.length]
@@ -41,7 +39,7 @@ def edge_ranges(road: Road, line: Floats) -> list[tuple[float, float, float]]:
     return ranges
 
 
-def plain_nodes(road: Road, line: Floats) -> Element:
+def plain_nodes(road: RoadDesign, line: Floats) -> Element:
     """Returns netconvert's nodes: begins and ends of edges, on the left border of the carriageway."""
     nodes = Element("nodes")
     for index, s in enumerate([begin for begin, _, _ in edge_ranges(road, line)] + [road.length]):
@@ -50,7 +48,7 @@ def plain_nodes(road: Road, line: Floats) -> Element:
     return nodes
 
 
-def plain_edges(road: Road, line: Floats) -> Element:
+def plain_edges(road: RoadDesign, line: Floats) -> Element:
     """Returns netconvert's edges. The shape of an edge is the left border of its lanes."""
     edges = Element("edges")
     for index, (begin, end, speed) in enumerate(edge_ranges(road, line)):
@@ -81,9 +79,9 @@ def stations(line: Floats, begin: float, end: float) -> Iterator[float]:
             yield s
 
 
-def build(road: Road) -> bytes:
-    """Returns the network file of a road. Raises UnavailableError if netconvert is missing or fails."""
-    line = reference_line(road)
+def build(road: RoadDesign) -> bytes:
+    """Returns the network file of a design. Raises UnavailableError if netconvert is missing or fails."""
+    line = line_of(road)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder)
         (path / "road.nod.xml").write_bytes(tostring(plain_nodes(road, line)))
@@ -104,9 +102,9 @@ def without_origin(network: bytes) -> bytes:
 def main() -> int:
     """Writes the networks of all built-in scenarios."""
     NETWORKS.mkdir(exist_ok=True)
-    for scenario in DEFINITIONS:
-        path = NETWORKS / network_name(scenario)
-        path.write_bytes(build(scenario.road))
+    for scenario, design in DESIGNS.items():
+        path = NETWORKS / f"{scenario}.net.xml"
+        path.write_bytes(build(design))
         sys.stdout.write(f"{path.name}: {path.stat().st_size / 1024:.1f} kB\n")
     return 0
 

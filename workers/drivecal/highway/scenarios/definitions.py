@@ -1,49 +1,21 @@
-"""Definitions of S1..S6 of the paper's Section IV-A on a three-lane German motorway; `highway` adds the networks.
+"""Definitions of S1..S6 of the paper's Section IV-A on a three-lane German motorway; `highway` adds the networks and their roads.
 
-Roads follow the usual design: 3.75 m lanes, clothoids between straights and arcs. Every scenario has relevant traffic and an excitation, so
-that the planner's parameters affect the drive: without either, a planner drives well with any parameters.
+Every scenario has relevant traffic and an excitation, so that the planner's parameters affect the drive: without either, a planner drives
+well with any parameters.
 """
 
 from functools import partial
 
-from drivecal.domain.scenarios import CurvatureKnot, EgoStart, Road, Scenario, SpeedKnot, Task, TrafficVehicle
+import numpy as np
+
+from drivecal.domain.scenarios import EgoStart, Road, Scenario, SpeedKnot, Task, TrafficVehicle
 from drivecal.highway.manoeuvres import Manoeuvre
 
 STEP = 0.1
-LANE_WIDTH = 3.75
-UNBUILT = b""
-"""Network of a scenario before its road is built."""
-
-
-def kmh(speed: float) -> float:
-    """Converts km/h to m/s."""
-    return speed / 3.6
-
-
-def straight(length: float, *limits: tuple[float, float]) -> Road:
-    """Returns a straight road; `limits` are (s, km/h)."""
-    return road(length, (CurvatureKnot(0.0, 0.0), CurvatureKnot(length, 0.0)), *limits)
-
-
-def road(length: float, knots: tuple[CurvatureKnot, ...], *limits: tuple[float, float]) -> Road:
-    """Returns a three-lane road; `limits` are (s, km/h)."""
-    return Road(length, 3, LANE_WIDTH, knots, tuple(SpeedKnot(s, kmh(speed)) for s, speed in limits))
-
-
-def bends(length: float, *arcs: tuple[float, float, float, float]) -> tuple[CurvatureKnot, ...]:
-    """Returns the curvature knots of a road of straights, clothoids and arcs.
-
-    Each arc is (begin of its first clothoid, length of either clothoid, length of the arc between them, radius); positive radii bend to the
-    left.
-    """
-    knots = [CurvatureKnot(0.0, 0.0)]
-    for begin, clothoid, arc, radius in arcs:
-        knots.append(CurvatureKnot(begin, 0.0))
-        knots.append(CurvatureKnot(begin + clothoid, 1.0 / radius))
-        knots.append(CurvatureKnot(begin + clothoid + arc, 1.0 / radius))
-        knots.append(CurvatureKnot(begin + 2.0 * clothoid + arc, 0.0))
-    knots.append(CurvatureKnot(length, 0.0))
-    return tuple(knots)
+UNREAD = b""
+UNMEASURED = Road(np.zeros((0, 5)), 0.0, 0, 0.0)
+"""Network and road of a scenario before its network is read."""
+KMH_80 = 80.0 / 3.6
 
 
 def truck(name: str, lane: int, s: float, speed: float, drift: tuple[tuple[float, float], ...] = ()) -> TrafficVehicle:
@@ -58,14 +30,14 @@ def drifting(s: float, speed: float, drift: tuple[tuple[float, float], ...]) -> 
     return TrafficVehicle("drifting", 2, s, speed, speed, drift=drift)
 
 
-_scenario = partial(Scenario, step=STEP, network=UNBUILT)
+_scenario = partial(Scenario, step=STEP, network=UNREAD, road=UNMEASURED)
 
 S1 = _scenario(
     id="S1",
     title="Change lane on a straight road to overtake a slower vehicle",
     rated_as=Manoeuvre.LANE_CHANGE,
     duration=16.0,
-    road=straight(1100.0, (0.0, 130.0)),
+    route=("e0",),
     ego=EgoStart(s=150.0, d=0.0, speed=30.0),
     task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 30.0),), lane_change_after=0.6),
     traffic=(
@@ -83,7 +55,7 @@ S2 = _scenario(
     title="Change lane on a curved road to overtake a slower vehicle",
     rated_as=Manoeuvre.LANE_CHANGE,
     duration=18.0,
-    road=road(1100.0, bends(1100.0, (180.0, 120.0, 500.0, 1000.0)), (0.0, 120.0)),
+    route=("e0", "e1", "e2", "e3"),
     ego=EgoStart(s=150.0, d=0.0, speed=28.0),
     task=Task(start_lane=0, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),), lane_change_after=1.5),
     traffic=(
@@ -101,8 +73,8 @@ S3 = _scenario(
     title="Keep the lane on a straight road between a lorry and a drifting car",
     rated_as=Manoeuvre.LANE_KEEPING,
     duration=16.0,
-    road=straight(1100.0, (0.0, 130.0)),
-    ego=EgoStart(s=150.0, d=LANE_WIDTH + 0.45, speed=31.0, heading=0.004),
+    route=("e0",),
+    ego=EgoStart(s=150.0, d=4.2, speed=31.0, heading=0.004),
     task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 31.0),)),
     traffic=(
         truck("lorry", lane=0, s=196.0, speed=25.0, drift=((0.0, 0.0), (2.5, 0.0), (4.5, 1.1), (9.0, 1.1), (11.0, 0.0))),
@@ -119,8 +91,8 @@ S4 = _scenario(
     title="Keep the lane on a curved road beside a drifting car",
     rated_as=Manoeuvre.LANE_KEEPING,
     duration=18.0,
-    road=road(1200.0, bends(1200.0, (200.0, 110.0, 120.0, 850.0), (560.0, 110.0, 120.0, -850.0)), (0.0, 120.0)),
-    ego=EgoStart(s=150.0, d=LANE_WIDTH - 0.5, speed=29.0),
+    route=("e0", "e1", "e2", "e3"),
+    ego=EgoStart(s=150.0, d=3.25, speed=29.0),
     task=Task(start_lane=1, target_lane=1, speeds=(SpeedKnot(0.0, 29.0),)),
     traffic=(
         truck("lorry", lane=0, s=225.0, speed=23.0, drift=((0.0, 0.0), (5.5, 0.0), (7.5, 1.1), (12.5, 1.1), (14.5, 0.0))),
@@ -137,9 +109,9 @@ S5 = _scenario(
     title="Accelerate after a traffic sign behind a slower accelerating car",
     rated_as=Manoeuvre.SPEED_CHANGE,
     duration=20.0,
-    road=straight(1200.0, (0.0, 80.0), (230.0, 120.0)),
-    ego=EgoStart(s=150.0, d=0.0, speed=kmh(80.0)),
-    task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, kmh(80.0)), SpeedKnot(230.0, 30.0)), speed_tolerance=3.0),
+    route=("e0", "e1"),
+    ego=EgoStart(s=150.0, d=0.0, speed=KMH_80),
+    task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, KMH_80), SpeedKnot(230.0, 30.0)), speed_tolerance=3.0),
     traffic=(
         TrafficVehicle("leader", lane=0, s=200.0, speed=22.2, desired_speed=29.0, acceleration=1.3),
         TrafficVehicle("follower", lane=0, s=118.0, speed=22.2, desired_speed=33.0, acceleration=2.4, time_headway=0.9),
@@ -155,7 +127,7 @@ S6 = _scenario(
     title="Decelerate for a curve behind a slower car",
     rated_as=Manoeuvre.SPEED_CHANGE,
     duration=18.0,
-    road=road(1100.0, bends(1100.0, (265.0, 80.0, 350.0, 480.0)), (0.0, 130.0), (275.0, 85.0)),
+    route=("e0", "e1", "e2", "e3"),
     ego=EgoStart(s=150.0, d=0.0, speed=32.0),
     task=Task(start_lane=0, target_lane=0, speeds=(SpeedKnot(0.0, 32.0), SpeedKnot(275.0, 23.5)), speed_tolerance=3.0),
     traffic=(

@@ -10,11 +10,6 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.highway.scenarios.definitions import DEFINITIONS
 
 
-def network_name(scenario: Scenario) -> str:
-    """Returns the file name of a built-in scenario's network."""
-    return f"{scenario.id}.net.xml"
-
-
 class HighwayCatalogue:
     """The scenarios S1..S6, each with its installed network file (`ports.Catalogue`)."""
 
@@ -23,13 +18,15 @@ class HighwayCatalogue:
     @cached_property
     def scenarios(self) -> Mapping[str, Scenario]:
         """Scenarios by id, in the order of the paper's Section IV-A."""
-        networks = resources.files("drivecal.highway.scenarios") / "networks"
-        return MappingProxyType(
-            {
-                scenario.id: replace(scenario, network=(networks / network_name(scenario)).read_bytes())
-                for scenario in DEFINITIONS
-            }
-        )
+        return MappingProxyType({scenario.id: _on_its_road(scenario) for scenario in DEFINITIONS})
+
+
+def _on_its_road(scenario: Scenario) -> Scenario:
+    from drivecal.roads.carriageway import carriageway  # scipy is not for those who only name the catalogue
+
+    name = f"{scenario.id}.net.xml"
+    network = (resources.files("drivecal.highway.scenarios") / "networks" / name).read_bytes()
+    return replace(scenario, network=network, road=carriageway(network, scenario.route, name))
 
 
 HIGHWAY = HighwayCatalogue()

@@ -1,52 +1,86 @@
-"""Compiled geometry of a run: positions on the road, road departure and collisions of the ego vehicle."""
+"""Compiled geometry of a run: where vehicles are on the road, road departure and collisions of the ego vehicle.
 
-from math import cos, pi, sin
+Arrays:
+
+`line`, shape (n, 7): the road's reference line, as from `with_directions`. `along`, shape (n, m): positions along each of m lanes at its
+rows, as SUMO counts. `frame`, shape (7,): half length and half width of the ego vehicle, d of the carriageway's right and left border,
+lane width, last lane, step. `ego`, shape (4,): lane of the ego vehicle's centre, position of its front along that lane, speed to take
+SUMO's vehicle there in a step, and 1 if the lane is another than before. `cells`, shape (4, k): SUMO's speed of each other vehicle, its d,
+lane, and position of its front along the lane. `neighbours`, shape (k, 6): s, d, s', d', length and width of their centres. `outlines`,
+shape (k, 5): x, y, heading, half length, half width.
+"""
+
+from math import cos, floor, sin
 
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.geometry import foot, hit
+from drivecal.highway.geometry import foot, hit, point
 
 compiled = compiled_with(geometry)
 
+SPEED, OFFSET, LANE, PLACE = 0, 1, 2, 3
+"""Rows of `cells`."""
+STEP = 6
+"""Index of the step in `frame`."""
+
 
 @compiled
-def locate(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
-    """Updates Frenet states and outlines in place from SUMO's raw values.
+def along_at(line: Floats, along: Floats, lane: int, s: float) -> float:
+    """Returns the position along a lane at s."""
+    row = min(max(int(s / line[1, 0]), 0), len(line) - 2)
+    share = (s - line[row, 0]) / line[1, 0]
+    value: float = along[row, lane] + share * (along[row + 1, lane] - along[row, lane])
+    return value
 
-    `line`: as from `with_directions`. `raw`: (x, y) of each vehicle's front, its speed and its offset d, shape (n, 4). SUMO's lanes are
-    chords of the curves, so that d computed from x and y would be rough. `neighbours`: (s, d, s', d', length, width) of each centre, shape
-    (n, 6), with the values of `step` seconds ago; a `step` of 0 means that these do not exist. `outlines`: (x, y, heading, half length,
-    half width), shape (n, 5).
+
+@compiled
+def s_at(line: Floats, along: Floats, lane: int, place: float, near: float) -> float:
+    """Returns s at a position along a lane, searched from s = `near`. The inverse of `along_at`."""
+    last = len(line) - 2
+    row = min(max(int(near / line[1, 0]), 0), last)
+    while row < last and along[row + 1, lane] <= place:
+        row += 1
+    while row > 0 and along[row, lane] > place:
+        row -= 1
+    way = along[row + 1, lane] - along[row, lane]
+    s: float = line[row, 0] + (line[1, 0] * (place - along[row, lane]) / way if way > 0.0 else 0.0)
+    return s
+
+
+@compiled
+def locate(line: Floats, along: Floats, cells: Floats, neighbours: Floats, outlines: Floats, step: float) -> None:
+    """Moves the other vehicles to the end of a step of `step` seconds at the speeds in `cells`.
+
+    A step of 0 means that there was none, and they do not move sideways.
     """
-    for i in range(len(raw)):
+    for i in range(cells.shape[1]):
+        cells[PLACE, i] += cells[SPEED, i] * step
         half_length = 0.5 * neighbours[i, 4]
         near = neighbours[i, 0] + half_length + neighbours[i, 2] * step
-        s, chord_d, heading, along, across, curvature, _ = foot(line, raw[i, 0], raw[i, 1], near)
-        d = raw[i, 3]
+        front = s_at(line, along, int(cells[LANE, i]), cells[PLACE, i], near)
+        d = cells[OFFSET, i]
+        _, _, _, curvature, _ = point(line, front)
         stretch = 1.0 - curvature * d
+        s = front - half_length / stretch
+        x, y, heading, _, _ = point(line, s)
         neighbours[i, 3] = (d - neighbours[i, 1]) / step if step > 0.0 else 0.0
-        neighbours[i, 0] = s - half_length / stretch
+        neighbours[i, 0] = s
         neighbours[i, 1] = d
-        neighbours[i, 2] = raw[i, 2] / stretch
-        front_x = raw[i, 0] - (d - chord_d) * across
-        front_y = raw[i, 1] + (d - chord_d) * along
-        heading -= half_length * curvature / stretch
-        outlines[i, 0] = front_x - half_length * cos(heading)
-        outlines[i, 1] = front_y - half_length * sin(heading)
+        neighbours[i, 2] = cells[SPEED, i] / stretch
+        outlines[i, 0] = x - d * sin(heading)
+        outlines[i, 1] = y + d * cos(heading)
         outlines[i, 2] = heading
         outlines[i, 3] = half_length
         outlines[i, 4] = 0.5 * neighbours[i, 5]
 
 
 @compiled
-def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floats, front: Floats) -> bool:
-    """Writes the ego vehicle's Frenet motion and SUMO's position of it; returns whether it is on the road.
+def place(line: Floats, along: Floats, frame: Floats, pose: Floats, near: float, motion: Floats, ego: Floats) -> bool:
+    """Writes the ego vehicle's Frenet motion and SUMO's place of it; returns whether it is on the road.
 
-    `motion`: (s, s', s'', d, d', d''), shape (6,). `front`: SUMO's position, i.e. x and y of the front and the angle in degrees clockwise
-    from north, shape (3,). `line`: as from `with_directions`. `pose`: as from `ports.VehicleModel`, accelerations in the vehicle's own
-    axes. `outline`: (half length, half width, right edge, left edge), m; the edges are offsets d of the carriageway's borders. Formulas as
-    in `drivecal.domain.roads.to_frenet`.
+    `motion`: (s, s', s'', d, d', d''), shape (6,). `pose`: as from `ports.VehicleModel`, accelerations in the vehicle's own axes. Formulas
+    as in `drivecal.domain.roads.to_frenet`.
     """
     s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
     yaw = pose[2] - heading
@@ -54,23 +88,30 @@ def place(line: Floats, pose: Floats, near: float, outline: Floats, motion: Floa
     stretch = 1.0 - curvature * d
     s_dot = pose[3] * cos(course) / stretch
     d_dot = pose[3] * sin(course)
-    tangential = pose[6] * cos(yaw) - pose[7] * sin(yaw)
-    normal = pose[6] * sin(yaw) + pose[7] * cos(yaw)
+    cosine, sine = cos(yaw), sin(yaw)
+    tangential = pose[6] * cosine - pose[7] * sine
+    normal = pose[6] * sine + pose[7] * cosine
     motion[0] = s
     motion[1] = s_dot
     motion[2] = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch
     motion[3] = d
     motion[4] = d_dot
     motion[5] = normal - curvature * s_dot * s_dot * stretch
-    front[0] = pose[0] + outline[0] * cos(pose[2])
-    front[1] = pose[1] + outline[0] * sin(pose[2])
-    front[2] = 90.0 - pose[2] * (180.0 / pi)
-    reach = outline[0] * abs(sin(yaw)) + outline[1] * abs(cos(yaw))
-    return bool(d - reach >= outline[2] and d + reach <= outline[3])
+    lane = min(max(floor(d / frame[4] + 0.5), 0.0), frame[5])
+    front = along_at(line, along, int(lane), s + frame[0] / stretch)
+    ego[2], ego[3] = pose[3], 1.0
+    if lane == ego[0]:
+        front = max(front, ego[1])
+        ego[2], ego[3] = (front - ego[1]) / frame[STEP], 0.0
+    ego[0], ego[1] = lane, front
+    reach = frame[0] * abs(sine) + frame[1] * abs(cosine)
+    return bool(d - reach >= frame[2] and d + reach <= frame[3])
 
 
 @compiled
-def settle(line: Floats, raw: Floats, neighbours: Floats, outlines: Floats, step: float, pose: Floats, outline: Floats) -> bool:
-    """Combines `locate` and `hit` in one call; returns whether the ego vehicle has hit another."""
-    locate(line, raw, neighbours, outlines, step)
-    return hit(outlines, pose, outline) >= 0
+def settle(
+    line: Floats, along: Floats, cells: Floats, neighbours: Floats, outlines: Floats, step: float, pose: Floats, size: Floats
+) -> bool:
+    """Combines `locate` and `hit` in one call; returns whether the ego vehicle, with `size` as in `hit`, has hit another."""
+    locate(line, along, cells, neighbours, outlines, step)
+    return hit(outlines, pose, size) >= 0

@@ -36,6 +36,11 @@ class SingleTrackModel:
         return self._pose
 
     @property
+    def arrays(self) -> tuple[Floats, Floats, Floats]:
+        """State, plant and controller, the arguments of `kernels.follow` before the trajectory. The state changes with the vehicle."""
+        return self._state, self._plant, self._controller
+
+    @property
     def steering(self) -> float:
         """Steering angle of the front wheels (rad)."""
         return self._state.item(8)

@@ -1,0 +1,59 @@
+"""Carriageways: routes whose lanes are equally wide and all go from the begin to the end, as the roads of the built-in motorway are."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.roads import resampled
+from drivecal.domain.scenarios import Road, SpeedKnot
+from drivecal.roads.corridor import Corridor, corridor
+from drivecal.roads.network import read_network
+
+SPACING = 0.5
+"""Metres between rows of the reference line, exactly: a power of two, so that the row of an s is computed without rounding."""
+LANE_TOLERANCE = 0.1
+"""Metres by which a lane's centre may lie beside its place, as chords of a curve do."""
+WIDTH_TOLERANCE = 0.01
+"""Metres by which the widths of lanes may differ."""
+MEASURED = 32
+"""Networks that stay measured, for roads and simulations that ask again."""
+
+
+@lru_cache(MEASURED)
+def corridor_of(network: bytes, route: tuple[str, ...], name: str) -> Corridor:
+    """Returns the corridor of a route through a network file. `name`: the file in messages. Raises InvalidInputError."""
+    return corridor(read_network(network, name), route, name)
+
+
+def carriageway(network: bytes, route: Sequence[str], name: str) -> Road:
+    """Returns the road of a route through a network file.
+
+    Raises InvalidInputError if the file or the route cannot be used, or the lanes are not those of a carriageway.
+    """
+    return _road(network, tuple(route), name)
+
+
+@lru_cache(MEASURED)
+def _road(network: bytes, route: tuple[str, ...], name: str) -> Road:
+    measured = corridor_of(network, route, name)
+    lanes, width = len(measured.tracks), float(measured.widths[0, 0])
+    if any(track.begin > 0.0 or track.end < measured.length for track in measured.tracks):
+        raise _refused(name, "has lanes that begin or end on the way")
+    if float(np.max(np.abs(measured.widths - width))) > WIDTH_TOLERANCE:
+        raise _refused(name, "has lanes of different widths")
+    if float(np.max(np.abs(measured.centres - np.arange(lanes) * width))) > LANE_TOLERANCE:
+        raise _refused(name, f"has lanes that do not lie beside each other at their width of {width:g} m")
+    limits = measured.limits[:, 0]
+    if np.any(measured.limits != limits[:, None]):
+        raise _refused(name, "has lanes with limits of their own")
+    changes = np.flatnonzero(np.diff(limits, prepend=-1.0))
+    knots = tuple(SpeedKnot(float(measured.stations[row]), float(limits[row])) for row in changes)
+    return Road(resampled(measured.line, measured.length, SPACING), measured.length, lanes, width, knots)
+
+
+def _refused(name: str, message: str) -> InvalidInputError:
+    return InvalidInputError(
+        Problem("route", f"{name}: the route {message}", "give a carriageway, or a problem of kind highway")
+    )

@@ -1,0 +1,59 @@
+"""Roads of equal lanes, measured from networks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.support.networks import entrance
+
+from drivecal.domain.errors import InvalidInputError
+from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.roads.carriageway import SPACING, carriageway
+
+S5 = HIGHWAY.scenarios["S5"]
+
+
+def network(*widths: float, limit: str = "30") -> bytes:
+    """A straight edge of 200 m; the lanes lie beside each other."""
+    borders = np.concatenate([[0.0], np.cumsum(widths)]) - 0.5 * widths[0]
+    lanes = "".join(
+        f'<lane id="e_{number}" index="{number}" speed="{limit if number else 30}" length="200" width="{width}" '
+        f'shape="0,{borders[number] + 0.5 * width} 200,{borders[number] + 0.5 * width}"/>'
+        for number, width in enumerate(widths)
+    )
+    junctions = "".join(f'<junction id="j{number}" type="priority" x="{200 * number}" y="0"/>' for number in (0, 1))
+    return f'<net version="1.20"><edge id="e" from="j0" to="j1">{lanes}</edge>{junctions}</net>'.encode()
+
+
+def test_lanes_widths_and_limits_are_those_of_the_network() -> None:
+    road = carriageway(network(3.5, 3.5), ["e"], "two.net.xml")
+    assert (road.lanes, road.lane_width, road.right_edge, road.left_edge) == (2, 3.5, -1.75, 5.25)
+    assert road.length == pytest.approx(200.0)
+    assert [(knot.s, knot.speed) for knot in road.limits] == [(0.0, 30.0)]
+    assert road.line[:, 0].tolist() == (np.arange(401) * SPACING).tolist()
+    assert np.abs(road.line[:, 2:]).max() < 1e-9
+
+
+def test_a_road_is_measured_once() -> None:
+    assert carriageway(S5.network, list(S5.route), "S5.net.xml") is S5.road
+
+
+@pytest.mark.parametrize(
+    ("content", "route"),
+    [
+        (network(3.5, 3.0), ["e"]),
+        (network(3.5, 3.5, limit="20"), ["e"]),
+        (network(3.5, 3.5).replace(b"3.5 200,3.5", b"4.2 200,4.2"), ["e"]),
+        (entrance(), ["before", "beside", "after"]),
+        (S5.network, ["e1", "e0"]),
+        (S5.network, ["e9"]),
+        (S5.network.replace(b"</net>", b""), ["e0", "e1"]),
+        (S5.network[: len(S5.network) // 2], ["e0", "e1"]),
+        (b"", ["e0"]),
+        (b"<net/>", ["e0"]),
+    ],
+    ids=["widths", "limits", "gap", "ramp", "order", "unknown", "open", "half", "empty", "no network"],
+)
+def test_what_is_no_carriageway_is_refused(content: bytes, route: list[str]) -> None:
+    with pytest.raises(InvalidInputError, match=r"road\.net\.xml"):
+        carriageway(content, route, "road.net.xml")
