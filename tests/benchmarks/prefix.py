@@ -22,22 +22,19 @@ from tests.benchmarks.evaluation import latin_hypercube, record, runner_of
 import drivecal.highway.traffic.simulation
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.sumo import EGO, MAPPED_ANYWHERE, MAPPED_WITHIN
 from drivecal.highway.traffic.simulation import simulation
 
 TARGET = Path(".drivecal/bench/prefix.json")
 State = tuple[tuple[float, float], float]
 
 
-def drive(scenario: Scenario, poses: list[tuple[int, list[float], Any]]) -> list[State]:
+def drive(scenario: Scenario, poses: list[tuple[int, Any, Any]]) -> list[State]:
     """Moves the ego vehicle along; gives position and speed of all others after each step."""
     seen = []
-    for index, front, _ in poses:
-        for _, name, offsets in simulation()._drifts:
-            libsumo.vehicle.setLateralLanePosition(name, offsets[index])
-        libsumo.vehicle.moveToXY(EGO, "", -1, *front, MAPPED_ANYWHERE, MAPPED_WITHIN)
-        libsumo.simulationStep()
-        seen += [(libsumo.vehicle.getPosition(one.id), libsumo.vehicle.getSpeed(one.id)) for one in scenario.traffic]
+    for index, ego, pose in poses:
+        simulation().ego[:] = ego
+        simulation().advance(index, pose)
+        seen += [(libsumo.vehicle.getPosition(other.id), libsumo.vehicle.getSpeed(other.id)) for other in scenario.traffic]
     return seen
 
 
