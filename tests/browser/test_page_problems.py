@@ -97,8 +97,8 @@ def test_a_choice_has_an_axis_with_its_words_and_can_be_brushed(heater: Heated, 
     plot = page.get_by_role("group", name="Parallel coordinates")
     for word in ("eco", "normal", "boost"):
         expect(plot.get_by_text(word, exact=True)).to_be_visible()
-    expect(plot.get_by_text("gain / W/K")).to_be_visible()
-    expect(plot.get_by_text("score / EUR")).to_be_visible()
+    for title in ("gain / W/K", "score / EUR"):
+        expect(plot.get_by_role("slider", name=f"Range of {title}")).to_be_visible()
     mode = page.get_by_role("slider", name="Range of mode")
     mode.press("ArrowDown")
     expect(mode).to_have_attribute("aria-valuetext", "eco, normal")

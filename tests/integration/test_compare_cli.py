@@ -125,7 +125,7 @@ def test_a_dry_run_says_how_long_it_takes_at_most(run: Run, ended: dict[str, Any
         ({"populations": []}, "populations: a list has too few entries; give at least 1"),
         ({"seeds": [1, 2]}, "seeds: a list has too few entries; give at least 3"),
         ({"seeds": [1, 2, 1]}, "seeds[2]: 1 is listed twice; list each once"),
-        ({"reductions": ["exact", "influence"]}, "line 1: sensitivity: "),
+        ({"reductions": ["exact", "influence"]}, "standard input: sensitivity: "),
         ({"reductions": ["exact", {"mode": "exact"}]}, "reductions[1]: exact is listed twice"),
         (
             {"populations": [100_000], "iterations": 10_000},

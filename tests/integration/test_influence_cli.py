@@ -58,6 +58,8 @@ def test_influence_shows_a_table_per_scenario_with_a_picture_of_each_range(run: 
         "mu*",
         "largest",
         "s_rel",
+        "decided",
+        "by",
     ]
     assert lines[4].split()[:3] == ["P1", "yes", "0"]
     assert "##########" in lines[4]
