@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import timedelta
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -188,8 +189,8 @@ def over_http(url: str, folder: Path, about: dict[str, str]) -> Figures:
         figures["start of the API"] = time.perf_counter() - began
         for name, path in (QUESTIONS | WHOLE).items():
             address = path if path == "/metrics" else "/api/v1" + path.format(**about)
-            figures[f"first: {name}"] = timed(lambda address=address: asked(api.http, address))  # type: ignore[misc]
-            figures[name] = best(lambda address=address: asked(api.http, address))  # type: ignore[misc]
+            figures[f"first: {name}"] = timed(partial(asked, api.http, address))
+            figures[name] = best(partial(asked, api.http, address))
         figures["memory of the API, MB"] = api.megabytes
     return figures
 

@@ -96,7 +96,7 @@ class _Crashing:
 
 
 def crashes_when_collected(_data: Data) -> None:
-    sys.modules["kept"] = _Crashing()  # type: ignore[assignment]
+    vars(sys)["kept"] = _Crashing()
 
 
 class _Unprintable(BaseException):

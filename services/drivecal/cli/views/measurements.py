@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from importlib import import_module
 from itertools import pairwise
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
@@ -52,7 +53,7 @@ class _Group:
 
 def require_library() -> None:
     """Raises ModuleNotFoundError without asammdf: before a server simulates anything for a file that cannot be written."""
-    import asammdf  # noqa: F401
+    import_module("asammdf")
 
 
 def measurement(recordings: Sequence[RecordedScenario], facts: Mapping[str, str], begun: datetime | None) -> bytes:
