@@ -43,7 +43,7 @@ PLANTED = {
     ),
     "Only the FMU's child imports FMPy": ("workers/drivecal/adapters", "import fmpy.fmi2"),
     "Only drivecal.highway.training needs the multi-body model": ("workers/drivecal/highway/vehicle", "import vehiclemodels"),
-    "Only the forests, the importance of parameters and drivecal.highway.training learn by scikit-learn": (
+    "Only forests, importance and training learn by scikit-learn": (
         "services/drivecal/sensitivity",
         "import sklearn",
     ),

@@ -18,6 +18,7 @@ from tests.support.storage import PROCESSES, migrate
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError
+from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -209,10 +210,13 @@ def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Databa
 
 
 def install_versions_of(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The driving function of the release: another one would not go on with its campaigns, nor use its references."""
+    """The versions of the release: others would not go on with its campaigns, nor use its references."""
     with database.read() as connection:
-        document = setups.counts(connection)[0].document
-    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", document["driving_function_version"])
+        documents = [setup.document for setup in setups.counts(connection)]
+    digests = {document["scenario"]: document["scenario_digest"] for document in documents}
+    monkeypatch.setattr(type(registry.driving_function("frenet")), "version", documents[0]["driving_function_version"])
+    monkeypatch.setattr("drivecal.plugins.setups.simulator", lambda: documents[0]["simulator"])
+    monkeypatch.setattr(Scenario, "digest", property(lambda scenario: digests.get(scenario.id, scenario.id)))
 
 
 def _is_analysed(campaign: StoredCampaign) -> bool:

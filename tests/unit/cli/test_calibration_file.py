@@ -103,7 +103,8 @@ class Campaigns:
             )
         ]
 
-    def front(self, _: str, weights: str | None = None) -> list[FrontRow]:
+    def front(self, _: str, weights: str | None = None, *, everything: bool = False) -> list[FrontRow]:
+        assert not everything
         return [
             FrontRow(
                 rank=1,
@@ -124,7 +125,8 @@ class Campaigns:
             )
         ]
 
-    def front_summary(self, _: str) -> FrontSummary:
+    def front_summary(self, _: str, *, everything: bool = False) -> FrontSummary:
+        assert not everything
         common = {"scenarios": {"follow": 0.5, "brake": 0.5}, "tolerance": 0.0, "reference": 20.0, "best": 1.0, "worst": 2.0}
         return FrontSummary(
             objectives=[

@@ -46,7 +46,8 @@ def _duration(text: str) -> timedelta:
     match = re.fullmatch(r"(\d{1,5})([dw])", text)
     if match is None:
         raise typer.BadParameter(f"{text!r} is no time; give days or weeks, such as 90d or 12w")
-    return timedelta(days=int(match[1]) * (7 if match[2] == "w" else 1))
+    count = int(match[1])
+    return timedelta(weeks=count) if match[2] == "w" else timedelta(days=count)
 
 
 @database.command()

@@ -90,7 +90,7 @@ class _Needs:
             mine = np.isin(rows[:, 1], self._old)
             others = rows[~mine]
             self._need(others[:, 0], others[:, 4], others[:, 5], others[:, 6])
-            self._copied_pairs.append(self._pairs(others[others[:, 7] == 1]))
+            self._copied_pairs.append(self._pairs(others[others[:, -1] == 1]))
             ours = rows[mine]
             own.append(ours)
             for number in np.unique(ours[:, 1]):
@@ -98,7 +98,7 @@ class _Needs:
                 self._cells[here[np.isin(here[:, 3], kept_sets.get(int(number), ())), 0]] = True
         listed = np.concatenate(own) if own else np.zeros((0, 8), dtype=np.int64)
         return _Cells(
-            listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], listed[:, 6], self._pairs(listed), listed[:, 7] == 1
+            listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], listed[:, 6], self._pairs(listed), listed[:, -1] == 1
         )
 
     def read_runs(self) -> None:

@@ -68,7 +68,7 @@ def test_its_version_follows_its_arrays(monkeypatch: pytest.MonkeyPatch) -> None
 @every_class
 def test_a_drive_straight_on_is_comfortable_and_a_violent_one_is_not(manoeuvre: Manoeuvre) -> None:
     calm, violent = rate(manoeuvre, series()), rate(manoeuvre, series(lateral=4.0, longitudinal=-5.0, offset=0.9))
-    assert calm > 5.0
+    assert calm > 4.5, "which is a score of 5"
     assert violent < 2.0
 
 
