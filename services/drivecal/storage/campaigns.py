@@ -6,21 +6,7 @@ from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Row,
-    Select,
-    Text,
-    Update,
-    bindparam,
-    case,
-    cast,
-    func,
-    literal_column,
-    select,
-    update,
-)
+from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, text, update
 
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, Released
 from drivecal.domain.actions import Action
@@ -224,7 +210,7 @@ def listed(
     """Returns the query of a page: these columns of campaigns, newest first, without deleted ones and the runs of comparisons. Raises
     InvalidInputError for an invalid cursor."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
-    wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != literal_column("'evaluation'")
+    wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
     query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None), campaigns.c.deleted_at.is_(None), *conditions)
     query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
     if state is not None:

@@ -65,6 +65,20 @@ def test_a_process_that_starts_while_another_stores_a_function_loads_no_other_on
     assert [stored.load(key) for key in ("float", "int")] == ["new", "of int"]
 
 
+def test_an_index_that_names_a_removed_type_or_is_cut_holds_no_function(tmp_path: Path) -> None:
+    module = ModuleType("a_release")
+    module.Removed = type("Removed", (), {"__module__": "a_release"})  # type: ignore[attr-defined]  # set by its name
+    sys.modules["a_release"] = module
+    CacheFile(str(tmp_path), "kernel", ("source",)).save(module.Removed(), "a function")
+    del module.Removed
+    assert CacheFile(str(tmp_path), "kernel", ("source",)).load("int") is None
+    [index] = tmp_path.glob("*.nbi")
+    index.write_bytes(index.read_bytes()[:-5])
+    stored = CacheFile(str(tmp_path), "kernel", ("source",))
+    stored.save("int", "another function")
+    assert stored.load("int") == "another function"
+
+
 def kernels(module: ModuleType) -> list[Any]:
     """The kernels that a module defines."""
     return [value for value in vars(module).values() if isinstance(value, Dispatcher) and value.__module__ == module.__name__]

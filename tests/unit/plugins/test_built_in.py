@@ -76,4 +76,5 @@ def test_loading_it_imports_neither_simulator_nor_compiler(group: str, entry: En
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     imported = set(json.loads(process.stdout))
-    assert not imported & {"libsumo", "numba", "ray", "sqlalchemy", "fastapi", "scipy"}
+    measuring = {"scipy"} if group.endswith("scenarios") else set()  # the roads of scenarios are measured from their networks
+    assert not imported & ({"libsumo", "numba", "ray", "sqlalchemy", "fastapi", "scipy"} - measuring)

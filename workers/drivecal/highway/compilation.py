@@ -8,6 +8,7 @@ a process that starts in between loads the earlier one.
 from collections.abc import Callable, Iterable
 from hashlib import sha256
 from pathlib import Path
+from pickle import UnpicklingError
 from types import ModuleType
 from typing import Any
 
@@ -24,6 +25,14 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no typ
         name = self._data_name(digest)
         self._save_data(name, data)
         self._save_index(self._load_index() | {key: name})
+
+    def _load_index(self) -> dict[Any, str]:
+        """Returns the names of stored functions by key; none if the index is damaged, or names types that an upgrade removed."""
+        try:
+            index: dict[Any, str] = super()._load_index()
+        except (AttributeError, ImportError, EOFError, UnpicklingError):
+            return {}
+        return index
 
     def _data_name(self, number: str) -> str:
         return f"{self._index_name.removesuffix('.nbi')}.{number}.nbc"

@@ -20,7 +20,7 @@ _DOUBLES, _BITS = ir.VectorType(ir.DoubleType(), LANES), ir.VectorType(ir.IntTyp
 _INT32 = ir.IntType(32)
 
 
-class Lanes(types.Type):  # type: ignore[misc]  # numba ships no types
+class LanesType(types.Type):  # type: ignore[misc]  # numba ships no types
     """Eight float64."""
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class Mask(types.Type):  # type: ignore[misc]  # as above
         super().__init__(name="Mask")
 
 
-@register_model(Lanes)
+@register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]  # as above
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _DOUBLES)
@@ -46,7 +46,7 @@ class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]  # as above
         super().__init__(manager, kind, _BITS)
 
 
-_lanes, _mask = Lanes(), Mask()
+_lanes, _mask = LanesType(), Mask()
 Build = Callable[..., Any]
 
 
