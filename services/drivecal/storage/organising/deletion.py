@@ -14,22 +14,18 @@ from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.tables import (
-    campaign_stages,
     campaigns,
     evaluations,
-    events,
-    generations,
     influence_maps,
     leases,
-    lots,
     reference_indexes,
     reference_keys,
     runs,
     saved_views,
-    studies,
     traces,
 )
 from drivecal.storage.engine.types import now
+from drivecal.storage.retention import removal
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +92,7 @@ def _remove(connection: Connection, sequence: int, identifier: str) -> None:
     made_its_run = exists().where(runs.c.id == evaluations.c.run_id, runs.c.evaluation_id == evaluations.c.id)
     connection.execute(delete(evaluations).where(mine, ~made_its_run))
     connection.execute(update(evaluations).where(mine).values(lot=None))
-    for table in (campaign_stages, generations, lots, studies, events):
-        connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
+    removal.remove_records(connection, sequence)
     connection.execute(delete(saved_views).where(saved_views.c.campaign == identifier))
     emptied: dict[str, Any] = {
         "tags": [],

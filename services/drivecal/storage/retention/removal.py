@@ -82,6 +82,12 @@ def remove_keys(connection: Connection, index: int) -> bool:
     return False
 
 
+def remove_records(connection: Connection, sequence: int) -> None:
+    """Removes what is stored of a campaign beside its row and its cells."""
+    for table in (campaign_stages, generations, lots, studies, events):
+        connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
+
+
 def remove_campaign(connection: Connection, sequence: int) -> bool:
     """Removes a campaign that has no cells and that no other row names; False if it stays."""
     mine = campaigns.c.sequence == sequence
@@ -94,6 +100,5 @@ def remove_campaign(connection: Connection, sequence: int) -> bool:
     )
     if connection.scalar(select(needed)):
         return False
-    for table in (campaign_stages, generations, lots, studies, events):
-        connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
+    remove_records(connection, sequence)
     return connection.execute(delete(campaigns).where(mine)).rowcount == 1
