@@ -44,7 +44,7 @@ def shipped() -> set[str]:
 
 
 def licence(name: str) -> str:
-    """What a package says of its licence: an expression, classifiers, or a whole text."""
+    """A package's statement of its licence: an expression, classifiers, or a whole text."""
     about: Any = metadata.metadata(name)
     classifiers = [entry.rpartition(" :: ")[2] for entry in about.get_all("Classifier") or [] if entry.startswith("License ::")]
     return about.get("License-Expression") or ", ".join(classifiers) or " ".join((about.get("License") or "").split())

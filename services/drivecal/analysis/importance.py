@@ -10,7 +10,7 @@ Floats = npt.NDArray[np.float64]
 LEAST_SETS = 40
 """Fewer sets leave too few for a judgement by held-out ones."""
 MOST_SETS = 2_000
-"""Of more sets an even sample is taken, so that an answer takes seconds at most."""
+"""Most sets that are learned from; more are sampled evenly, so that an answer takes seconds at most."""
 HELD_OUT = 1 / 3
 TREES = 100
 REPEATS = 5

@@ -44,7 +44,7 @@ Told = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class RetentionPlan:
-    """What a pruning removes: `doomed`, of the campaigns in `selection`, whose `best` sets stay, by campaign. `bytes`: about what that
+    """A planned pruning: `doomed` cells go from the campaigns in `selection`, whose `best` sets stay, by campaign. `bytes`: about what that
     frees."""
 
     selection: Selection

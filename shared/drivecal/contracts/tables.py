@@ -281,8 +281,8 @@ class JudgedSet(Answer):
 
 
 DecidedBy = Literal["intervals", "confirmation", "global", "unknown", "posted", "space"]
-"""What decided about a parameter: its intervals; the analysis of its whole range after them; the global analysis; no known result; a user
-who posted the map; the campaign's space, which holds none of the influential range."""
+"""The analysis that decided about a parameter: its intervals; the analysis of its whole range after them; the global analysis; no known
+result; a user who posted the map; the campaign's space, which holds none of the influential range."""
 
 
 class InfluenceRow(Answer):
@@ -309,7 +309,7 @@ class InfluenceRow(Answer):
     n_values: int | None = None
     """Number of the parameter's values from `space_lower` to `space_upper`."""
     decided_by: DecidedBy | None = None
-    """What decided whether it is influential; null in analyses of earlier releases."""
+    """The analysis that decided whether it is influential; null for maps of earlier releases."""
     reason: str | None = None
     """The deciding figures against their threshold, in words."""
 

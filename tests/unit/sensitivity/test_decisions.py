@@ -1,4 +1,4 @@
-"""What decided about each parameter of an analysis, in every way in which it can be decided."""
+"""The analysis that decides about each parameter, for every kind of decision."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class ReviewedSet:
     """Empty for a single objective."""
     robustness: Sequence[Studied[RobustnessRow]] = ()
     validation: Sequence[Studied[ValidationRow]] = ()
-    """Of the influence map, and of released predictions."""
+    """Validations of the influence map and of released predictions."""
 
     @property
     def objectives(self) -> dict[str, float]:
@@ -57,7 +57,7 @@ class ReviewedSet:
 
 @dataclass(frozen=True, slots=True)
 class Review:
-    """What a sheet is about: a set, or two of them by their labels. `query`: the path and query of the API that returns the sheet."""
+    """The subject of a sheet: a set, or two sets by their labels. `query`: the path and query of the API that returns the sheet."""
 
     sets: Mapping[str, ReviewedSet]
     query: str

@@ -1,1 +1,1 @@
-"""What users do to keep campaigns in order: labels, archive, deletion, saved views."""
+"""Order among campaigns: labels, archive, deletion, saved views."""

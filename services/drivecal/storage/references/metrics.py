@@ -24,7 +24,7 @@ from drivecal.storage.engine.types import finite
 
 Metrics = Mapping[str, float | None]
 Stored = str | dict[str, Any]
-"""What the column holds: `DIGEST:FLOATS` or a document."""
+"""Content of the column: `DIGEST:FLOATS` or a document."""
 _KNOWN: WeakKeyDictionary[Engine, dict[str, tuple[str, ...]]] = WeakKeyDictionary()
 
 
