@@ -45,7 +45,7 @@ def _run(database: Database, campaign: StoredCampaign, backend: ComputedBackend 
     raise AssertionError("the campaign did not end")
 
 
-def test_what_a_later_campaign_may_need_is_prepared_once_and_while_none_is_active(database: Database) -> None:
+def test_what_a_later_campaign_may_need_is_prepared_once_and_only_after_a_while_without_any(database: Database) -> None:
     campaign = submit(database)
     states: list[CampaignState] = []
     working = dispatcher(database, when_idle=lambda: states.append(_get(database, campaign).state))
@@ -53,7 +53,8 @@ def test_what_a_later_campaign_may_need_is_prepared_once_and_while_none_is_activ
         working.step()
         if _get(database, campaign).state.ended:
             break
-    for _ in range(3):
+    assert not states
+    for _ in range(100):
         working.step()
     assert states == [CampaignState.SUCCEEDED]
 

@@ -30,6 +30,8 @@ LOOK_SECONDS = 0.25
 TELL_SECONDS = 0.5
 POLL_SECONDS = 0.1
 TIDY_SECONDS = 60.0
+IDLE_SECONDS = 15.0
+"""Time without a campaign after which the dispatcher prepares for the next: longer than it takes to start a server and submit."""
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
 RETRY_SECONDS = 5.0
 """Delay before a campaign resumes whose cells were answered or simulated elsewhere."""
@@ -52,7 +54,7 @@ class Dispatcher:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`running_campaigns` limits concurrent campaigns, without single evaluations; `event_days` is how long events are kept.
-        `when_idle` is called once, when there is no campaign: it prepares what a later one may need."""
+        `when_idle` is called once, after `IDLE_SECONDS` without a campaign: it prepares what a later one may need."""
         self._database = database
         self._pool = pool
         self._tell = tell
@@ -62,6 +64,7 @@ class Dispatcher:
         self._clock = clock
         self._active: dict[int, Active] = {}
         self._next_look = self._next_tell = self._next_tidy = 0.0
+        self._idle_at = clock() + IDLE_SECONDS
 
     def run(self, stop: threading.Event) -> None:
         """Works until `stop` is set. Waits for a database that does not answer, and continues when it is back.
@@ -88,7 +91,9 @@ class Dispatcher:
         if self._clock() >= self._next_look:
             self._look()
             self._next_look = self._clock() + LOOK_SECONDS
-            if not self._active and self._when_idle is not None:
+            if self._active:
+                self._idle_at = self._clock() + IDLE_SECONDS
+            elif self._when_idle is not None and self._clock() >= self._idle_at:
                 self._when_idle()
                 self._when_idle = None
         if self._clock() >= self._next_tidy:
