@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support.effort import tries
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "problem.py"
 
@@ -15,7 +16,16 @@ BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "problem.py"
 @pytest.mark.slow
 def test_random_sets_drive_from_badly_to_well_and_every_parameter_counts(tmp_path: Path) -> None:
     output = tmp_path / "problem.json"
-    command = [sys.executable, str(BENCHMARK), "--sets", "60", "--lines", "4", "--output", str(output)]
+    command = [
+        sys.executable,
+        str(BENCHMARK),
+        "--sets",
+        str(tries(24, 60)),
+        "--lines",
+        "4",
+        "--output",
+        str(output),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert output.is_file(), done.stderr
     figures = json.loads(output.read_text())

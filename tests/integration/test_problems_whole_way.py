@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from tests.support.serve import Server, serving, until
+from tests.support.serve import serving, until
 from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
@@ -17,6 +18,7 @@ from drivecal.client import Client
 OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 8, "iterations": 12, "seed": 4}
 """Few cells and many iterations, so that a kill hits the middle."""
 FORMULA = "2*{0} + 1"
+EXAMPLES = ("acc-process", "command-shell", "python-function", "fmu", "acc-highway")
 
 pytestmark = pytest.mark.slow
 
@@ -30,43 +32,51 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-class Machine:
-    """A user's machine, on which the server runs with its workers until it is killed."""
+@dataclass(frozen=True)
+class Example:
+    """A problem that was calibrated twice: `whole` at a stretch, `resumed` on a server that was killed. `at_the_kill`: the state then."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.server = self._started()
-
-    def _started(self) -> Server:
-        cache = str(self._folder / "cache")
-        return Server(self._folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=cache)
-
-    def client(self) -> Client:
-        return Client(self.server.url)
-
-    def kill(self) -> None:
-        """Ends the server and everything it started by SIGKILL."""
-        family = self.server.family()
-        self.server.process.kill()
-        for process in family:
-            process.kill()
-        self.server.process.wait()
-
-    def restart(self) -> None:
-        self.server = self._started()
-
-    def stored_state(self, campaign: str) -> str:
-        """State of a campaign in the database, whether the server runs or not."""
-        with sqlite3.connect(self._folder / "home" / "drivecal.db") as connection:
-            [state] = connection.execute("SELECT state FROM campaigns WHERE id = ?", (campaign,)).fetchone()
-        return str(state)
+    folder: Path
+    digest: str
+    whole: str
+    resumed: str
+    at_the_kill: str
 
 
 @pytest.fixture(scope="module")
-def machine(home: Path) -> Iterator[Machine]:
-    machine = Machine(home)
-    yield machine
-    machine.kill()
+def calibrated(home: Path) -> Iterator[tuple[Client, dict[str, Example]]]:
+    """The examples by name, calibrated side by side, and the server that knows them."""
+    settings = {"DRIVECAL_BACKEND": "processes", "DRIVECAL_BUNDLE_CACHE": str(home / "cache")}
+    specs = {name: {**SPEC, "problem": name, "optimizer": OPTIMIZER, "reduction": {"mode": "off"}} for name in EXAMPLES}
+    folders = {name: problem(name, home) for name in EXAMPLES}
+    with serving(home, workers=2, **settings) as server, Client(server.url) as client:
+        digests = {name: client.push_problem(folder).digest for name, folder in folders.items()}
+        whole = {name: client.submit(spec).id for name, spec in specs.items()}
+        for campaign in whole.values():
+            client.wait(campaign)
+        begun = {name: client.submit(spec).id for name, spec in specs.items()}
+        until(
+            lambda: all((client.campaign(campaign).iteration or 0) >= 1 for campaign in begun.values()), "two iterations of all"
+        )
+        family = server.family()
+        server.process.kill()
+        for process in family:
+            process.kill()
+        server.process.wait()
+    states = stored_states(home)
+    with serving(home, workers=2, **settings) as server, Client(server.url) as client:
+        for campaign in begun.values():
+            client.wait(campaign)
+        yield (
+            client,
+            {name: Example(folders[name], digests[name], whole[name], begun[name], states[begun[name]]) for name in EXAMPLES},
+        )
+
+
+def stored_states(home: Path) -> dict[str, str]:
+    """States of the campaigns in the database of a server that does not run."""
+    with sqlite3.connect(home / "home" / "drivecal.db") as connection:
+        return dict(connection.execute("SELECT id, state FROM campaigns").fetchall())
 
 
 def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
@@ -76,46 +86,40 @@ def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
     return manifest
 
 
-@pytest.mark.parametrize("name", ["acc-process", "command-shell", "python-function", "fmu", "acc-highway"])
-def test_an_example_is_killed_resumed_and_rated_anew(name: str, machine: Machine, tmp_path: Path) -> None:
-    folder = problem(name, tmp_path)
-    manifest = rewritten(folder)
-    spec = {**SPEC, "problem": name, "optimizer": OPTIMIZER, "reduction": {"mode": "off"}}
-    with machine.client() as client:
-        pushed = client.push_problem(folder)
-        whole = client.wait(client.submit(spec).id)
-        assert (whole.state, whole.error, whole.cells.failed) == ("succeeded", None, 0)
-        assert whole.best is not None
-        assert set(whole.best.parameters) == set(manifest["parameters"])
-        begun = client.submit(spec).id
-        until(lambda: (client.campaign(begun).iteration or 0) >= 2, "a third iteration")
-    machine.kill()
-    assert machine.stored_state(begun) == "running"
-    machine.restart()
+def test_the_kill_hit_the_middle_of_campaigns(calibrated: tuple[Client, dict[str, Example]]) -> None:
+    assert "running" in {example.at_the_kill for example in calibrated[1].values()}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_killed_resumed_and_rated_anew(name: str, calibrated: tuple[Client, dict[str, Example]]) -> None:
+    client, examples = calibrated
+    example = examples[name]
+    manifest = rewritten(example.folder)
+    whole, resumed = client.campaign(example.whole), client.campaign(example.resumed)
+    assert (whole.state, whole.error, whole.cells.failed) == ("succeeded", None, 0)
+    assert whole.best is not None
+    assert set(whole.best.parameters) == set(manifest["parameters"])
+    assert (resumed.state, resumed.best, resumed.cells) == ("succeeded", whole.best, whole.cells)
+    assert rows(client, resumed.id) == rows(client, whole.id)
 
     measure = next(iter(manifest["measures"]))
-    with machine.client() as client:
-        resumed = client.wait(begun)
-        assert (resumed.state, resumed.best, resumed.cells) == ("succeeded", whole.best, whole.cells)
-        assert rows(client, begun) == rows(client, whole.id)
+    anew = {"formula": FORMULA.format(measure), "direction": "minimise", "range": [0, 50], "failed": 99}
+    rewritten(example.folder, scores={"anew": anew})
+    again = client.push_problem(example.folder)
+    assert again.digest != example.digest
+    changes = {"problem": name, "weights": {}, "optimizer": OPTIMIZER | {"iterations": 1}, "reduction": {"mode": "exact"}}
+    rated = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
+    assert rated.spec["problem"] == again.digest
+    assert (rated.cells.simulated, rated.cells.repeated) == (0, OPTIMIZER["population"] * len(manifest["scenarios"]))
+    before = by_cell(client, whole.id)
+    for cell, row in by_cell(client, rated.id).items():
+        assert row[f"measure_{measure}"] == before[cell][f"measure_{measure}"]
+        assert row["score"] == (2 * row[f"measure_{measure}"] + 1 if row["failure"] is None else 99)
 
-        anew = {"formula": FORMULA.format(measure), "direction": "minimise", "range": [0, 50], "failed": 99}
-        rewritten(folder, scores={"anew": anew})
-        again = client.push_problem(folder)
-        assert again.digest != pushed.digest
-        changes = {"problem": name, "weights": {}, "optimizer": OPTIMIZER | {"iterations": 1}, "reduction": {"mode": "exact"}}
-        rated = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
-        assert rated.spec["problem"] == again.digest
-        assert (rated.cells.simulated, rated.cells.repeated) == (0, OPTIMIZER["population"] * len(manifest["scenarios"]))
-        before = by_cell(client, whole.id)
-        for cell, row in by_cell(client, rated.id).items():
-            assert row[f"measure_{measure}"] == before[cell][f"measure_{measure}"]
-            assert row["score"] == (2 * row[f"measure_{measure}"] + 1 if row["failure"] is None else 99)
-
-        (folder / "extra.txt").write_text("one byte more")
-        client.push_problem(folder)
-        other = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
-        assert (other.cells.repeated, other.cells.simulated) == (0, rated.cells.repeated)
+    (example.folder / "extra.txt").write_text("one byte more")
+    client.push_problem(example.folder)
+    other = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
+    assert (other.cells.repeated, other.cells.simulated) == (0, rated.cells.repeated)
 
 
 def by_cell(client: Client, campaign: str) -> dict[tuple[int, str], dict[str, Any]]:

@@ -44,7 +44,7 @@ ZDT1 = {
 SPEC: dict[str, Any] = {
     "problem": "zdt1",
     "objectives": [{"score": name, "reference": 1.1} for name in ("f1", "f2")],
-    "optimizer": {"kind": "nsga2", "population": 40, "iterations": 40, "seed": 4},
+    "optimizer": {"kind": "nsga2", "population": 32, "iterations": 20, "seed": 4},
     "reduction": {"mode": "off"},
 }
 LARGEST = 0.1 + 2 / 3 + 0.11
@@ -96,7 +96,7 @@ def test_a_killed_search_ends_with_the_front_of_an_uninterrupted_one(tmp_path: P
         whole = client.wait(client.submit(SPEC).id)
         assert (whole.state, whole.error) == ("succeeded", None)
         expected = client.front(whole.id), client.front_summary(whole.id), rows(client, whole.id)
-        assert 0.93 * LARGEST < (expected[1].hypervolume or 0) <= LARGEST
+        assert 0.7 * LARGEST < (expected[1].hypervolume or 0) <= LARGEST
         killed = client.submit(SPEC).id
         until(lambda: (client.campaign(killed).iteration or 0) >= 5, "five generations are over")
         family = server.family()

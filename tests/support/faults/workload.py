@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
+from tests.support.effort import tries
 
 COARSE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.25} for i in range(1, 7)]
 """So few values that the search comes back to sets that it has seen."""
@@ -26,7 +27,7 @@ REUSING: dict[str, Any] = {
     "catalogue": SCENARIOS,
     "parameters": COARSE,
     "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
-    "optimizer": {"kind": "genetic", "population": 50, "iterations": 6, "seed": 2, "mutation": 1},
+    "optimizer": {"kind": "genetic", "population": tries(40, 50), "iterations": tries(4, 6), "seed": 2, "mutation": 1},
     "reduction": {"mode": "influence", "audit": 0.2, "max_error": 1, "certified": False},
 }
 ANALYSING: dict[str, Any] = {
@@ -35,11 +36,11 @@ ANALYSING: dict[str, Any] = {
     "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 4)],
     "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
     "vehicle": {"parameters": {"mass": 1600}},
-    "sensitivity": {"intervals": 3, "samples": 3, "threshold": 0.02},
-    "optimizer": {"kind": "genetic", "population": 20, "iterations": 3, "seed": 2},
+    "sensitivity": {"intervals": tries(2, 3), "samples": 3, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": tries(12, 20), "iterations": 3, "seed": 2},
     "reduction": {"mode": "influence", "audit": 0.1, "max_error": 1},
-    "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},
-    "validation": {"samples": 10, "references": 2, "largest": 20},
+    "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": tries(1, 2)},
+    "validation": {"samples": tries(5, 10), "references": 2, "largest": 20},
 }
 """Every stage there is. Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
