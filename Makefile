@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-faults test-compose test-packages check bench train page docs format lock sbom networks clean
+.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock sbom networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -19,14 +19,18 @@ $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the whole test suite: real SUMO, Ray, HTTP, SQLite and PostgreSQL
+test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (ten minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
+test-slow: $(INSTALLED) ## run the tests that `make test` leaves out because each takes long (minutes)
+	@$(COMPILE_KERNELS)
+	@$(WHOLE_FILES) -m slow
+
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
 	@DRIVECAL_LONG=1 $(BIN)/pytest tests/faults -m faults
-	@DRIVECAL_LONG=1 $(WHOLE_FILES) --ignore tests/faults --ignore tests/browser
+	@DRIVECAL_LONG=1 $(WHOLE_FILES) -m "slow or not slow" --ignore tests/faults --ignore tests/browser
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s

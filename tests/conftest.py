@@ -43,12 +43,14 @@ gc.disable()
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
+LONG_FILES = {"test_tutorials.py", "test_notebooks.py", "test_highway.py", "test_page_views.py", "test_page_sources.py"}
+"""Files that take most of a minute or a single test that does."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
 """From those with long files to those with short ones."""
 
 
-MARKERS = ("faults", "compose", "packages")
-"""Markers of tests that run only with `-m`: they take hours, or need a Docker engine or a package index."""
+MARKERS = ("slow", "faults", "compose", "packages")
+"""Markers of tests that run only with `-m`: they take long, or need a Docker engine or a package index."""
 
 
 class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
@@ -71,8 +73,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if deselected:
         config.hook.pytest_deselected(items=deselected)
         items[:] = [item for item in items if item not in deselected]
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path not in slow, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0])))
+    items.sort(
+        key=lambda item: (item.path.name not in LONG_FILES, SUITES.index(item.path.relative_to(PROJECT / "tests").parts[0]))
+    )
 
 
 def pytest_collection_finish() -> None:

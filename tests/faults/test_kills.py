@@ -34,7 +34,6 @@ KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, k
 MakeServer = Callable[..., Coordinator]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     plan = [(Moment(0.1, 0.0), kill_api), (Moment(0.3, 0.1), kill_dispatcher), (Moment(0.6, 0.0), kill_supervisor)]

@@ -31,8 +31,6 @@ SHORTEST_DEADLINE_SECONDS = 2.0
 PATIENCE_FACTOR = 20.0
 """A cell hangs that takes so many times longer than the first one, which loads what the others find loaded."""
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture
 def healed(ray_backend: RayBackend) -> Iterator[RayBackend]:

@@ -22,7 +22,6 @@ from websockets.typing import Origin
 
 from drivecal.client import Client
 
-pytestmark = pytest.mark.slow
 NAMES = {
     "formula": '=HYPERLINK("http://elsewhere","x")',
     "script": "<script>alert(1)</script><img src=x onerror=alert(1)>",

@@ -13,6 +13,7 @@ from tests.support.simulators import compiled, lost
 from drivecal.client.problems import read_bundle
 from drivecal.domain.evaluations import Breakdown
 
+pytestmark = pytest.mark.slow
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "planner-highway"
 CODE = """
 def control(o, p):

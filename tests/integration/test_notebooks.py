@@ -10,7 +10,7 @@ import pytest
 from tests.support.documentation import DOCS, program
 from tests.support.serve import serving
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]  # a cell may take SECONDS of docs/notebooks.py
+pytestmark = pytest.mark.timeout(900)  # a cell may take SECONDS of docs/notebooks.py
 notebooks = program("notebooks")
 
 

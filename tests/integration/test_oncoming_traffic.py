@@ -12,6 +12,7 @@ from tests.support.networks import built, generated
 
 from drivecal.roads.network import read_network
 
+pytestmark = pytest.mark.slow
 GRID = ("--grid", "--grid.x-number", "4", "--grid.y-number", "1", "--grid.length", "300", "-L", "2")
 CURVE = "0,0 100,0 200,10 290,40 370,90"
 HOLD = "def control(observation, parameters):\n    return 0.5 * (20.0 - observation['speed'])\n"

@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 
 from drivecal.cli.main import app
 
-pytestmark = pytest.mark.slow
 TOKEN, READER, MINE = "writer-0123456789abcdef", "reader-0123456789abcdef", "somebody-elses-0123456789"
 MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 

@@ -13,7 +13,6 @@ from tests.support.serve import Server, serving
 
 from drivecal.client import Client
 
-pytestmark = pytest.mark.slow
 PUSH = "drivecal problem push"
 TUTORIALS = sorted((DOCS / "pages" / "tutorials").glob("*.md"))
 

@@ -31,7 +31,6 @@ REDUCTION = {"mode": "influence", "audit": 0.2, "max_error": 1}
 NOT_COMPARED = {"milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 
-pytestmark = pytest.mark.slow
 
 
 Row = dict[str, str]
