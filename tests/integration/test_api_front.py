@@ -13,13 +13,12 @@ from typing import Any
 import pytest
 from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
 from tests.support.command import command
-from tests.support.runs import SMALL, run
+from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
-from drivecal.storage import campaigns
 
 MAPPINGS = {"objectives", "scores", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
@@ -43,15 +42,7 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
             {"optimizer": NSGA2 | {"seed": 9}},
             {"objectives": None, "optimizer": SMALL["optimizer"]},
         ]
-        ids = []
-        for change in changes:
-            submitted = api.http.post("/api/v1/campaigns", json=SPEC | change)
-            assert submitted.status_code == 202, submitted.text
-            ids.append(submitted.json()["id"])
-            with api.database.read() as connection:
-                stored = campaigns.get(connection, ids[-1])
-            run(api.database, stored, backend())
-        yield Ended(api, *ids)
+        yield Ended(api, *(run_posted(api, SPEC | change, backend()) for change in changes))
 
 
 def rows_of(ended: Ended, campaign: str, **query: Any) -> list[dict[str, Any]]:
@@ -224,11 +215,8 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
 
 def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: Ended) -> None:
     def light_of(**changes: Any) -> tuple[dict[str, Any], dict[str, str]]:
-        submitted = ended.api.http.post("/api/v1/campaigns", json=SPEC | changes).raise_for_status().json()
-        with ended.api.database.read() as connection:
-            stored = campaigns.get(connection, submitted["id"])
-        run(ended.api.database, stored, backend())
-        campaign, trust = (ended.api.http.get(submitted["links"][name]).json() for name in ("self", "trust"))
+        campaign = ended.api.http.get(f"/api/v1/campaigns/{run_posted(ended.api, SPEC | changes, backend())}").json()
+        trust = ended.api.http.get(campaign["links"]["trust"]).json()
         return campaign, {reason["about"]: reason["light"] for reason in trust["reasons"]} | {"all": trust["light"]}
 
     worst = {f"P{i}": 0.5 for i in range(1, 12)}

@@ -12,13 +12,12 @@ from typing import Any
 import pytest
 from tests.integration.test_objectives import NSGA2, TWO, backend
 from tests.support.command import command
-from tests.support.runs import SMALL, run
+from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.report.review.content import read_sheet
-from drivecal.storage import campaigns
 
 SPEC = SMALL | {"optimizer": NSGA2 | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
 BASELINE = dict.fromkeys((f"P{number}" for number in range(1, 12)), 0.5)
@@ -36,16 +35,8 @@ class Ended:
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('review') / 'drivecal.db'}") as api:
-        ids = []
         changes: list[dict[str, Any]] = [{"baseline": BASELINE}, {"objectives": None, "optimizer": SMALL["optimizer"]}]
-        for change in changes:
-            submitted = api.http.post("/api/v1/campaigns", json=SPEC | change)
-            assert submitted.status_code == 202, submitted.text
-            ids.append(submitted.json()["id"])
-            with api.database.read() as connection:
-                stored = campaigns.get(connection, ids[-1])
-            run(api.database, stored, backend())
-        yield Ended(api, *ids)
+        yield Ended(api, *(run_posted(api, SPEC | change, backend()) for change in changes))
 
 
 def cells(page: str) -> list[str]:

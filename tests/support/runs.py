@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
 from tests.support.computed import ComputedBackend
+from tests.support.server import RunningApi
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
@@ -139,6 +140,17 @@ def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend |
             return found
         one.step()
     raise AssertionError("the campaign did not end")
+
+
+def run_posted(api: RunningApi, document: Mapping[str, Any], backend: ComputedBackend) -> str:
+    """Posts a campaign and runs it to its end; returns its id."""
+    submitted = api.http.post("/api/v1/campaigns", json=document)
+    assert submitted.status_code == 202, submitted.text
+    identifier: str = submitted.json()["id"]
+    with api.database.read() as connection:
+        campaign = campaigns.get(connection, identifier)
+    run(api.database, campaign, backend)
+    return identifier
 
 
 def rows_of(database: Database, campaign: StoredCampaign) -> list[StoredEvaluation]:
