@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from tests.support.serve import serving, until
+from tests.support.serve import Server, serving, until
 from tests.support.user_problems import SPEC, problem, rows
 
 from drivecal.client import Client
@@ -46,10 +47,9 @@ class Example:
 @pytest.fixture(scope="module")
 def calibrated(home: Path) -> Iterator[tuple[Client, dict[str, Example]]]:
     """The examples by name, calibrated side by side, and the server that knows them."""
-    settings = {"DRIVECAL_BACKEND": "processes", "DRIVECAL_BUNDLE_CACHE": str(home / "cache")}
     specs = {name: {**SPEC, "problem": name, "optimizer": OPTIMIZER, "reduction": {"mode": "off"}} for name in EXAMPLES}
     folders = {name: problem(name, home) for name in EXAMPLES}
-    with serving(home, workers=2, **settings) as server, Client(server.url) as client:
+    with started(home) as server, Client(server.url) as client:
         digests = {name: client.push_problem(folder).digest for name, folder in folders.items()}
         whole = {name: client.submit(spec).id for name, spec in specs.items()}
         for campaign in whole.values():
@@ -64,13 +64,17 @@ def calibrated(home: Path) -> Iterator[tuple[Client, dict[str, Example]]]:
             process.kill()
         server.process.wait()
     states = stored_states(home)
-    with serving(home, workers=2, **settings) as server, Client(server.url) as client:
+    with started(home) as server, Client(server.url) as client:
         for campaign in begun.values():
             client.wait(campaign)
         yield (
             client,
             {name: Example(folders[name], digests[name], whole[name], begun[name], states[begun[name]]) for name in EXAMPLES},
         )
+
+
+def started(home: Path) -> AbstractContextManager[Server]:
+    return serving(home, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=str(home / "cache"))
 
 
 def stored_states(home: Path) -> dict[str, str]:

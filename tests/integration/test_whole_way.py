@@ -32,7 +32,6 @@ NOT_COMPARED = {"milliseconds", "worker", "proven_by", "proof_agrees"}
 """Columns of an evaluation that say who simulated it and how fast, not what came out."""
 
 
-
 Row = dict[str, str]
 
 
