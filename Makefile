@@ -35,8 +35,8 @@ test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s
 
-test-packages: $(INSTALLED) ## build the wheel, install its three layers into fresh environments, run the demo there (minutes)
-	@$(BIN)/pytest tests/integration/test_wheels.py -m packages -s
+test-packages: $(INSTALLED) ## build the wheel, install its three layers into fresh environments, run the demo there; read files of public projects (minutes)
+	@$(BIN)/pytest tests/integration/test_wheels.py tests/integration/test_public_files.py -m packages -s
 
 check: $(INSTALLED) ## lint, formatting, types, import rules, the page, the documentation
 	@$(BIN)/ruff check .

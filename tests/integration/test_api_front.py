@@ -152,6 +152,11 @@ def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
     front = [each["objectives"] for each in listed if each["on_front"]]
     assert len(front) == sum(row.alternatives for row in rows)
     assert all(row.objectives in front for row in rows)
+    with Client(ended.api.url) as client:
+        sets = client.evaluated_sets(ended.first[:12])
+        others, frame = client.evaluated_sets(ended.first, everything=True), client.frame(ended.first, "front/evaluated")
+    assert [each.model_dump() for each in sets] == listed
+    assert frame.to_arrow().num_rows == len(listed) < len(others)
     exported = ended.api.http.get(query, params={"format": "csv", "where": "on_front=true"}).text
     assert len(list(csv.DictReader(io.StringIO(exported)))) == len(front)
     with_others = ended.api.http.get(query, params={"limit": 1000, "everything": "true"}).json()["items"]

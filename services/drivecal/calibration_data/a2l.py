@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from drivecal.calibration_data.characteristics import Characteristic, Content, decoded, refused, unit_of
+from drivecal.calibration_data.characteristics import Characteristic, Content, decoded, problem_of, refused, unit_of
 from drivecal.contracts.strict_json import shown
 
 _TOKEN = re.compile(
@@ -57,7 +57,7 @@ class _Described:
 
 
 def read(content: bytes, file: str) -> Content:
-    """Returns the characteristics of type VALUE. Raises InvalidInputError with the line of the first fault."""
+    """Returns the characteristics of type VALUE. Raises InvalidInputError with the line of the first fault that concerns all of them."""
     described = _Described()
     wanted: list[_Block] = []
     result = Content()
@@ -125,8 +125,10 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
     lower, upper = _number(block, 7, file), _number(block, 8, file)
     conversion = block.text(6)
     method = described.get("COMPU_METHOD", conversion)
+    fault = None
     if method is None and conversion != _IDENTICAL:
-        raise refused(file, block.tokens[6].line, f"there is no COMPU_METHOD {shown(conversion)}", "export the file again")
+        message, remedy = f"there is no COMPU_METHOD {shown(conversion)}", "export the file again, or leave it out by --match"
+        fault = problem_of(file, block.tokens[6].line, message, remedy)
     layout = described.get("RECORD_LAYOUT", block.text(4))
     is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after("FNC_VALUES", 1)[1:2])
     unit = next(iter(block.after("PHYS_UNIT", 9)), method.text(4) if method else "")
@@ -145,6 +147,7 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
         choices=tuple(choices),
         codes=tuple(choices.values()),
         line=block.line,
+        fault=fault,
     )
 
 

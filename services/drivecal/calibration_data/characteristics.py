@@ -18,7 +18,8 @@ class Characteristic:
     """A scalar value of a control unit. What a file does not say is None or empty.
 
     `value`: a number, or the text of a choice, in physical units. `lower`, `upper`, `step`: limits and resolution. `choices`: texts of an
-    enumeration, with their numbers in `codes`. `line`: where it is in its file.
+    enumeration, with their numbers in `codes`. `line`: where it is in its file. `fault`: the reason why it cannot become a parameter; the
+    other characteristics of its file can.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Characteristic:
     choices: tuple[str, ...] = ()
     codes: tuple[float, ...] = ()
     line: int = 0
+    fault: Problem | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,12 @@ def decoded(content: bytes, file: str) -> str:
 
 def refused(file: str, line: int, message: str, remedy: str) -> InvalidInputError:
     """Returns the error of a file's line."""
-    return InvalidInputError(Problem(f"{shown(file, 200)}, line {line}" if line else shown(file, 200), message, remedy))
+    return InvalidInputError(problem_of(file, line, message, remedy))
+
+
+def problem_of(file: str, line: int, message: str, remedy: str) -> Problem:
+    """Returns the fault of a file's line."""
+    return Problem(f"{shown(file, 200)}, line {line}" if line else shown(file, 200), message, remedy)
 
 
 def finite_number(text: str, line: int, file: str) -> float:

@@ -52,6 +52,7 @@ def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
         integer=new.integer or known.integer,
         choices=new.choices or known.choices,
         codes=new.codes or known.codes,
+        fault=new.fault or known.fault,
     )
 
 
@@ -78,7 +79,9 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
     result, problems = Sections(), []
     for characteristic in characteristics:
         name = names.get(characteristic.name, characteristic.name)
-        if isinstance(characteristic.value, str) and not characteristic.choices:
+        if characteristic.fault is not None:
+            problems.append(characteristic.fault)
+        elif isinstance(characteristic.value, str) and not characteristic.choices:
             result.left_out.append(characteristic.name)
         elif not _NAME.fullmatch(name):
             message = f"{shown(name)} cannot be the name of a parameter"

@@ -41,6 +41,7 @@ from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
     FrontRow,
     InfluenceRow,
+    JudgedSet,
     OptimumRow,
     RobustnessRow,
     SolutionPage,
@@ -50,6 +51,7 @@ from drivecal.contracts.tables import (
 from drivecal.domain.errors import OverloadError
 
 Action = Literal["pause", "resume", "cancel"]
+Table = Literal[TableName, "front/evaluated"]
 
 
 class Client(CampaignLists):
@@ -203,13 +205,13 @@ class Client(CampaignLists):
         """Returns every requested cell of a campaign. `where`: conditions as in the REST API, e.g. `where=["scenario=S1", "P1>=0.5"]`."""
         return self.frame(identifier, "evaluations", **query)
 
-    def frame(self, identifier: str, table: TableName, **query: Any) -> DownloadedTable:
+    def frame(self, identifier: str, table: Table, **query: Any) -> DownloadedTable:
         """Returns a whole table of a campaign, for pandas, polars or Arrow; with `where`, a list of conditions, only some rows."""
         return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
 
-    def table(self, identifier: str, table: TableName, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
+    def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
         """Yields a whole table in pieces as they arrive."""
-        path = path_of(self._full_place(("campaigns", identifier, table)))
+        path = path_of(self._full_place(("campaigns", identifier, *table.split("/"))))
         try:
             with self._http.stream("GET", path, params={**query, "format": form}) as response:
                 if not response.is_success:
@@ -219,11 +221,11 @@ class Client(CampaignLists):
         except httpx.TransportError as error:
             raise unreachable(self.url, error) from error
 
-    def rows(self, identifier: str, table: TableName, **query: Any) -> Iterator[dict[str, Any]]:
+    def rows(self, identifier: str, table: Table, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
         cursor: str | None = None
         while True:
-            place = ("campaigns", identifier, table)
+            place = ("campaigns", identifier, *table.split("/"))
             response = self._request("GET", place, query={**query, "limit": 1000, "cursor": cursor})
             raise_for(response, *named(place))
             page = json.loads(harmless(response.content))
@@ -250,6 +252,10 @@ class Client(CampaignLists):
     def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
         """Returns the objectives, knee, extremes and hypervolumes of a front."""
         return self._get(FrontSummary, "campaigns", identifier, "front", "summary", everything=everything or None)
+
+    def evaluated_sets(self, identifier: str, *, everything: bool = False) -> list[JudgedSet]:
+        """Returns all sets that have a value of every objective, dominated ones as well; `everything` as for the front."""
+        return self._rows_of(identifier, "front/evaluated", JudgedSet, everything=everything or None)
 
     def trade_off(
         self,
@@ -300,7 +306,7 @@ class Client(CampaignLists):
         """Returns the effects over all pairs."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
-    def _rows_of(self, identifier: str, table: TableName, model: type[Answer], **query: Any) -> list[Answer]:
+    def _rows_of(self, identifier: str, table: Table, model: type[Answer], **query: Any) -> list[Answer]:
         try:
             return Rows(model.model_validate(row) for row in self.rows(identifier, table, **query))
         except ValidationError as error:

@@ -8,21 +8,25 @@ from pydantic import ConfigDict
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
-from drivecal.optimizers.built_in import Beginning, BuiltIn
+from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
 from drivecal.optimizers.checks import searchable
 from drivecal.optimizers.replayed import Replayed, named, require
-from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
+from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 
 require("optuna", extra="optuna")
 
 TIE = 1e-6
 """Weight of the rating beside the objective: it orders equal objectives, and outweighs no step of a score with some steps."""
 
+VIOLATION = "violation"
+"""Name of the constraint that holds the sum of all violations."""
+
 
 class OptunaSettings(OptimizerSpecification):
     """`sampler`: Optuna's `TPESampler`, `NSGAIISampler` (with one objective a genetic algorithm) or `RandomSampler`.
 
-    The tree-structured Parzen estimator gets slower with every trial; it is meant for hundreds, not for tens of thousands.
+    The tree-structured Parzen estimator gets slower with every trial; it is meant for hundreds, not for tens of thousands. With several
+    objectives it proposes by the expected improvement of the hypervolume (Ozaki et al. 2022, J. Artif. Intell. Res. 73).
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -34,7 +38,8 @@ class OptunaSettings(OptimizerSpecification):
 class OptunaEngine:
     """A study in memory, asked for a whole population at a time.
 
-    Grids and integers are integers of the study, continuous parameters are floats from 0 to 1, choices are categories.
+    Grids and integers are integers of the study, continuous parameters are floats from 0 to 1, choices are categories. The study begins
+    with the first answers, which tell the number of objectives.
     """
 
     def __init__(self, settings: OptunaSettings, n_values: Indices, kinds: Sequence[Kind]) -> None:
@@ -49,7 +54,8 @@ class OptunaEngine:
             f"x{column}": _distribution(kind, last)
             for column, (kind, last) in enumerate(zip(kinds, self._last.tolist(), strict=True))
         }
-        self._study = optuna.create_study(direction="maximize", sampler=_sampler(settings))
+        self._sampler = _sampler(settings)
+        self._study: Any = None
         self._asked: list[Any] = []
 
     def propose(self) -> Indices:
@@ -63,22 +69,30 @@ class OptunaEngine:
         )
 
     def learn(self, population: Indices, objectives: Floats, tie_breakers: Floats) -> None:
+        """See `replayed.Engine`. Several objectives have violations in the place of tie breakers (`ports.Optimizer.tell`)."""
         import optuna
 
-        values = (objectives + TIE * tie_breakers).tolist()
+        is_vector = objectives.ndim == 2
+        values = objectives if is_vector else (objectives + TIE * tie_breakers)[:, np.newaxis]
+        missing = np.isnan(values).any(axis=1) | (is_vector & np.isnan(tie_breakers))
+        answers = list(zip(values.tolist(), tie_breakers.tolist(), missing.tolist(), strict=True))
         failed, complete = optuna.trial.TrialState.FAIL, optuna.trial.TrialState.COMPLETE
-        if not self._asked:  # the start population, which Optuna has not proposed
+        if self._study is None:  # the start population, which Optuna has not proposed
+            self._study = optuna.create_study(directions=["maximize"] * values.shape[1], sampler=self._sampler)
             self._study.add_trials(
                 optuna.trial.create_trial(
                     params=dict(zip(self._distributions, self._params(row), strict=True)),
                     distributions=self._distributions,
-                    **({"state": failed} if np.isnan(value) else {"value": value}),
+                    constraints={VIOLATION: violation} if is_vector and not is_missing else None,
+                    **({"state": failed} if is_missing else {"values": amounts}),
                 )
-                for row, value in zip(population.tolist(), values, strict=True)
+                for row, (amounts, violation, is_missing) in zip(population.tolist(), answers, strict=True)
             )
             return
-        for trial, value in zip(self._asked, values, strict=True):
-            self._study.tell(trial, None if np.isnan(value) else value, state=failed if np.isnan(value) else complete)
+        for trial, (amounts, violation, is_missing) in zip(self._asked, answers, strict=True):
+            if is_vector and not is_missing:
+                trial.set_constraint(VIOLATION, violation)
+            self._study.tell(trial, None if is_missing else amounts, state=failed if is_missing else complete)
 
     def _params(self, row: Sequence[int]) -> list[int | float]:
         """Returns the study's values for a row of grid indices."""
@@ -116,6 +130,11 @@ class OptunaPlugin(BuiltIn[OptunaSettings]):
 
     name = "optuna"
     settings = OptunaSettings
+
+    @property
+    def supports(self) -> frozenset[Ability]:
+        """See `drivecal.plugins.ports.DeclaringOptimizerPlugin`."""
+        return ONE_OBJECTIVE | {"objectives"}
 
     def _optimizer(self, settings: OptunaSettings, begin: Beginning) -> Replayed:
         return Replayed(begin.population, OptunaEngine(settings, begin.n_values, begin.kinds))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivecal.calibration_data import a2l
 from drivecal.calibration_data.characteristics import Characteristic
+from drivecal.calibration_data.sections import joined, sections_of
 from drivecal.domain.errors import InvalidInputError
 
 HEAD = """ASAP2_VERSION 1 71 /* a comment
@@ -76,7 +77,6 @@ def test_curves_are_listed_and_left_out() -> None:
         (b'/begin PROJECT a\n/include "other.a2l"\n/end PROJECT', 2),
         (file('a "" VALUE 0x10 _U16 0 speed 0'), 6),
         (file('a "" VALUE 0x10 _U16 0 speed zero 1'), 6),
-        (file('a "" VALUE 0x10 _U16 0 missing 0 1'), 6),
         (file('a "" VALUE 0 _U16 0 speed 0 1', 'a "" VALUE 0 _U16 0 speed 0 1'), 7),
     ],
 )
@@ -84,6 +84,16 @@ def test_the_first_fault_is_named_with_its_line(content: bytes, line: int) -> No
     with pytest.raises(InvalidInputError) as refused:
         a2l.read(content, "a.a2l")
     assert [problem.field for problem in refused.value.problems] == [f"a.a2l, line {line}"]
+
+
+def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
+    good, bad = read('good "" VALUE 0x10 _U16 0 speed 0 1', 'bad "" VALUE 0x12 _U16 0 missing 0 1')
+    valued = Characteristic("bad", 0.5)
+    assert list(sections_of([good], {}, 0.5).parameters) == ["good"]
+    for chosen in ([good, bad], joined([[bad], [valued]]), joined([[valued], [bad]])):
+        with pytest.raises(InvalidInputError) as refused:
+            sections_of(chosen, {}, 0.5)
+        assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
 
 
 TOKENS = [

@@ -284,7 +284,7 @@ def check_abilities(
     name = optimization.plugin.name
     if goals is not None and goals.is_vector and "objectives" not in abilities.supported(optimization.plugin):
         message = f"{name} searches by a single number, without constraints on results"
-        diagnostics.add("optimizer.kind", message, "choose nsga2, or give one objective and no constraints")
+        diagnostics.add("optimizer.kind", message, "choose nsga2, nsga3 or optuna, or give one objective and no constraints")
     for ability in abilities.lacking(optimization.plugin, wanted):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"

@@ -1,8 +1,9 @@
-"""NSGA-II and NSGA-III with several objectives and violations, behind the port."""
+"""Optimizers of several objectives with violations, behind the port: NSGA-II and NSGA-III of pymoo, Optuna's samplers."""
 
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,18 @@ from drivecal.analysis.front import hypervolume
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import RANDOM
 from drivecal.optimizers.nsga import NSGA2, NSGA3, directions
+from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
 
 GRID = np.array([101] * 5)
-every = pytest.mark.parametrize("plugin", [NSGA2, NSGA3], ids=["nsga2", "nsga3"])
+evolutionary = pytest.mark.parametrize("plugin", [NSGA2, NSGA3], ids=["nsga2", "nsga3"])
+SEARCHES: dict[str, tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = {
+    "nsga2": (NSGA2, {"population": 20, "iterations": 15}),
+    "nsga3": (NSGA3, {"population": 20, "iterations": 15}),
+    "optuna nsga2": (OPTUNA, {"population": 20, "iterations": 15, "sampler": "nsga2"}),
+    "tpe": (OPTUNA, {"population": 12, "iterations": 9, "sampler": "tpe"}),  # its models take long, and learn from few runs
+}
+every = pytest.mark.parametrize(("plugin", "chosen"), SEARCHES.values(), ids=SEARCHES)
 
 
 def zdt1(population: Indices) -> Floats:
@@ -42,41 +51,42 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
 @every
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_resumed_search_of_several_objectives_equals_an_uninterrupted_one(
-    plugin: DeclaringOptimizerPlugin, asked: bool
+    plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any], asked: bool
 ) -> None:
-    settings = plugin.settings(population=20)
-    whole = drive(plugin.create(settings, GRID), 8)
+    settings = plugin.settings(**chosen)
+    iterations = 4
+    whole = drive(plugin.create(settings, GRID), iterations)
     first = plugin.create(settings, GRID)
-    begun = drive(first, 4)
+    begun = drive(first, iterations // 2)
     if asked:
         first.ask()
     second = plugin.restore(settings, GRID, json.loads(json.dumps(first.state(), allow_nan=False)))
-    assert all(np.array_equal(a, b) for a, b in zip(begun + drive(second, 4), whole, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(begun + drive(second, iterations - iterations // 2), whole, strict=True))
 
 
 @every
-def test_individuals_get_feasible(plugin: DeclaringOptimizerPlugin) -> None:
-    populations = drive(plugin.create(plugin.settings(population=20), GRID), 15)
+def test_individuals_get_feasible(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
+    populations = drive(plugin.create(plugin.settings(**chosen), GRID), chosen["iterations"])
     assert (populations[0][:, 0] < 20).any()
     assert (populations[-1][:, 0] >= 20).mean() > 0.7
 
 
 @every
-def test_fronts_are_larger_than_those_of_random_search(plugin: DeclaringOptimizerPlugin) -> None:
-    def volume(which: DeclaringOptimizerPlugin, seed: int) -> float:
-        optimizer = which.create(which.settings(population=20, seed=seed), GRID)
+def test_fronts_are_larger_than_those_of_random_search(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
+    def volume(which: DeclaringOptimizerPlugin, seed: int, **settings: Any) -> float:
+        optimizer = which.create(which.settings(**settings, seed=seed), GRID)
         found = []
-        for _ in range(15):
+        for _ in range(chosen["iterations"]):
             found.append(zdt1(optimizer.ask().population))
             several = which is not RANDOM
-            optimizer.tell(found[-1] if several else found[-1].sum(axis=1), np.zeros(20))
+            optimizer.tell(found[-1] if several else found[-1].sum(axis=1), np.zeros(chosen["population"]))
         return hypervolume(np.concatenate(found), np.array([-1.0, -10.0])) or 0.0
 
     for seed in range(tries(2, 5)):
-        assert volume(plugin, seed) > volume(RANDOM, seed)
+        assert volume(plugin, seed, **chosen) > volume(RANDOM, seed, population=chosen["population"])
 
 
-@every
+@evolutionary
 def test_a_space_that_is_used_up_proposes_nothing_new(plugin: DeclaringOptimizerPlugin) -> None:
     optimizer = plugin.create(plugin.settings(population=10), np.array([2, 2]))
     for iteration in range(4):
@@ -86,11 +96,11 @@ def test_a_space_that_is_used_up_proposes_nothing_new(plugin: DeclaringOptimizer
 
 
 @every
-def test_answers_that_do_not_fit_are_refused(plugin: DeclaringOptimizerPlugin) -> None:
-    optimizer = plugin.create(plugin.settings(population=20), GRID)
-    optimizer.ask()
-    for objectives, violations in (((19, 2), 20), ((20, 2), 19)):
-        with pytest.raises(ValueError, match="20"):
+def test_answers_that_do_not_fit_are_refused(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
+    optimizer = plugin.create(plugin.settings(**chosen), GRID)
+    size = len(optimizer.ask().population)
+    for objectives, violations in (((size - 1, 2), size), ((size, 2), size - 1)):
+        with pytest.raises(ValueError, match=str(size)):
             optimizer.tell(np.zeros(objectives), np.zeros(violations))
 
 
