@@ -3,9 +3,10 @@
 A campaign of each size, whose simulation is a formula, is shown by the API in a process of its own to a headless Chromium of the system.
 Measured: from an empty tab to the campaign's state, to the first chart and table of its evaluations, and until all of them are there and
 drawn; what reading them costs the server; the longest frame while a brush is drawn along two axes and while the table is scrolled, by the
-browser's own animation frames; the memory of the browser's tab, and of it what its script holds; and by how much the server grows for
-each page that is open. Then the view Front of a campaign whose sets are all on the front: the longest frame, the least of several tries,
-while a slider of weights is drawn, the weights are moved on their map, and a range is drawn along an axis and in the scatter.
+browser's own animation frames; the memory of the browser's tab, and of it what its script holds; by how much the server grows for each
+page that is open; and, of a campaign that this process carries out, the longest time from a stored iteration to its point on the
+overview. Then the view Front of a campaign whose sets are all on the front: the longest frame, the least of several tries, while a
+slider of weights is drawn, the weights are moved on their map, and a range is drawn along an axis and in the scatter.
 
 Where there is no Chromium or the page was not built, it says so and ends with 0.
 
@@ -36,6 +37,7 @@ from tests.support.runs import dispatcher, get, submit
 
 from drivecal.api.routes.page import FILES, START
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage import generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -47,6 +49,8 @@ MOST_SECONDS, MOST_FRAME, MOST_SERVER = 3.0, 200.0, 100.0
 """To the first view, of a frame in milliseconds, of the server's growth for each page in MB."""
 MOST_FRONT_FRAME = 50.0
 """Milliseconds."""
+ITERATIONS = 12
+"""Of the campaign that is followed."""
 STEPS = 40
 """Of the pointer along an axis."""
 TRIES = 3
@@ -62,6 +66,8 @@ WATCH = """() => {
     };
     window.watching = requestAnimationFrame(tick);
 }"""
+DRAWN = """(iterations) => [...document.querySelectorAll('[aria-label^="Course of the search"] path[stroke-dasharray="7 3"]')]
+    .some((path) => path.getAttribute('d').split('L').length >= iterations)"""
 LONGEST = "() => { cancelAnimationFrame(window.watching); return window.longest; }"
 
 
@@ -83,7 +89,8 @@ def main(arguments: Sequence[str]) -> int:
             campaign = carried_out(url, size)
             with api_process(url, Path(name)) as api, sync_playwright() as playwright:
                 browser = playwright.chromium.launch(executable_path=command, args=["--no-sandbox"])
-                figures[f"{campaign.cells.requested}"] = measure(browser, api, campaign)
+                measured = measure(browser, api, campaign)
+                figures[f"{campaign.cells.requested}"] = measured | {"seconds_to_overview": followed(browser, api, url)}
                 browser.close()
     with tempfile.TemporaryDirectory(prefix="drivecal-page-") as name:
         url = f"sqlite:///{name}/drivecal.db"
@@ -101,7 +108,7 @@ def main(arguments: Sequence[str]) -> int:
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     TARGET.write_text(json.dumps(figures | {"front": {"sets": options.sets} | frames}, indent=2))
     limits = {"seconds_to_state": 1.0, "seconds_to_evaluations": MOST_SECONDS, "server_megabytes_for_each_page": MOST_SERVER}
-    limits |= {"brush_longest_frame_ms": MOST_FRAME, "scroll_longest_frame_ms": MOST_FRAME}
+    limits |= {"seconds_to_overview": 1.0, "brush_longest_frame_ms": MOST_FRAME, "scroll_longest_frame_ms": MOST_FRAME}
     missed = [f"{size}: {what}" for size, found in figures.items() for what, most in limits.items() if found[what] > most]
     for one in missed:
         print(f"missed: {one} (at most {limits[one.partition(': ')[2]]:g})")
@@ -190,6 +197,33 @@ def seconds_to(page: Page, address: str, there: Any) -> float:
     page.goto(address)
     there()
     return time.perf_counter() - started
+
+
+def followed(browser: Browser, api: ApiProcess, url: str) -> float:
+    """The longest time from a stored iteration to the course on the overview that shows it, while this process carries the search out."""
+    database = Database.open(url)
+    campaign = submit(database, optimizer={"kind": "random", "population": 50, "iterations": ITERATIONS, "seed": 2})
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"{api.url}/#/campaigns/{campaign.id}")
+    expect(page.get_by_text("Waiting for its turn.").first).to_be_visible()
+    working = dispatcher(database, ComputedBackend())
+    longest = 0.0
+    for iteration in range(2, ITERATIONS + 1):
+        while iterations(database, campaign) < iteration:
+            working.step()
+        began = time.perf_counter()
+        page.wait_for_function(DRAWN, arg=iteration)
+        longest = max(longest, time.perf_counter() - began)
+        page.wait_for_timeout(97 * iteration % 500)  # the server looks at any moment between two iterations
+    page.close()
+    database.dispose()
+    return longest
+
+
+def iterations(database: Database, campaign: StoredCampaign) -> int:
+    """The stored iterations of a campaign."""
+    with database.read() as connection:
+        return len(generations.page(connection, campaign.sequence, limit=ITERATIONS)[0])
 
 
 def brushed(page: Page) -> float:

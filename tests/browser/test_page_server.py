@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from playwright.sync_api import expect
-from tests.browser.conftest import TABS, Opening, barriers
+from tests.browser.conftest import LOST, Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
 from tests.support.server import free_port, serving
@@ -102,7 +102,7 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
     (tmp_path / "tokens").write_text(f"anna read {TOKEN}\n")
     with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
         campaign = run(api.database, submit(api.database, optimizer={"kind": "genetic", "population": 6, "iterations": 2}))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403", "WebSocket"))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("401", "403", LOST))
         assert barriers(page) == []
         page.get_by_label("Token").fill("wrong-0123456789abcdef")
         page.get_by_role("button", name="Log in").click()
@@ -124,40 +124,20 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.close()
 
 
-def test_every_view_comes_back_with_the_server(tmp_path: Path, opening: Opening) -> None:
-    url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
-    with serving(url, port) as api:
-        campaign = run(api.database, submit(api.database, **WITH_ANALYSIS), ComputedBackend(answer=influenced))
-        others = ["evaluations/1", "", "submit", "problems", "compare", "workers"]
-        views = [*(f"campaigns/{campaign.id}/{tab}" for tab in TABS), *others]
-        away = ("ERR_CONNECTION_REFUSED", "WebSocket", "409", "ERR_CONNECTION_RESET", "Failed to load")
-        pages = [opening(f"{api.url}/#/nowhere", expected=away) for _ in views]
-        for page in pages:
-            page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
-        address = api.url
-    for page, view in zip(pages, views, strict=True):
-        page.evaluate("window.neverReloaded = true")
-        page.goto(f"{address}/#/{view}")
-        expect(page.get_by_text("cannot be reached").first).to_be_visible()
-        expect(page.get_by_text(re.compile("^(Nothing to rank|No evaluation|No campaign|No problem) "))).to_have_count(0)
-        expect(page.get_by_text("Connection lost")).to_be_visible()
-    with serving(url, port):
-        for page in pages:
-            expect(page.get_by_text("Connection lost")).to_have_count(0)
-            expect(page.get_by_text(re.compile("cannot be reached"))).to_have_count(0)
-            expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting"))
-            assert page.evaluate("window.neverReloaded")
-
-
-def test_a_connection_that_nobody_waits_for_is_not_reported_as_lost(tmp_path: Path, opening: Opening) -> None:
+def test_views_come_back_with_a_server_that_was_started_again(tmp_path: Path, opening: Opening) -> None:
     url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
     with serving(url, port) as api:
         campaign = run(api.database, submit(api.database, **SMALL))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("ERR_CONNECTION_REFUSED", "WebSocket", "409"))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("ERR_CONNECTION_REFUSED", LOST, "409"))
         expect(page.get_by_text("Finished.")).to_be_visible()
+        stays = opening(f"{api.url}/#/campaigns/{campaign.id}/ranking")
+        expect(stays.get_by_role("grid")).to_be_visible()
         address = api.url
-    expect(page.get_by_text("Connection lost")).to_be_visible()
+    for each in (page, stays):
+        expect(each.get_by_text("Connection lost")).to_be_visible()
     page.goto(f"{address}/#/evaluations/1")
     with serving(url, port):
+        expect(stays.get_by_text("Connection lost")).to_have_count(0)
+        expect(stays.get_by_role("grid")).to_be_visible()
         expect(page.get_by_text("Connection lost")).to_have_count(0)
         expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation 1")

@@ -238,6 +238,43 @@ def test_solutions_come_in_pages(api: RunningApi) -> None:
 
 
 @pytest.mark.parametrize(
+    ("document", "fields"),
+    [
+        (
+            {"optimizer": {"kind": "genetik", "population": "abc"}, "weights": {"S9": 1}, "reduction": {"audt": 1}},
+            ["optimizer.population", "reduction.audt", "optimizer.kind", "weights.S9"],
+        ),
+        ({"optimizer": {"population": "abc", "mutation": 7}}, ["optimizer.population", "optimizer.mutation"]),
+        ({"catalogue": ["S1", 5], "weights": {"S9": 1}}, ["catalogue[1]"]),  # which scenarios it has is not known
+        ({"parameters": [{"name": "P1", "lower": "x"}], "fixed": {"Q": 1}}, ["parameters[0].lower"]),
+        ({"parameters": [{"name": "Q"}, {"name": "P1", "lower": "x"}]}, ["parameters[1].lower", "parameters[0].name"]),
+        (
+            {"sensitivity": {"map": "0" * 32}, "weights": {"S9": 1}, "priority": "high"},
+            ["priority", "weights.S9", "sensitivity.map"],
+        ),
+        (
+            {"optimizer": None, "sensitivity": {"map": "0" * 32}, "robustness": {"of": "1" * 32}},
+            ["sensitivity.map", "robustness.of"],
+        ),
+    ],
+)
+def test_all_faults_of_a_document_come_in_one_answer(api: RunningApi, document: dict[str, Any], fields: list[str]) -> None:
+    for query in ({}, {"validate_only": True}):
+        answer = api.http.post("/api/v1/campaigns", json=document, params=query)
+        assert [error["field"] for error in problem_of(answer, 422)["errors"]] == fields
+
+
+def test_all_faults_of_a_comparison_and_of_an_evaluation_come_in_one_answer(api: RunningApi) -> None:
+    optimizers = [{"kind": "genetik"}, {"kind": "swarm", "label": ""}]
+    comparison = {"optimizers": optimizers, "populations": [10], "seeds": [1, 2, 3], "iterations": 0}
+    errors = problem_of(api.http.post("/api/v1/comparisons", json=comparison), 422)["errors"]
+    assert {error["field"] for error in errors} == {"optimizers[1].label", "iterations", "optimizers[0].kind"}
+    evaluation = {"parameters": MIDDLE | {"Q": 1}, "scenario": "S9", "name": "x"}
+    errors = problem_of(api.http.post("/api/v1/evaluations", json=evaluation), 422)["errors"]
+    assert [error["field"] for error in errors] == ["name", "scenario", "parameters.Q"]
+
+
+@pytest.mark.parametrize(
     ("weights", "field"),
     [
         ("S1=-1", "weights.S1"),

@@ -157,12 +157,15 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         if inspected
         else "Nothing inspected them."
     )
+    wrong_in: dict[tuple[Light, str], dict[str, str]] = {}
     for study, row in compared:
         rate, lower = row.error_rate or 0.0, row.lower_95 or 0.0
         if rate > limit:
             light: Light = "red" if lower > limit and not inspected else "amber"
-            text = f"The influence map is wrong for {rate:.1%} of the compared variants in {row.scenario} (validation {study[:SHORT]})."
-            yield Reason(light=light, about="map", scenario=row.scenario, text=f"{text} {then}")
+            wrong_in.setdefault((light, study), {})[row.scenario] = f"{rate:.1%}"
+    for (light, study), rates in wrong_in.items():
+        text = f"The influence map is wrong for {_listed(rates)} of the compared variants (validation {study[:SHORT]}). {then}"
+        yield Reason(light=light, about="map", scenario=_only(rates), text=text)
     if compared and all((row.error_rate or 0.0) <= limit for _, row in compared):
         worst, variants = max(row.error_rate or 0.0 for _, row in compared), sum(row.compared for _, row in compared)
         wrong = f"at most {worst:.1%} of the variants in a scenario are" if worst else f"none of {variants:,} variants is"
@@ -183,10 +186,10 @@ def _references(campaign: Campaign) -> Iterator[Reason]:
         elif not inspected and rate.wrong:
             light: Light = "red" if share > _DEFAULT.max_error else "amber"
             yield Reason(light=light, about="references", scenario=scenario, text=f"{seen}, and no lots were inspected.")
-        if rate.contradictions:
-            keys = "1 key" if rate.contradictions == 1 else f"{rate.contradictions:,} keys"
-            text = f"Under {keys} of the influence map simulated results in {scenario} differ."
-            yield Reason(light="amber", about="references", scenario=scenario, text=text)
+    differing = {name: f"{rate.contradictions:,}" for name, rate in campaign.error_rate.items() if rate.contradictions}
+    if differing:
+        text = f"Groups of sets that the influence map calls equal, with different simulated scores: {_listed(differing)}."
+        yield Reason(light="amber", about="references", scenario=_only(differing), text=text)
     yield from _lots("references", "reused answers", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
 
 
@@ -200,6 +203,16 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
         light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
         text = f"{share:.1%} of the simulated predictions in {row.scenario} are wrong; the limit allows {allowed:.1%}"
         yield Reason(light=light, about="predictions", scenario=row.scenario, text=f"{text} (validation {study[:SHORT]}).")
+
+
+def _listed(figures: Mapping[str, str]) -> str:
+    """Returns figures with their scenarios: `3.3% in S1 and 7.5% in S2`."""
+    *first, last = (f"{figure} in {scenario}" for scenario, figure in figures.items())
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _only(figures: Mapping[str, str]) -> str | None:
+    return next(iter(figures)) if len(figures) == 1 else None
 
 
 def _lots(about: str, what: str, counts: Iterable[tuple[int, int]]) -> Iterator[Reason]:

@@ -10,6 +10,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.api.pace import pace
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import stored_document
@@ -36,6 +37,8 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
+MAP = "sensitivity.map"
+
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
@@ -48,9 +51,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
     problem = _checked(database, limits, specification)
     with database.read() as connection:
-        used = named_map(connection, problem)
-        check_source(connection, problem)
-        check_predictions(connection, problem)
+        used = _stored_parts(connection, problem)
         reduction = specification.reduction
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
@@ -63,9 +64,22 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     return runs.model_copy(update={"notes": [*warnings, *runs.notes], "workers": known.workers, **time})
 
 
+def resolved(database: Database, specification: CampaignSpecification) -> CalibrationProblem:
+    """Returns the resolved campaign. Raises InvalidInputError with every fault, a missing map's included."""
+    try:
+        return resolve(specification, stored_bundles(database))
+    except InvalidInputError as error:
+        own = error.problems
+    diagnostics = Diagnostics()
+    if isinstance(specification.sensitivity, MapReference):
+        with database.read() as connection:
+            diagnostics.attempt(lambda: _stored_map(connection, specification))
+    raise InvalidInputError(*own, *diagnostics.problems)
+
+
 def _checked(database: Database, limits: Limits, specification: CampaignSpecification) -> CalibrationProblem:
     """Returns the resolved campaign. Raises TooLargeError if its stages propose too many cells."""
-    problem, largest = resolve(specification, stored_bundles(database)), limits.largest_campaign
+    problem, largest = resolved(database, specification), limits.largest_campaign
     runs = problem.expected_runs()
     stages = {
         "optimizer": runs.calibration_proposed,
@@ -129,14 +143,13 @@ def _queue(
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
-    check_source(connection, problem)
-    check_predictions(connection, problem)
+    used = _stored_parts(connection, problem)
     admission.admit(connection, limits.queued_campaigns, key)
     stored = campaigns.insert(
         connection,
         name=specification.name,
         spec=specification.model_dump(mode="json"),
-        influence_map_id=named_map(connection, problem),
+        influence_map_id=used,
         rerun_of=rerun_of,
         idempotency_key=key,
         body_digests=body_digests,
@@ -153,19 +166,33 @@ def _pinned(connection: Connection, stored: StoredCampaign, problem: Calibration
     return campaigns.by_sequence(connection, stored.sequence)
 
 
-def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
-    """Returns the id of the map that a campaign names. Raises InvalidInputError if it does not exist or fit the campaign."""
-    specification = problem.specification
+def _stored_parts(connection: Connection, problem: CalibrationProblem) -> str | None:
+    """Returns the id of the map that a campaign names. Raises InvalidInputError if the map or a campaign that it names does not fit."""
+    diagnostics = Diagnostics()
+    used = diagnostics.attempt(lambda: named_map(connection, problem))
+    diagnostics.attempt(lambda: check_source(connection, problem))
+    diagnostics.attempt(lambda: check_predictions(connection, problem))
+    diagnostics.raise_if_any()
+    return used
+
+
+def _stored_map(connection: Connection, specification: CampaignSpecification) -> StoredInfluenceMap | None:
     if not isinstance(specification.sensitivity, MapReference):
         return None
-    field = "sensitivity.map"
     try:
-        stored = influence_maps.get(connection, specification.sensitivity.map)
+        return influence_maps.get(connection, specification.sensitivity.map)
     except NotFoundError as error:
-        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/influence-maps lists what there is")) from error
+        raise InvalidInputError(Problem(MAP, str(error), "GET /api/v1/influence-maps lists what there is")) from error
+
+
+def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:
+    """Returns the id of the map that a campaign names. Raises InvalidInputError if it does not exist or fit the campaign."""
+    stored = _stored_map(connection, problem.specification)
+    if stored is None:
+        return None
     if stored.driving_function != problem.bench.function:
         message = f"the map is about the driving function {stored.driving_function!r}"
-        raise InvalidInputError(Problem(field, message, f"name a map of {problem.bench.function!r}"))
+        raise InvalidInputError(Problem(MAP, message, f"name a map of {problem.bench.function!r}"))
     check_basis(stored, problem)
     return stored.id
 

@@ -21,7 +21,7 @@ Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class GeneticSettings(OptimizerSpecification):
-    """The paper's p_s, p_r and p_m (Table 4; p_m as in Section IV-C) under their names in words."""
+    """Selection, recombination and mutation: the probabilities p_s, p_r and p_m (Table 4; p_m as in Section IV-C)."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -49,7 +49,7 @@ class RandomSettings(OptimizerSpecification):
 
 
 class SwarmSettings(OptimizerSpecification):
-    """The paper's c_1 and c_2 (Table 4), and the inertia factor that Eq. 4 leaves blank: 1 as it is printed."""
+    """Pulls c1 to a particle's own best set and c2 to that of the swarm (Table 4), and the inertia factor, which Eq. 4 leaves blank."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -90,7 +90,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
         "Summary": [paragraph(text, "key") for text in summary(comparison)],
         "Problem": [_problem(campaign)],
         "Optimizers": [
-            _table_5(comparison.groups, several=several),
+            _final_optima(comparison.groups, several=several),
             paragraph(CONVERGED),
             paragraph(COUNTED),
             *believed,
@@ -157,10 +157,10 @@ def _plain(value: object) -> str:
     return json.dumps(value)
 
 
-def _table_5(groups: Sequence[ComparedGroup], *, several: bool) -> str:
+def _final_optima(groups: Sequence[ComparedGroup], *, several: bool) -> str:
     header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
     header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
-    caption = "As the paper's Table 5: final optima over the seeds, by population size, and what they took"
+    caption = "Final optima over the seeds, by population size, and what they took"
     return table(header, compared_groups(groups, with_reduction=several), caption, wrap_header=True)
 
 

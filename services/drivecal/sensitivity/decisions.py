@@ -70,5 +70,5 @@ def _misses(verdict: Verdict) -> str:
 def _figures(verdict: Verdict) -> str:
     measures, threshold = verdict.measures, verdict.threshold
     if isinstance(threshold, MuSigmaThresholds):
-        return f"|mu| {abs(measures.mu):.3g} of {threshold.mu:.3g}, sigma {measures.sigma:.3g} of {threshold.sigma:.3g}"
-    return f"s_rel {measures.s_rel:.3g} of {0.0 if threshold is None else threshold:.3g}"
+        return f"|mu| {abs(measures.mu):.3g} (threshold {threshold.mu:.3g}), sigma {measures.sigma:.3g} (threshold {threshold.sigma:.3g})"
+    return f"s_rel {measures.s_rel:.3g} (threshold {0.0 if threshold is None else threshold:.3g})"

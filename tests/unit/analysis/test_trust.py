@@ -86,6 +86,16 @@ def test_the_newest_validation_of_a_scenario_counts() -> None:
     assert (wrong.scenario, wrong.light) == ("S2", "amber")
 
 
+def test_scenarios_with_the_same_fault_share_a_reason() -> None:
+    rates = {**LOTS, "S5": ErrorRate(contradictions=3), "S6": ErrorRate(contradictions=12)}
+    subject = campaign(notes=[f"{CONFIRMED}: 1 set tried"], error_rate=rates)
+    study = Validated("v" * 32, [validation(0.3, 0.2, "S1"), validation(0.075, 0.0, "S2"), validation(0.0, 0.0, "S3")])
+    amber = [reason for reason in trust(subject, [study]).reasons if reason.light == "amber"]
+    assert [(reason.about, reason.scenario) for reason in amber] == [("map", None), ("references", None)]
+    assert "30.0% in S1 and 7.5% in S2" in amber[0].text
+    assert "3 in S5 and 12 in S6" in amber[1].text
+
+
 def test_a_wrong_map_does_not_matter_to_a_campaign_that_uses_none() -> None:
     assert ("map", "S1") not in lights(campaign("exact"), validation(0.5, 0.4))
     assert ("map", None) not in lights(campaign("predicted"), validation(0.0, 0.0))

@@ -89,12 +89,12 @@ def points(line: Line2D) -> Floats:
     return np.asarray(line.get_xydata(), dtype=np.float64)
 
 
-def test_figures_7_and_8_show_every_run_and_not_only_the_best() -> None:
+def test_the_figures_of_optimizers_show_every_run_and_not_only_the_best() -> None:
     found = findings()
     genetic, swarm = search_figures(found.runs, found.generations)
     assert (genetic.name, swarm.name) == ("search-genetic", "search-swarm")
-    assert genetic.caption.startswith("Figure 8. ")
-    assert swarm.caption.startswith("Figure 7. ")
+    assert genetic.caption.startswith("All runs of genetic. ")
+    assert swarm.caption.startswith("All runs of swarm. ")
     for drawn in (genetic, swarm):
         left, right = drawn.figure.axes
         assert len([one for one in left.lines if len(points(one)) == ITERATIONS]) == 12

@@ -11,18 +11,17 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
+from drivecal.api import faults
 from drivecal.api.dependencies import Limits
 from drivecal.api.http.memory import give_back
-from drivecal.contracts import strict_json
-from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384
-"""Size in bytes from which a body is read beside the event loop: a hostile megabyte takes up to a second."""
+"""Size in bytes from which bodies are read in turn: a hostile megabyte takes up to a second."""
 
 
 class StrictRoute(APIRoute):
-    """A route whose JSON body is read by `drivecal.contracts.strict_json` and checked by `drivecal.contracts.input_errors`."""
+    """A route whose JSON body is read and checked by `drivecal.api.faults`, beside the event loop."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Returns FastAPI's handler behind the strict reader."""
@@ -33,14 +32,14 @@ class StrictRoute(APIRoute):
         if not (isinstance(model, type) and issubclass(model, BaseModel)):
             raise TypeError(f"{self.path} takes a body that is not a model")
 
-        def read(content: bytes) -> BaseModel:
-            return validated(model, strict_json.loads(content))
+        def read(request: Request, content: bytes) -> BaseModel:
+            return faults.read(model, content, request.app.state.database)
 
         async def strictly(request: Request) -> Response:
             _check_declaration(request)
             content = await body_of(request)
             if len(content) < LARGE:
-                return await handle(_Read(request, read(content)))
+                return await handle(_Read(request, await to_thread.run_sync(read, request, content)))
             limits: Limits = request.app.state.limits
             with limits.waiting_bodies.take():
                 async with limits.large_bodies:
@@ -48,7 +47,7 @@ class StrictRoute(APIRoute):
 
         async def large(request: Request, content: bytes) -> Response:
             try:
-                return await handle(_Read(request, await to_thread.run_sync(read, content)))
+                return await handle(_Read(request, await to_thread.run_sync(read, request, content)))
             except DrivecalError as error:
                 # Its sentences are all that is needed; the frames and errors behind it hold on to the document.
                 error.__cause__ = error.__context__ = None

@@ -31,7 +31,7 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.events import StoredEvent
 from drivecal.storage.revision_queries import ProgressSnapshot
 
-LOOK_SECONDS = 1.0
+LOOK_SECONDS = 0.5
 """Interval of the poller, and the shortest interval between two progress messages."""
 KEEPALIVE_SECONDS = 15.0
 """Time after which something is sent in any case, so that no proxy closes the connection."""

@@ -28,7 +28,7 @@ STALLED_SECONDS = 60.0
 EventId = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 STREAM = f"""Events as `text/event-stream`: {", ".join(f"`{kind}`" for kind in EventKind)}, each with its `id`, its name as `event`, and as
-`data` a `CampaignEvent`; in between, at most once a second and without an id, `progress` with a `CampaignProgress`. Also
+`data` a `CampaignEvent`; in between, at most twice a second and without an id, `progress` with a `CampaignProgress`. Also
 without an id: `degraded` and `recovered`, which no process can store while the dispatcher or the database is silent."""
 
 

@@ -39,7 +39,7 @@ PROTOCOL = (
     "stream, `GET /api/v1/campaigns/{campaign_id}/events`, which tells the same. Messages are JSON. A page sends "
     '`{"follow": ID, "after": N}` and `{"unfollow": ID}`, and is sent\n\n'
     '- `{"campaign": ID, "event": {...}}` with each event after number N, as in the event stream,\n'
-    '- `{"campaign": ID, "progress": {...}}` at most once a second,\n'
+    '- `{"campaign": ID, "progress": {...}}` at most twice a second,\n'
     '- `{"campaign": ID, "ended": true}` after the last event of a campaign that has ended,\n'
     '- `{"campaign": ID, "error": "..."}` if it cannot be followed,\n'
     '- `{"alive": true}` if there was nothing else for a while.\n\n'

@@ -13,7 +13,6 @@ from drivecal.contracts.comparison import ComparedPair, ComparedRun, ReductionEf
 from drivecal.contracts.tables import Generation
 from drivecal.report.figures.drawing import BLUE, INK, KINDS, RULE, Dashes, Drawn, plotted, style, whole_numbers
 
-PAPER = {"swarm": "Figure 7. ", "genetic": "Figure 8. "}
 MARKERS = "osv^DPX*"
 SPREAD = 0.06
 """Spread of lines of equal value, which would hide each other, in shares of the drawn range."""
@@ -102,7 +101,7 @@ def _caption(optimizer: str, *, by_rating: bool) -> str:
         else "Right: the same over the simulations that the run took."
     )
     return (
-        f"{PAPER.get(optimizer, '')}All runs of {optimizer}. Left: the best objective by iteration; lines of equal value are drawn beside "
+        f"All runs of {optimizer}. Left: the best objective by iteration; lines of equal value are drawn beside "
         f"each other, a dot marks where a run had converged. {over}"
     )
 

@@ -2,6 +2,7 @@
 
 import { extent, type Table } from "../server/columns";
 import type { Scale } from "../server/types";
+import { unitText } from "../text/format";
 import type { Axis } from "./polylines";
 
 /** A parameter as a campaign's setup describes it; bounds of a choice are positions in `choices`. */
@@ -24,7 +25,7 @@ export interface Colouring {
 
 /** A quantity with its unit; the unit 1 is not worth a word. */
 export function titled(name: string, unit: string | null | undefined): string {
-  return unit && unit !== "1" ? `${name} / ${unit}` : name;
+  return unit && unit !== "1" ? `${name} / ${unitText(unit)}` : name;
 }
 
 /** The parameter that a column holds: names that the table itself uses have a prefix. */

@@ -64,7 +64,7 @@ export function reach(series: readonly Series[], below: readonly (readonly numbe
   );
   if (log) return [0.7, Math.max(10, 1.6 * high)];
   if (low > high) return [0, 1];
-  const margin = (high - low || 1) * 0.06;
+  const margin = high > low ? (high - low) * 0.06 : 0.5;
   return [series.every(isLine) ? low - margin : Math.min(0, low), high + margin];
 }
 
@@ -93,8 +93,10 @@ export function logTicks(low: number, high: number): number[] {
   return powers.flatMap((power) => between.map((factor) => factor * power)).filter((tick) => tick <= high);
 }
 
-export function ticksOf(frame: Frame, about: number): number[] {
-  return frame.log ? logTicks(frame.y[0], frame.y[1]) : ticks(frame.y[0], frame.y[1], about);
+/** `whole`: counts have no marks between whole numbers. */
+export function ticksOf(frame: Frame, about: number, whole = false): number[] {
+  if (frame.log) return logTicks(frame.y[0], frame.y[1]);
+  return ticks(frame.y[0], frame.y[1], about).filter((tick) => !whole || Number.isInteger(tick));
 }
 
 /** The outline of a line or an area, as the `d` of an SVG path. */

@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import type { Shape } from "../server/shape";
 import type { OptimizerAnswer } from "../server/types";
-import { sectionOf, suiting, withSettings } from "./optimizers";
+import { comparedOf, sectionOf, suiting, withSettings } from "./optimizers";
 import { describe } from "./schema";
 
 const OPTIMIZERS: OptimizerAnswer[] = [
@@ -23,6 +23,13 @@ test("an optimizer's own settings are fields", () => {
   expect([section.kind, section.optional, Object.keys(section.schema.properties ?? {})]).toEqual(["object", true, ["kind", "population", "inertia"]]);
   expect(describe(section.schema.properties?.["kind"] ?? {}, {}).kind).toBe("text");
   expect(sectionOf({ type: "object" }, OPTIMIZERS, { kind: "of a plug-in" })).toEqual({ type: "object" });
+});
+
+test("each compared optimizer has its own settings, without those of the comparison", () => {
+  const item = { properties: { kind: { type: "string" }, label: { type: "string" } }, additionalProperties: true };
+  const list = comparedOf({ type: "array", items: { $ref: "#/Compared" } }, OPTIMIZERS, [{ kind: "swarm" }, { kind: "of a plug-in" }], { Compared: item });
+  expect(list.prefixItems?.map((entry) => Object.keys(entry.properties ?? {}))).toEqual([["kind", "label", "inertia"], ["kind", "label"]]);
+  expect(list.prefixItems?.map((entry) => entry.additionalProperties)).toEqual([false, true]);
 });
 
 test("settings of another optimizer do not stay", () => {

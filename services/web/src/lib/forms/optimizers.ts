@@ -2,7 +2,7 @@
 
 import type { OptimizerAnswer } from "../server/types";
 import type { Shape } from "../server/shape";
-import { changed, type Schema } from "./schema";
+import { changed, resolve, type Definitions, type Schema } from "./schema";
 
 type Settings = Readonly<Record<string, unknown>>;
 
@@ -15,18 +15,37 @@ export function suiting(optimizers: readonly OptimizerAnswer[], shape: Shape | n
 /** The schema of the section for the chosen optimizer; that of all optimizers if it declares none. */
 export function sectionOf(general: Schema, optimizers: readonly OptimizerAnswer[], settings: unknown): Schema {
   const kind = kindOf(settings);
-  const own = optimizers.find(({ name }) => name === kind)?.settings as Schema | undefined;
+  const own = ownOf(optimizers, settings);
   if (own?.properties === undefined) return general;
   const section: Schema = { ...own, description: own.description ?? "", properties: { ...own.properties, kind: { type: "string", default: kind } } };
   return { anyOf: [section, { type: "null" }], default: general.default };
 }
 
+/** Settings that a comparison chooses for all of its optimizers. */
+const COMMON: readonly string[] = ["kind", "population", "iterations", "start", "seed", "start_sets"];
+
+/** The list of compared optimizers: each with the settings that its plug-in declares. */
+export function comparedOf(general: Schema, optimizers: readonly OptimizerAnswer[], listed: unknown, definitions: Definitions): Schema {
+  const item = resolve(general.items ?? {}, definitions);
+  const sections = (Array.isArray(listed) ? listed : []).map((settings): Schema => {
+    const own = ownOf(optimizers, settings);
+    if (own?.properties === undefined) return item;
+    const further = Object.entries(own.properties).filter(([name]) => !COMMON.includes(name));
+    return { ...item, additionalProperties: false, properties: { ...item.properties, ...Object.fromEntries(further) } };
+  });
+  return { ...general, prefixItems: sections };
+}
+
 /** The section with another value: settings of an optimizer that is not chosen any more are left out. */
 export function withSettings(optimizers: readonly OptimizerAnswer[], before: unknown, after: unknown): unknown {
   if (typeof after !== "object" || after === null || kindOf(before) === kindOf(after)) return after;
-  const own = optimizers.find(({ name }) => name === kindOf(after))?.settings as Schema | undefined;
+  const own = ownOf(optimizers, after);
   if (own?.properties === undefined) return after;
-  return Object.keys(after).filter((name) => name !== "kind" && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
+  return Object.keys(after).filter((name) => !["kind", "label"].includes(name) && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
+}
+
+function ownOf(optimizers: readonly OptimizerAnswer[], settings: unknown): Schema | undefined {
+  return optimizers.find(({ name }) => name === kindOf(settings))?.settings as Schema | undefined;
 }
 
 function kindOf(settings: unknown): string {

@@ -15,6 +15,8 @@ export interface Schema {
   properties?: Record<string, Schema>;
   additionalProperties?: boolean | Schema;
   items?: Schema;
+  /** Of the first places, if they differ. */
+  prefixItems?: Schema[];
   minItems?: number;
   minimum?: number;
   maximum?: number;

@@ -7,6 +7,8 @@ import type { Campaign, CampaignEvent, Generation } from "./types";
 
 const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
+/** Between two readings that events ask for: a fast search has several iterations a second. */
+const APART_MILLISECONDS = 400;
 /** After these the answer of the campaign itself holds more than its progress. */
 const TELLING = new Set(["best", "baseline", "reuse_stopped", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
 
@@ -21,8 +23,13 @@ export class CampaignState {
   private readonly speed = new Rate();
   private stop: (() => void) | null = null;
   private timer: ReturnType<typeof setTimeout> | undefined;
+  /** When the timer rings. */
+  private due = Infinity;
   private tick: ReturnType<typeof setInterval> | undefined;
   private reading = false;
+  private readAt = -Infinity;
+  /** Something changed while the answer was on its way. */
+  private missed = false;
   private knownGenerations = -1;
 
   constructor(readonly id: string) {
@@ -47,15 +54,22 @@ export class CampaignState {
     }, 5_000);
     return () => {
       this.stop?.();
+      this.stop = null;
       clearTimeout(this.timer);
       clearInterval(this.tick);
     };
   }
 
-  /** Reads it again within a second. */
+  /** Reads it again within a second. Events in quick succession share an answer, and postpone none. */
   soon(milliseconds = READ_AGAIN_MILLISECONDS): void {
+    const due = performance.now() + milliseconds;
+    if (due >= this.due) return;
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => void this.read(), milliseconds);
+    this.due = due;
+    this.timer = setTimeout(() => {
+      this.due = Infinity;
+      void this.read();
+    }, milliseconds);
   }
 
   private take(event: CampaignEvent): void {
@@ -63,22 +77,27 @@ export class CampaignState {
     this.events = [...this.events, event].slice(-MOST_EVENTS);
     if (event.kind === "degraded" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: String(event.data["reason"] ?? "degraded") };
     if (event.kind === "recovered" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: null };
-    if (TELLING.has(event.kind)) this.soon(this.campaign === null ? 0 : READ_AGAIN_MILLISECONDS / 2);
+    if (TELLING.has(event.kind)) this.soon(Math.max(0, this.readAt + APART_MILLISECONDS - performance.now()));
   }
 
   private async read(): Promise<void> {
-    if (this.reading) return;
+    if (this.reading) {
+      this.missed = true;
+      return;
+    }
     this.reading = true;
+    this.readAt = performance.now();
     try {
       const next = await this.tagged.next();
       if (next) {
         this.campaign = next;
         this.measure();
-        const iteration = next.ended_at === null ? (next.iteration ?? -1) : Infinity;
-        if (next.kind === "calibration" && next.cells.proposed > 0 && iteration !== this.knownGenerations) {
-          this.knownGenerations = iteration;
-          this.generations = await all<Generation>(`/campaigns/${this.id}/generations`);
-        }
+      }
+      const { kind, ended_at, iteration, cells } = this.campaign ?? {};
+      const known = ended_at === null ? (iteration ?? -1) : Infinity;
+      if (kind === "calibration" && cells && cells.proposed > 0 && known !== this.knownGenerations) {
+        this.generations = await all<Generation>(`/campaigns/${this.id}/generations`);
+        this.knownGenerations = known;
       }
       this.problem = null;
     } catch (error) {
@@ -86,6 +105,8 @@ export class CampaignState {
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
     } finally {
       this.reading = false;
+      if (this.missed && this.stop !== null) this.soon();
+      this.missed = false;
     }
   }
 

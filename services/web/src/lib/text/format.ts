@@ -52,12 +52,12 @@ export function clock(moment: string): string {
 
 /** A unit as a cell of a table; nothing for values without unit. */
 export function unitText(unit: unknown): string {
-  return typeof unit === "string" && unit !== "1" ? unit : "";
+  return typeof unit === "string" && unit !== "1" ? unit.replaceAll("^2", "²").replaceAll("^3", "³") : "";
 }
 
 /** A score with its unit; of points the unit goes without saying. */
 export function scored(value: number | null | undefined, scale: { unit: string }, digits = 3): string {
-  const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${scale.unit}`;
+  const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${unitText(scale.unit)}`;
   return number(value, digits) + unit;
 }
 

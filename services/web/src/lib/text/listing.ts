@@ -30,8 +30,8 @@ export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | 
 }
 
 /** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, a tag or its comment. */
-export function isFound(campaign: Known, search: string): boolean {
-  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), ...campaign.tags, campaign.comment].join(" ").toLowerCase();
+export function isFound(campaign: Known, search: string, problem = ""): boolean {
+  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), problem, ...campaign.tags, campaign.comment].join(" ").toLowerCase();
   return search.toLowerCase().split(/\s+/).filter(Boolean).every((word) => text.includes(word) || campaign.id.startsWith(word));
 }
 
@@ -54,10 +54,10 @@ function valueOf(campaign: Known, column: Column): number | string {
   return column === "took" ? campaign.seconds.wall : (campaign.created_at ?? "");
 }
 
-/** The campaigns that a search finds, in order; studies follow what they examine, if that is listed. */
-export function arranged<T extends Known>(campaigns: readonly T[], search: string, [column, way]: Order): Listed<T>[] {
+/** The campaigns that a search finds, in order; studies follow what they examine, if that is listed. `problemOf`: the name of a campaign's problem. */
+export function arranged<T extends Known>(campaigns: readonly T[], search: string, [column, way]: Order, problemOf: (campaign: T) => string = () => ""): Listed<T>[] {
   const sign = way === "up" ? 1 : -1;
-  const listed = campaigns.filter((campaign) => isFound(campaign, search));
+  const listed = campaigns.filter((campaign) => isFound(campaign, search, problemOf(campaign)));
   const ordered = [...listed].sort((a, b) => {
     const [x, y] = [valueOf(a, column), valueOf(b, column)];
     return x === y ? 0 : sign * (x < y ? -1 : 1);

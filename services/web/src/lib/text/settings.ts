@@ -30,6 +30,13 @@ function named(name: unknown, more: string): string {
   return [String(name), more].filter(Boolean).join(": ");
 }
 
+/** A goal in words: `peak jerk: minimise`. What every goal has by default is left out. */
+function goalText(goal: Settings): string {
+  const usual = Object.entries(goal).filter(([name, value]) => !(name === "aggregate" && value === "mean") && !(name === "scenarios" && value === "all") && !(name === "tolerance" && value === 0) && value !== null);
+  const { name, score, measure, direction, ...others } = Object.fromEntries(usual);
+  return named(name ?? score ?? measure, [direction ? String(direction) : "", list(others)].filter(Boolean).join(", "));
+}
+
 /** Names and texts. Scenarios with their weights are the setup's, which knows all of them; without it, those that were named. */
 export function asked(campaign: Asked, setup: CampaignSetup | null): [string, string][] {
   const { spec } = campaign;
@@ -55,6 +62,10 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
     rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((entry) => (isSettings(entry) ? named(entry["mode"], list(entry, ["mode"])) : String(entry))).join("; ") : null]);
   }
   if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
+  for (const name of ["objectives", "constraints"]) {
+    const goals = spec[name];
+    if (Array.isArray(goals) && goals.length > 0) rows.push([name.charAt(0).toUpperCase() + name.slice(1), goals.filter(isSettings).map(goalText).join("; ")]);
+  }
   if (isSettings(spec.sensitivity)) rows.push(["Sensitivity", typeof spec.sensitivity["map"] === "string" ? `the stored influence map ${spec.sensitivity["map"].slice(0, 8)}` : list(spec.sensitivity)]);
   if (isSettings(spec.reduction) && spec.optimizer !== null) {
     const { mode, audit, max_error: most, confirm, tolerance, limit } = spec.reduction;
