@@ -20,6 +20,8 @@ from tests.support.server import RunningApi, serving
 
 from drivecal.contracts.work import Cell, CellResult
 
+pytestmark = pytest.mark.slow
+
 SEAT: dict[str, Any] = {
     "problem": "seat",
     "parameters": {name: {"lower": 0, "upper": 1, "unit": "kN/m"} for name in ("spring", "damper")}

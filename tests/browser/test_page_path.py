@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import expect
 from tests.browser.conftest import Opening, barriers
 from tests.support.serve import serving
 from tests.support.server import free_port
 
 from drivecal.client import Client
+
+pytestmark = pytest.mark.slow
 
 
 def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, opening: Opening) -> None:

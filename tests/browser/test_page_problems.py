@@ -20,6 +20,8 @@ from tests.support.server import RunningApi, serving
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 
+pytestmark = pytest.mark.slow
+
 SPEC: dict[str, Any] = {
     "problem": "heater",
     "catalogue": "highway",

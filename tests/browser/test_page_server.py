@@ -6,11 +6,14 @@ import json
 import re
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import expect
 from tests.browser.conftest import LOST, Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
 from tests.support.server import free_port, serving
+
+pytestmark = pytest.mark.slow
 
 TOKEN = "reader-0123456789abcdef"
 TINY = {"kind": "genetic", "population": 6, "iterations": 2}
