@@ -24,6 +24,8 @@ expect.set_options(timeout=30_000)
 
 LOST = "WebSocket"
 """Part of the complaint about a server that is gone."""
+GONE = (LOST, "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET")
+"""Complaints of a page whose server ends, between two requests or in one."""
 DESKTOP, PHONE = ViewportSize(width=1280, height=900), ViewportSize(width=390, height=844)
 
 

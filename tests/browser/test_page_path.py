@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
-from tests.browser.conftest import Opening, barriers
+from tests.browser.conftest import GONE, Opening, barriers
 from tests.support.serve import serving
 from tests.support.server import free_port
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, opening: Opening) -> None:
     port = free_port()
     with serving(tmp_path, port=port, DRIVECAL_BACKEND="processes") as server:
-        page = opening(f"{server.url}/#/submit", expected=("WebSocket", "ERR_CONNECTION_REFUSED", "409"))
+        page = opening(f"{server.url}/#/submit", expected=(*GONE, "409"))
         page.evaluate("window.neverReloaded = true")
         page.get_by_label("name").fill("the whole way")
         for scenario in ("S1", "S2", "S4", "S6"):

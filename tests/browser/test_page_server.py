@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
-from tests.browser.conftest import LOST, Opening, barriers
+from tests.browser.conftest import GONE, LOST, Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
 from tests.support.server import free_port, serving
@@ -131,7 +131,7 @@ def test_views_come_back_with_a_server_that_was_started_again(tmp_path: Path, op
     url, port = f"sqlite:///{tmp_path / 'drivecal.db'}", free_port()
     with serving(url, port) as api:
         campaign = run(api.database, submit(api.database, **SMALL))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=("ERR_CONNECTION_REFUSED", LOST, "409"))
+        page = opening(f"{api.url}/#/campaigns/{campaign.id}", expected=(*GONE, "409"))
         expect(page.get_by_text("Finished.")).to_be_visible()
         stays = opening(f"{api.url}/#/campaigns/{campaign.id}/ranking")
         expect(stays.get_by_role("grid")).to_be_visible()
