@@ -1,6 +1,6 @@
 /** The API's own description: its OpenAPI document. */
 
-import type { Definitions, Schema } from "../forms/schema";
+import type { Definitions } from "../forms/schema";
 import { Refusal, ask } from "./api";
 
 let reading: Promise<Definitions> | null = null;
@@ -15,10 +15,4 @@ export function definitions(): Promise<Definitions> {
       throw error instanceof Refusal ? error : new Refusal(0, `The API's description cannot be read: ${String(error)}`);
     });
   return reading;
-}
-
-/** The columns of a table by the schema of its rows: whether each holds numbers. */
-export function columnsOf(row: Schema): Map<string, boolean> {
-  const numeric = (schema: Schema): boolean => schema.type === "number" || schema.type === "integer" || (schema.anyOf ?? []).some(numeric);
-  return new Map(Object.entries(row.properties ?? {}).map(([name, schema]) => [name, numeric(schema)]));
 }

@@ -2,7 +2,7 @@
 
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
-import { columnsOf, definitions } from "./document";
+import { columnsOf, type RowName } from "./rows";
 
 /** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
 const FIRST_SHOWN = 3_000;
@@ -10,22 +10,22 @@ const TIMES_AS_LONG = 4;
 
 export class TableState {
   table = $state.raw<Table>(EMPTY);
-  /** The columns of the rows' schema: whether each holds numbers. Columns besides these, such as parameters, hold numbers. */
-  columns = $state.raw<ReadonlyMap<string, boolean>>(new Map());
+  /** The columns that rows of this kind have: whether each holds numbers. Columns besides these, such as parameters, hold numbers. */
+  readonly columns: ReadonlyMap<string, boolean>;
   /** Rows that were read so far, while it is being read. */
   reading = $state<number | null>(null);
   problem = $state("");
   private abort: AbortController | null = null;
 
-  /** `row`: the name of the rows' schema. */
-  constructor(private readonly row: string) {}
+  constructor(row: RowName) {
+    this.columns = columnsOf(row);
+  }
 
   async load(path: string): Promise<void> {
     this.abort?.abort();
     const abort = (this.abort = new AbortController());
     this.reading = 0;
     try {
-      this.columns = columnsOf((await definitions())[this.row] ?? {});
       const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
       const reader = new CsvReader(new Set([...this.columns].filter(([, numeric]) => !numeric).map(([name]) => name)));
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
