@@ -1,40 +1,66 @@
-"""The default predictor: a forest of extremely randomised trees (Geurts, Ernst and Wehenkel 2006), by scikit-learn."""
+"""The default predictor: a forest of extremely randomised trees (Geurts, Ernst and Wehenkel 2006). The trees are scikit-learn's.
 
-from typing import Any
+Its forests are not used: they check and convert the same data anew for every tree, which takes several times as long as the trees do,
+holds the interpreter's lock meanwhile, and delays the next batch of a campaign while all workers wait.
+"""
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.ensemble import ExtraTreesClassifier
+import sklearn
+from sklearn.tree import ExtraTreeRegressor
 
-from drivecal.reduction.prediction import Bools, Floats, Predictions
+from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions
 
 TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
 
+Indices = npt.NDArray[np.int64]
+
 
 class BaggedTrees:
-    """Trees on bootstrap samples of scored parameter sets."""
+    """Trees on bootstrap samples of scored parameter sets. They split by the variance of the scores."""
 
     def __init__(self, tolerance: float, seed: int) -> None:
         self._tolerance, self._seed = tolerance, seed
-        self._forest: Any = None
         self._scores: Floats = np.empty(0)
-        self._features: Floats = np.empty((0, 0))
+        self._trees: list[ExtraTreeRegressor] = []
+        self._drawn: Indices = np.empty((0, 0), dtype=np.int64)
+        """How often each tree's bootstrap sample holds each known answer, shape (n_trees, n_known)."""
+        self._leaves: Indices = np.empty((0, 0), dtype=np.int64)
+        """The leaf of each known answer in each tree, shape (n_trees, n_known)."""
 
     def weights(self, features: Floats) -> Floats:
         """Returns the weight of each training cell in the prediction of one set, shape (n_known,), sum 1: its mean share of the
-        bootstrap sample in the set's leaf, over the trees."""
-        forest = self._fitted()
-        shared = forest.apply(self._features) == forest.apply(features.reshape(1, -1))
-        drawn = np.stack([np.bincount(sample, minlength=len(shared)) for sample in forest.estimators_samples_], axis=1)
-        weights: Floats = shared * drawn
-        return np.asarray((weights / weights.sum(axis=0)).mean(axis=1), dtype=np.float64)
+        bootstrap sample in the set's leaf, over the trees. Raises RuntimeError before `fit`."""
+        shared = (self._leaves == self._leaves_of(features.reshape(1, -1))) * self._drawn
+        weights: Floats = (shared / shared.sum(axis=1, keepdims=True)).mean(axis=0)
+        return weights
 
-    def _fitted(self) -> Any:
-        if self._forest is None:
+    def _grow(self, features: Floats, scores: Floats) -> None:
+        """Grows trees on features, shape (n, k), and scores, shape (n,)."""
+        random = np.random.default_rng(self._seed)
+        points = np.ascontiguousarray(features, dtype=np.float32)
+        self._scores, self._trees, drawn, leaves = scores, [], [], []
+        with sklearn.config_context(skip_parameter_validation=True):
+            for _ in range(TREES):
+                drawn.append(np.bincount(random.integers(len(points), size=len(points)), minlength=len(points)))
+                tree = ExtraTreeRegressor(max_features=FEATURES, random_state=int(random.integers(2**31)))
+                tree.fit(points, scores[:, None], sample_weight=drawn[-1].astype(np.float64), check_input=False)
+                leaves.append(tree.tree_.apply(points))
+                self._trees.append(tree)
+        self._drawn, self._leaves = np.stack(drawn), np.stack(leaves)
+
+    def _leaves_of(self, features: Floats) -> Indices:
+        """Returns the leaf of each set in each tree, shape (n_trees, n)."""
+        if not self._trees:
             raise RuntimeError("the forest has not learned yet")
-        return self._forest
+        points = np.ascontiguousarray(features, dtype=np.float32)
+        return np.stack([tree.tree_.apply(points) for tree in self._trees])
+
+    def _votes(self, leaves: Indices) -> Floats:
+        """Returns the score that each tree gives to sets in these leaves, shape (n_trees, n)."""
+        return np.stack([tree.tree_.value[own, 0, 0] for tree, own in zip(self._trees, leaves, strict=True)])
 
 
 class Forest(BaggedTrees):
@@ -45,46 +71,51 @@ class Forest(BaggedTrees):
     def __init__(self, tolerance: float = 0.0, seed: int = 0) -> None:
         super().__init__(tolerance, seed)
         self._classes: Floats = np.empty(0)
+        self._labels: Indices = np.empty(0, dtype=np.int64)
         self._ratings: Floats = np.empty(0)
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
-        """Learns from at least one score. Trees are trained on bootstrap samples, so that `known_errors` costs no further fit."""
-        self._classes, labels = np.unique(scores, return_inverse=True)
-        self._features, self._scores, self._ratings = features, scores, ratings
-        self._forest = ExtraTreesClassifier(
-            TREES, max_features=FEATURES, bootstrap=True, oob_score=True, random_state=self._seed, n_jobs=1
-        )
-        self._forest.fit(features, labels)
+        """Learns from at least one score."""
+        self._classes, self._labels = np.unique(scores, return_inverse=True)
+        self._ratings = ratings
+        self._grow(features, scores)
 
     def predict(self, features: Floats) -> Predictions:
         """Predicts n sets. Raises RuntimeError before `fit`."""
-        forest = self._fitted()
-        votes = np.asarray(forest.predict_proba(features), dtype=np.float64)
+        leaves = self._leaves_of(features)
+        votes = self._shares(leaves)
         chosen, confidence = self._choose(votes)
         mean = votes @ self._classes
         variance = np.maximum(votes @ self._classes**2 - mean**2, 0.0)
-        return Predictions(self._classes[chosen], self._leaf_ratings(forest, features, chosen), confidence, mean, variance)
+        return Predictions(self._classes[chosen], self._leaf_ratings(leaves, chosen), confidence, mean, variance)
 
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns confidences and errors of the training data by the trees that did not see them, each of shape (n,)."""
-        votes: Floats = np.asarray(self._fitted().oob_decision_function_, dtype=np.float64).reshape(len(self._scores), -1)
-        seen = ~np.isnan(votes).any(axis=1)
-        chosen, confidence = self._choose(votes[seen])
-        return confidence, np.abs(self._classes[chosen] - self._scores[seen]) > self._tolerance + 1e-9
+        unseen = self._drawn == 0
+        known = unseen.any(axis=0)
+        chosen, confidence = self._choose(self._shares(self._leaves[:, known], unseen[:, known]))
+        return confidence, np.abs(self._classes[chosen] - self._scores[known]) > self._tolerance + ROUNDING
 
-    def _choose(self, votes: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._tolerance + 1e-9
+    def _shares(self, leaves: Indices, asked: Bools | None = None) -> Floats:
+        """Returns the share of votes for each class of n sets in these leaves, shape (n, n_classes). `asked`: which tree has a vote."""
+        between = (self._classes[1:] + self._classes[:-1]) / 2
+        votes = np.arange(leaves.shape[1]) * len(self._classes) + np.searchsorted(between, self._votes(leaves))
+        counts = np.bincount((votes if asked is None else votes[asked]).ravel(), minlength=leaves.shape[1] * len(self._classes))
+        shares: Floats = counts.reshape(-1, len(self._classes)) / (TREES if asked is None else asked.sum(axis=0)[:, None])
+        return shares
+
+    def _choose(self, votes: Floats) -> tuple[Indices, Floats]:
+        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._tolerance + ROUNDING
         confidence = votes @ near
         best = np.argmax(confidence + 1e-6 * votes, axis=1)
         return best, confidence[np.arange(len(best)), best]
 
-    def _leaf_ratings(self, forest: ExtraTreesClassifier, features: Floats, chosen: npt.NDArray[np.int64]) -> Floats:
+    def _leaf_ratings(self, leaves: Indices, chosen: Indices) -> Floats:
         """Mean rating, over all trees, of the known cells with the chosen score in the leaf of each set; else over all of that score."""
-        kinds, labels = len(self._classes), np.searchsorted(self._classes, self._scores)
-        totals, counts = np.zeros(len(features)), np.zeros(len(features))
-        for known, asked in zip(forest.apply(self._features).T, forest.apply(features).T, strict=True):
-            place, wanted = known * kinds + labels, asked * kinds + chosen
-            size = int(max(place.max(), wanted.max())) + 1
+        kinds, labels = len(self._classes), self._labels
+        totals, counts = np.zeros(len(chosen)), np.zeros(len(chosen))
+        for tree, known, asked in zip(self._trees, self._leaves, leaves, strict=True):
+            place, wanted, size = known * kinds + labels, asked * kinds + chosen, tree.tree_.node_count * kinds
             totals += np.bincount(place, self._ratings, size)[wanted]
             counts += np.bincount(place, minlength=size)[wanted]
         overall = np.bincount(labels, self._ratings, kinds) / np.bincount(labels, minlength=kinds)

@@ -21,7 +21,7 @@ Positions = npt.NDArray[np.int64]
 
 RECENT = 6
 """Batches that a calibration remembers."""
-LEFT_OUT = 0.2
+LEFT_OUT = 0.5
 """Weight of a left-out error of the training data beside a prediction's own."""
 FINENESS = 32
 """Lot sizes between a number and its double: so few that most plans are known from earlier lots, because finding one takes a while."""
@@ -33,8 +33,13 @@ FEWEST_KNOWN, MOST_KNOWN = 100, 10_000
 """Known answers before the first prediction, and the newest answers that a predictor is trained on."""
 ROUNDING = 1e-9
 """Difference of scores that counts as none."""
-DOUBT = 5.0
+DOUBT = 2.0
 """Weight of the prior in each level: so many observations of the record's mean error."""
+
+
+ROOM = 1.25
+"""Largest mean expected error of a lot, as a multiple of the limit. The plan keeps the limit whatever the errors are; much worse lots would
+pass at times, but most would be simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,11 +223,11 @@ def choose_lot(error_rates: Floats, limit: float) -> Lot | None:
     """Returns the lot with the largest expected saving; None if no lot saves a simulation.
 
     A lot holds the predictions with the lowest `error_rates`, shape (n,); equal rates keep their order. Its mean expected error is at most
-    `limit`, the largest expected share of released errors: worse lots would pass at times, but most would be simulated.
+    `ROOM` times `limit`, the largest expected share of released errors.
     """
     order = np.argsort(error_rates, kind="stable")
     expected = np.cumsum(error_rates[order]) / np.arange(1, len(order) + 1)
-    within = int(np.searchsorted(expected, limit, side="right"))
+    within = int(np.searchsorted(expected, ROOM * limit, side="right"))
     best: tuple[float, SamplingPlan] | None = None
     for size in reversed(lot_sizes(within)):
         if best is not None and size <= best[0]:

@@ -4,10 +4,9 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from sklearn.ensemble import ExtraTreesRegressor
 
 from drivecal.domain.scales import Scale
-from drivecal.reduction.forest import FEATURES, TREES, BaggedTrees, Forest
+from drivecal.reduction.forest import BaggedTrees, Forest
 from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions, Predictor
 
 MOST_CLASSES = 100
@@ -28,35 +27,25 @@ class RegressionForest(BaggedTrees):
         super().__init__(tolerance + ROUNDING, seed)
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
-        """Learns from at least one score. Trees are trained on bootstrap samples, so that `known_errors` costs no further fit."""
+        """Learns from at least one score."""
         del ratings
-        self._features, self._scores = features, scores
-        self._forest = ExtraTreesRegressor(TREES, max_features=FEATURES, bootstrap=True, random_state=self._seed, n_jobs=1)
-        self._forest.fit(features, scores)
+        self._grow(features, scores)
 
     def predict(self, features: Floats) -> Predictions:
         """Predicts n sets. Raises RuntimeError before `fit`."""
-        votes = _votes(self._fitted(), features)
+        votes = self._votes(self._leaves_of(features))
         scores, confidence = self._choose(votes)
-        return Predictions(scores, scores.copy(), confidence, votes.mean(axis=1), votes.var(axis=1))
+        return Predictions(scores, scores.copy(), confidence, votes.mean(axis=0), votes.var(axis=0))
 
     def known_errors(self) -> tuple[Floats, Bools]:
         """Returns confidences and errors of the training data by the trees that did not see them, each of shape (n,)."""
-        forest = self._fitted()
-        votes = _votes(forest, self._features)
-        for column, sample in enumerate(forest.estimators_samples_):
-            votes[sample, column] = np.nan
-        left_out = ~np.isnan(votes).all(axis=1)
-        scores, confidence = self._choose(votes[left_out])
+        votes = np.where(self._drawn == 0, self._votes(self._leaves), np.nan)
+        left_out = ~np.isnan(votes).all(axis=0)
+        scores, confidence = self._choose(votes[:, left_out])
         return confidence, np.abs(scores - self._scores[left_out]) > self._tolerance
 
     def _choose(self, votes: Floats) -> tuple[Floats, Floats]:
-        """Predicted scores and confidences for votes of shape (n, n_trees), NaN for trees without a vote."""
-        scores: Floats = np.nanmedian(votes, axis=1)
-        agreeing = np.abs(votes - scores[:, None]) <= self._tolerance  # a comparison with NaN is false
-        return scores, agreeing.sum(axis=1) / (~np.isnan(votes)).sum(axis=1)
-
-
-def _votes(forest: ExtraTreesRegressor, features: Floats) -> Floats:
-    """Predictions of every tree, shape (n, n_trees)."""
-    return np.stack([np.asarray(tree.predict(features), dtype=np.float64) for tree in forest.estimators_], axis=1)
+        """Predicted scores and confidences for votes of shape (n_trees, n), NaN for trees without a vote."""
+        scores: Floats = np.nanmedian(votes, axis=0)
+        agreeing = np.abs(votes - scores) <= self._tolerance  # a comparison with NaN is false
+        return scores, agreeing.sum(axis=0) / (~np.isnan(votes)).sum(axis=0)

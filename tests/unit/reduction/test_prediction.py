@@ -16,6 +16,7 @@ from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import MOST_ACCEPTED, outgoing_errors, smallest_plan
 from drivecal.reduction.prediction import (
     FINENESS,
+    ROOM,
     ConfidenceRecord,
     FeatureSpace,
     Floats,
@@ -81,7 +82,7 @@ def test_no_other_size_of_a_lot_is_expected_to_save_more(rates: list[float], lim
     savings = [
         smallest_plan(size, limit, acceptance).expected_saving(float(expected[size - 1]))
         for size in lot_sizes(len(rates))
-        if expected[size - 1] <= limit
+        if expected[size - 1] <= ROOM * limit
         for acceptance in range(MOST_ACCEPTED + 1)
     ]
     lot = choose_lot(np.array(rates), limit)
