@@ -25,7 +25,8 @@ def explain(
         campaign = client.campaign(client.full_id(identifier)).id
         explanation = client.explanation(evaluation)
     if explanation.campaign != campaign:
-        raise NotFoundError(f"evaluation of campaign {campaign}", str(evaluation), f"it is of campaign {explanation.campaign}")
+        cell = f"evaluation of campaign {campaign} with the number"
+        raise NotFoundError(cell, str(evaluation), f"campaign {explanation.campaign} has it")
     print_answer(explanation, as_json, print_explanation)
 
 
