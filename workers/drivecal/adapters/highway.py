@@ -50,6 +50,7 @@ class HighwayAdapter:
         except UnavailableError:
             scratch.remove()
             raise
+        confinement = scratch.confinement()
         settings = {
             "folder": str(folder),
             "work": str(scratch.work),
@@ -58,6 +59,7 @@ class HighwayAdapter:
             "scenario": scenario,
             "data": dict(data),
             "kernels": os.environ.get("NUMBA_CACHE_DIR"),
+            "changeable": None if confinement is None else confinement["writable"],
             "measures": list(declared.measures),
             "series": list(declared.series),
         }
@@ -72,7 +74,8 @@ class HighwayAdapter:
 
 
 def _compiled(folder: str | None) -> list[str]:
-    """Returns the folders of numba's compiled kernels: numba neither stores nor loads them if it may not write there."""
+    """Returns the folders of numba's compiled kernels: numba neither stores nor loads them if it may not write there. The child gives up
+    that right before it loads a user's code (`highway.drive.rehearsal`)."""
     if folder is not None:
         return [folder]
     highway = Path(__file__).parents[1] / "highway"

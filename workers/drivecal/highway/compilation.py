@@ -6,6 +6,7 @@ a process that starts in between loads the earlier one.
 """
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 from pickle import UnpicklingError
@@ -20,11 +21,12 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no typ
     """The stored functions of a kernel, one file for each source and signature, which is written before the index names it."""
 
     def save(self, key: Any, data: Any) -> None:
-        """Stores a function under a key: its signature and the processor."""
+        """Stores a function under a key: its signature and the processor. Where it cannot be stored, the next process compiles it again."""
         digest = sha256(repr((self._source_stamp, key)).encode()).hexdigest()[:16]
         name = self._data_name(digest)
-        self._save_data(name, data)
-        self._save_index(self._load_index() | {key: name})
+        with suppress(OSError):
+            self._save_data(name, data)
+            self._save_index(self._load_index() | {key: name})
 
     def _load_index(self) -> dict[Any, str]:
         """Returns the names of stored functions by key; none if the index is damaged, or names types that an upgrade removed."""

@@ -21,6 +21,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.loop import Loop
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.plants import UserVehicleModel, plant_of
+    from drivecal.highway.drive.rehearsal import hold, rehearse
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
     from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
@@ -42,6 +43,11 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     # The last message before a crash names its cause: SUMO can die of a damaged network.
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
+    vehicle = SingleTrackModel(parameters, parameters)
+    if not isinstance(simulator.controller, PlannerController) or isinstance(simulator.vehicle, UserVehicleEntry):
+        rehearse(name, simulator, scenario, road, traffic, vehicle)
+        if settings["changeable"] is not None:
+            hold(settings["changeable"], scratch)
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
     if isinstance(simulator.controller, PlannerController):
@@ -52,7 +58,6 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
         control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
         if simulator.controller.output == ["trajectory"]:
             control = ControllerTrajectories(control, road, section.get("period", simulator.step))
-    vehicle = SingleTrackModel(parameters, parameters)
     if isinstance(simulator.vehicle, UserVehicleEntry):
         print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
         entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)

@@ -97,6 +97,12 @@ class FmuPlant(Plant):
         return [values[index] for index in self._order]
 
 
+def prepare_trackers(model: SingleTrackModel) -> None:
+    """Compiles or loads the trackers of users' plants, which would take seconds of the first run."""
+    state, _, controller = model.arrays
+    kernels.commands(state, controller, kernels.STEERING, 0.0, 0.0, _NO_PATH, 0.0)
+
+
 class UserVehicleModel(SingleTrackModel):
     """A plant of the user's behind the built-in trackers, which assume the single-track model of these `parameters`."""
 
@@ -105,7 +111,6 @@ class UserVehicleModel(SingleTrackModel):
         self.plant, self._names = plant, tuple(state)
         self._origin = (0.0, 0.0, 0.0)
         self._begun: tuple[Mapping[str, Any]] | None = None
-        kernels.commands(self._state, self._controller, kernels.STEERING, 0.0, 0.0, _NO_PATH, 0.0)
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         """Sets the parameters of the runs that start from now on."""

@@ -1,0 +1,117 @@
+"""Compiled kernels of the simulator `highway`: a user's code finds all of them compiled, and can change none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, drive, driven, motorway
+from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
+
+import drivecal.highway.drive
+import drivecal.highway.vehicle
+from drivecal.adapters import confinement
+from drivecal.bundles.highway import HighwaySimulator
+from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
+
+TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
+STEERS = """
+def control(o, p):
+    return -0.01 * o["lane_offset"], 0.0
+
+def ahead(o, p):
+    return [[0.25 * i, o["position"] + o["speed"] * 0.25 * i, 0.0] for i in range(11)]
+"""
+PYTHON: dict[str, Any] = {"kind": "python", "file": "steers.py"}
+SESSIONS: dict[str, tuple[dict[str, Any], Any]] = {
+    "acceleration": (CONTROLLERS["python"], "single_track"),
+    "curvature": (LANE_KEEPER, "single_track"),
+    "steering": (PYTHON | {"output": ["steering", "acceleration"]}, "single_track"),
+    "trajectory": (PYTHON | {"function": "ahead", "output": ["trajectory"], "period": 0.2}, "single_track"),
+    "vehicle": (CONTROLLERS["python"], VEHICLES["python"]),
+    "planner": ({"kind": "planner", "lane": 0, "values": dict.fromkeys(PLANNER_PARAMETERS, 10.0)}, VEHICLES["python"]),
+}
+WATCHED = """
+import json, sys
+from drivecal.highway import compilation
+from drivecal.highway.drive import driver, rehearsal
+
+late = []
+def watch(writable, scratch):
+    load = compilation.CacheFile.load
+    def noticed(self, key):
+        late.append(f"{self._index_name} {key[0]}")
+        return load(self, key)
+    compilation.CacheFile.load = noticed  # asked before anything is compiled
+rehearsal.hold = watch
+evaluate = driver.prepare(json.loads(sys.argv[1]))
+evaluate({"parameters": json.loads(sys.argv[2])})
+print(json.dumps(late))
+"""
+HOSTILE = """
+import numba
+
+@numba.njit(cache=True)
+def twice(x):
+    return 2.0 * x
+
+twice(1.0)
+changed = []
+for folder in FOLDERS:
+    for name in ("planted.pyc", FILE):
+        try:
+            open(f"{folder}/{name}", "ab").write(b"x")
+            changed.append(name)
+        except OSError:
+            pass
+if changed:
+    raise RuntimeError(f"changed {changed}")
+
+def control(observation, parameters):
+    return 0.0
+"""
+
+
+@pytest.mark.parametrize("kind", SESSIONS)
+def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, tmp_path: Path) -> None:
+    controller, vehicle = SESSIONS[kind]
+    bundle, scratch = motorway(tmp_path / "bundle"), tmp_path / "scratch"
+    write_vehicles(bundle)
+    (bundle / "steers.py").write_text(STEERS)
+    (scratch / "work").mkdir(parents=True)
+    for path in bundle.iterdir():
+        (scratch / "work" / path.name).symlink_to(path)
+    section = HighwaySimulator.model_validate(
+        {"kind": "highway", "controller": controller, "vehicle": vehicle, "timeout": 60.0}
+    )
+    settings = {
+        "folder": str(bundle),
+        "work": str(scratch / "work"),
+        "scratch": str(scratch),
+        "simulator": section.model_dump(mode="json"),
+        "scenario": "trial",
+        "data": drive(TRAFFIC, 5.0),
+        "kernels": None,
+        "changeable": [],
+        "measures": list(EVERYTHING.measures),
+        "series": [],
+    }
+    command = [sys.executable, "-c", WATCHED, json.dumps(settings), json.dumps(PARAMETERS)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout.splitlines()[-1]) == []
+
+
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(tmp_path: Path) -> None:
+    folders = [
+        str(Path(str(module.__file__)).parent / "__pycache__") for module in (drivecal.highway.drive, drivecal.highway.vehicle)
+    ]
+    stored = next(Path(folders[1]).glob("*.nbi")).name
+    hostile = HOSTILE.replace("FOLDERS", repr(folders)).replace("FILE", repr(stored))
+    with driven(motorway(tmp_path / "bundle", hostile), drive([], 2.0)) as session:
+        assert session.evaluate(PARAMETERS).measures

@@ -1,0 +1,86 @@
+"""A run of drivecal's own code before a user's is loaded. Kernels are compiled and stored until then, and stay as they are afterwards.
+
+A worker and its later sessions run what is stored: a controller that could change it would run as the worker, or answer for others.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from drivecal.adapters.confinement import confine, ruleset
+from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerController, UserVehicleEntry
+from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
+from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
+from drivecal.highway.drive.loop import Loop
+from drivecal.highway.drive.measures import measures, series
+from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.plants import prepare_trackers
+from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.traffic import Traffic, TrafficError
+from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
+from drivecal.highway.vehicle.model import SingleTrackModel
+
+
+class _Straight(Controller):
+    """Gives no acceleration and no steering, or a trajectory straight on."""
+
+    def __init__(self, output: Sequence[str], needed: float) -> None:
+        self._output, self._needed = output, needed
+
+    def begin(self, parameters: Mapping[str, Any]) -> None:
+        del parameters
+
+    def step(self, signals: Sequence[float]) -> Sequence[Any]:
+        s, speed = signals[NAMES.index("position")], max(signals[NAMES.index("speed")], 1.0)
+        ahead = [[0.0, s, 0.0], [self._needed, s + speed * self._needed, 0.0]]
+        return [ahead if name == "trajectory" else 0.0 for name in self._output]
+
+
+def rehearse(
+    name: str,
+    simulator: HighwaySimulator,
+    scenario: HighwayScenario,
+    road: HighwayRoad,
+    traffic: Traffic,
+    model: SingleTrackModel,
+) -> None:
+    """Drives the scenario `name` once without the user's code: with the built-in planner, or straight on. Raises StartError."""
+    controller = simulator.controller
+    parameters = dict.fromkeys(PLANNER_PARAMETERS, 1.0)
+    if isinstance(controller, PlannerController):
+        control: Checked | TrajectorySource = PlannerTrajectories(
+            controller, scenario, road, (traffic.start_s, traffic.start_d)
+        )
+    else:
+        period = simulator.step if controller.period is None else controller.period
+        control = Checked(_Straight(controller.output, period), controller.output)
+        if controller.output == ["trajectory"]:
+            control = ControllerTrajectories(control, road, period)
+    if isinstance(simulator.vehicle, UserVehicleEntry):
+        prepare_trackers(model)
+    loop = Loop(name, simulator, scenario, road, traffic, model, control)
+    loop.prepare()
+    with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
+        record = loop.run(parameters).record
+        measures(record)
+        series(record, [])
+
+
+def hold(writable: Sequence[str], scratch: Path) -> None:
+    """Confines this process to the folders that it may still change, and lets numba store a user's own kernels in the `scratch` folder.
+
+    Call it before a user's code is loaded. Does nothing where the kernel has no Landlock. It holds for this thread and those that it
+    starts: there is no other one, unless the manifest's `environment` names a variable that gives numpy several.
+    """
+    rules = ruleset(writable)
+    if rules is None:
+        return
+    confine(rules)
+    os.close(rules)
+    folder = scratch / "kernels"
+    folder.mkdir(exist_ok=True)
+    numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"] = str(folder)
