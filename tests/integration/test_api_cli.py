@@ -256,7 +256,7 @@ def test_the_set_of_a_rank_goes_to_calibration_tools_and_back(
         assert result.exit_code == 0, result.output
         assert submitted in file.read_text()
         first = file.read_bytes()
-        run(*shape, "--format", form, "-o", str(file), "--names", str(names))
+        run(*shape, "-o", str(file), "--names", str(names))  # the ending says the format
         assert file.read_bytes() == first
         back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
         assert back["baseline"] == best["parameters"]

@@ -137,5 +137,5 @@ class Following:
     def _pause(self) -> None:
         if self._deadline is not None and time.monotonic() + self._wait > self._deadline:
             time.sleep(max(0.0, self._deadline - time.monotonic()))
-            raise TimeoutError
+            raise TimeoutError("the campaign has not ended within the time limit; it continues")
         time.sleep(self._wait)

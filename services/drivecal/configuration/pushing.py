@@ -29,10 +29,11 @@ _SIGNED = re.compile(r"([0-9a-f]{64}):([0-9a-f]{64})")
 
 @dataclass(frozen=True, slots=True)
 class Pushing:
-    """Whether a server takes problems, and from whom. `secret`: of a server without tokens."""
+    """Whether a server takes problems, and from whom. `secret`: of a server without tokens; `home`: the folder that holds it."""
 
     allowed: bool
     secret: bytes | None = field(default=None, repr=False)
+    home: Path | None = None
 
     @classmethod
     def of(cls, settings: Settings, address: str) -> Self:
@@ -41,7 +42,8 @@ class Pushing:
         Raises InvalidInputError if the secret cannot be created.
         """
         allowed = is_loopback(address) if settings.allow_push is None else settings.allow_push
-        return cls(allowed, create_secret(settings.home) if allowed and settings.tokens_file is None else None)
+        secret = create_secret(settings.home) if allowed and settings.tokens_file is None else None
+        return cls(allowed, secret, settings.home.absolute())
 
 
 OFF = Pushing(allowed=False)

@@ -67,6 +67,10 @@ def described(error: BaseException) -> str:
     """Returns type, message and location of an exception; of one that drivecal raises on purpose, the message alone."""
     if isinstance(error, DrivecalError):
         return " | ".join(str(error).splitlines())[:LONGEST_MESSAGE]
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename != __file__]
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).parent != Path(__file__).parent and not frame.filename.startswith("<")  # a user's, not ours
+    ]
     location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return "".join(traceback.format_exception_only(error)).strip()[-250:] + location

@@ -140,7 +140,7 @@ def refuse_push(request: Request) -> str | None:
     if digest is None:
         detail = (
             f"without tokens this server takes problems from its own user only, who can read {FILE} in its home folder;"
-            " use `drivecal problem push` with the server's DRIVECAL_HOME"
+            f" type: DRIVECAL_HOME={pushing.home} drivecal problem push DIR"
         )
         raise HTTPException(403, detail)
     return digest

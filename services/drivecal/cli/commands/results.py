@@ -109,7 +109,9 @@ def _ranks(text: str) -> tuple[int, int]:
 def export(
     identifier: CampaignArgument,
     table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
-    form: Annotated[Format, typer.Option("--format", help="In which format.")] = "csv",
+    form: Annotated[
+        Format | None, typer.Option("--format", help="In which format; by default that of the file's ending, or csv.")
+    ] = None,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     row: Annotated[
         int | None,
@@ -145,7 +147,7 @@ def export(
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv with --row) or as
     time series of all scenarios (mf4)."""
-    form = "json" if as_json else form
+    form = "json" if as_json else form or _format_of(output)
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
     if score is not None and table != "solutions":
@@ -177,6 +179,12 @@ def export(
             for piece in pieces:
                 size += stream.write(piece)
     tell(f"{output}: {size:,} bytes")
+
+
+def _format_of(output: str) -> Format:
+    """Returns the format that a file's ending names; csv for others, and for standard output."""
+    ending = Path(output).suffix.removeprefix(".").lower()
+    return next((form for form in get_args(Format) if form == ending), "csv")
 
 
 def _calibration_file(
