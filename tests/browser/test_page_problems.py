@@ -280,6 +280,7 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
 
     page.goto(heater.at())
     page.get_by_role("button", name="Rerun").click()
+    page.get_by_role("button", name="Search again under these weights").click()
     expect(page.get_by_role("link", name=heater.campaign.id[:8]).first).to_be_visible()
     again = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
     assert again["rerun_of"] == heater.campaign.id
