@@ -32,8 +32,8 @@ RUNNING = SearchedCampaign(
 FAILED = SearchedCampaign(Campaign(id="f" * 32, name="other", state="failed", error="no [worker] agrees"))
 
 
-def terminal() -> Console:
-    return Console(file=io.StringIO(), force_terminal=True, color_system="truecolor", width=160)
+def terminal(width: int = 160) -> Console:
+    return Console(file=io.StringIO(), force_terminal=True, color_system="truecolor", width=width)
 
 
 def drawn(console: Console) -> str:
@@ -72,9 +72,19 @@ def test_without_a_terminal_a_campaign_is_a_line(capsys: pytest.CaptureFixture[s
     assert failed.split()[:2] == ["ffffffff", "failed"]
 
 
+@pytest.mark.parametrize("width", [60, 80, 120, 160])
+def test_a_campaign_is_one_line_with_its_id_and_best_value_at_every_width(width: int) -> None:
+    console = terminal(width)
+    console.print(table([RUNNING], console.width))
+    _, line = re.sub(r"\x1b\[[\d;]*m", "", drawn(console)).splitlines()
+    assert len(line) <= width
+    assert all(part in line for part in ("0a1b2c3d", "running", "25% of 120", "5.500", "[bold]mine"))
+    assert ("1,234" in line) == (width > 100)
+
+
 def test_on_a_terminal_outcomes_have_their_colours_and_names_are_text() -> None:
     console = terminal()
-    console.print(table([RUNNING, FAILED]))
+    console.print(table([RUNNING, FAILED], console.width))
     red, green, blue = (int(OUTCOME_COLOURS["reused"][place : place + 2], 16) for place in (1, 3, 5))
     assert re.search(rf"38;2;{red};{green};{blue}m +66\b", drawn(console))
     assert "[bold]mine[/x]" in drawn(console)

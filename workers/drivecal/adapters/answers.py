@@ -40,7 +40,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> R
             f"measures that problem.yaml does not declare: {_joined(undeclared)}; declared: {_joined(declared.measures)}"
         )
     if failure is None and (missing := [name for name in declared.measures if name not in measures]):
-        raise _error(f"the answer lacks measures: {_joined(missing)}")
+        raise _error(f"the answer lacks measures: {_joined(missing)}; give all that problem.yaml declares, or a `failure`")
     return RunOutcome(measures, failure, _series(answer.get("series", {}), declared) if series else {})
 
 
@@ -61,7 +61,7 @@ def _number(name: str, value: object) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise _error(f"{_shown(name)} is not finite: {number}")
+        raise _error(f"{_shown(name)} is not finite: {number}; give a number, or a `failure` if the system under test failed")
     return number
 
 

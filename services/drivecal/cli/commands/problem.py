@@ -200,7 +200,7 @@ def _sentence(result: "CheckedScenario") -> str:
         return f"no result: {result.error}"
     parts = [f"{max(result.seconds):.3f} s a run, ready after {result.start_seconds:.3f} s"]
     if not result.repeats:
-        parts.append("two runs of the same parameters gave different measures")
+        parts.append("two runs of the same parameters gave different measures: fix their seed, or set `deterministic: false`")
     parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
     return "; ".join(parts)
 

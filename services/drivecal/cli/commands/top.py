@@ -35,7 +35,7 @@ def top(
         elif not console.is_terminal:
             print_plain(overview.read())
         elif once:
-            console.print(table(overview.read()))
+            console.print(table(overview.read(), console.width))
         else:
             show_live(overview.read, seconds, console)
 

@@ -20,6 +20,12 @@ SPARKLINE_WIDTH = 16
 STATE_STYLES = {"succeeded": "green", "failed": "bold red", "paused": "yellow", "running": "bold"}
 ID_LENGTH = 8
 """Characters of an id that the table shows."""
+GIVE_WAY = (*OUTCOME_COLOURS, "stage", "best so far", "left")
+"""Columns that a narrow terminal does without, the first ones first."""
+GAP = 2
+"""Spaces between columns."""
+SHORTEST_NAME = 12
+"""Characters of the names for which other columns give way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,14 +67,13 @@ def print_plain(rows: Sequence[SearchedCampaign]) -> None:
     print_columns(header, [[cell.plain for cell in line] for line in lines])
 
 
-def table(rows: Sequence[SearchedCampaign]) -> Group:
-    """Returns the table for a terminal, with the campaigns' troubles below it."""
-    header, lines = _columns(rows)
+def table(rows: Sequence[SearchedCampaign], width: int) -> Group:
+    """Returns the table for a terminal of `width` characters, a line per campaign, with the campaigns' troubles below it."""
+    header, lines, room = _fitting(*_columns(rows), width)
     drawn = Table(box=None, pad_edge=False, header_style="bold")
     for name in header:
-        is_name = name == "name"
-        style = OUTCOME_COLOURS.get(name, "")
-        drawn.add_column(Text(name, style), no_wrap=is_name, overflow="ellipsis" if is_name else "fold")
+        longest = room if name == "name" else None
+        drawn.add_column(Text(name, OUTCOME_COLOURS.get(name, "")), no_wrap=True, overflow="ellipsis", max_width=longest)
     for line in lines:
         drawn.add_row(*line)
     campaigns = [row.campaign for row in rows]
@@ -82,13 +87,13 @@ def show_live(read: Callable[[], Sequence[SearchedCampaign]], seconds: float, co
     Raises DrivecalError if the first reading fails; a server that is away later is reported below the last table.
     """
     try:
-        shown = table(read())
+        shown = table(read(), console.width)
         with Live(shown, console=console, auto_refresh=False) as live:
             while True:
                 live.update(shown, refresh=True)
                 time.sleep(seconds)
                 try:
-                    shown = table(read())
+                    shown = table(read(), console.width)
                 except UnavailableError as error:
                     live.update(Group(shown, Text(str(error), "yellow")), refresh=True)
                     time.sleep(seconds)
@@ -112,6 +117,18 @@ def _columns(rows: Sequence[SearchedCampaign]) -> tuple[list[str], list[list[Tex
         ]
         for row, count in zip(rows, counts, strict=True)
     ]
+
+
+def _fitting(header: list[str], lines: list[list[Text]], width: int) -> tuple[list[str], list[list[Text]], int]:
+    """Returns the columns for which there is room beside the names, and the room of these."""
+    sizes = {name: max([len(name), *(line[place].cell_len for line in lines)]) + GAP for place, name in enumerate(header)}
+    sizes["name"] = SHORTEST_NAME
+    for name in GIVE_WAY:
+        if sum(sizes.values()) > width:
+            sizes.pop(name, None)
+    kept = [place for place, name in enumerate(header) if name in sizes]
+    room = SHORTEST_NAME + max(0, width - sum(sizes.values()))
+    return [header[place] for place in kept], [[line[place] for place in kept] for line in lines], room
 
 
 def _place(campaign: Campaign) -> list[Text]:
