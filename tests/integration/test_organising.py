@@ -94,6 +94,13 @@ def test_deleting_twice_is_deleting_and_what_was_simulated_is_still_explained(ap
     assert api.http.get(f"/api/v1/evaluations/{number}").json()["campaign"]["id"] == campaign
 
 
+def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, client: Client) -> None:
+    campaign = ended(api, "first")
+    weighted = client.rerun(campaign, {"weights": {"S1": 2}})
+    assert weighted.spec["weights"] == {"S1": 2}
+    assert client.rerun(campaign, {"name": "again"}).spec["weights"] == client.campaign(campaign).spec["weights"]
+
+
 def test_a_campaign_with_a_rerun_is_archived_instead_with_the_reason(api: RunningApi, client: Client) -> None:
     campaign = ended(api, "first")
     with pytest.raises(ConflictError):

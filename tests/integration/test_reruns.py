@@ -195,12 +195,6 @@ def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Da
     assert (again.cells.repeated + again.cells.reused) / again.cells.requested > 0.8
 
 
-def test_a_rerun_without_weights_keeps_those_of_the_first(database: Database) -> None:
-    first = _run(database, weights={"S1": 3, "S2": 1})
-    again = submission.rerun(database, LIMITS, first.id, RerunSpecification(name="again"), None)
-    assert again.spec["weights"] == first.spec["weights"] == {"S1": 3, "S2": 1}
-
-
 @pytest.mark.usefixtures("strict")
 def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(database: Database) -> None:
     first = _run(database)

@@ -200,8 +200,7 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
     """Returns the first campaign's specification with the changes and the influence map that it `used`."""
     document = stored_document(first.spec)
-    if changes.weights is not None:
-        document["weights"] = dict(changes.weights)
+    document["weights"] = dict(changes.weights)
     document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
     for section in ("optimizer", "reduction"):
         given: BaseModel | None = getattr(changes, section)

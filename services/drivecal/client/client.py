@@ -185,7 +185,10 @@ class Client(CampaignLists):
         return self._post(Campaign, "campaigns", identifier, action)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
-        """Queues a new campaign on the references and the influence map of an ended one."""
+        """Queues a new campaign on the references and the influence map of an ended one; under its weights, if `changes` are a mapping
+        without any."""
+        if isinstance(changes, Mapping) and "weights" not in changes:
+            changes = {"weights": self.campaign(identifier).spec["weights"], **changes}
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
     def solutions(

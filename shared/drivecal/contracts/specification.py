@@ -351,14 +351,13 @@ class CampaignSpecification(ProblemSpecification):
 
 
 class RerunSpecification(Model):
-    """Changes of a rerun; everything else, with references and influence map, comes from the first campaign, its weights too if none
-    are given.
+    """Changes of a rerun; everything else, with references and influence map, comes from the first campaign.
 
     Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs again, without a simulation; a map that was computed from
     the first one's ratings is then computed again, mostly from stored runs.
     """
 
-    weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] | None = None
+    weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
     name: Name | None = None
     problem: ProblemName | None = None
     """Another push of the first campaign's problem, e.g. with another score: runs of unchanged files are rated again."""
