@@ -129,10 +129,8 @@ class Client(CampaignLists):
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None, *, progress: bool = True) -> Campaign:
-        """Returns the campaign once it has ended. In a notebook the cell displays it meanwhile, unless `progress` is False.
-
-        Raises TimeoutError after `timeout` seconds; the campaign continues.
-        """
+        """Returns the campaign once it has ended. In a notebook the cell displays it meanwhile, unless `progress` is False. Raises
+        TimeoutError after `timeout` seconds; the campaign continues."""
         deadline = None if timeout is None else time.monotonic() + timeout
         states = self.watch(identifier, deadline, from_beginning=False)
         *_, campaign = displayed(states) if progress else states
@@ -185,8 +183,7 @@ class Client(CampaignLists):
         return self._post(Campaign, "campaigns", identifier, action)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
-        """Queues a new campaign on the references and the influence map of an ended one; under its weights, if `changes` are a mapping
-        without any."""
+        """Queues a new campaign on the references and the influence map of an ended one; a mapping without weights keeps its weights."""
         if isinstance(changes, Mapping) and "weights" not in changes:
             changes = {"weights": self.campaign(identifier).spec["weights"], **changes}
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
@@ -248,8 +245,7 @@ class Client(CampaignLists):
     def front(
         self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
     ) -> list[FrontRow]:
-        """Returns the sets of a campaign's front, best first under `weights` of the objectives if they are given; with `everything` of all
-        that is stored in its setups and space."""
+        """Returns a campaign's front, best first under given `weights` of the objectives; with `everything` of all that is stored."""
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
 
     def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
