@@ -51,7 +51,7 @@ def evaluate(parameters, scenario):
     return {"zdt1": zdt1, "dtlz2": dtlz2}[scenario["function"]]([parameters[f"x{place}"] for place in range(5)])
 """
 VALUES = 1001
-"""Of each of the five parameters, from 0 to 1."""
+"""Number of values of each of the five parameters, from 0 to 1."""
 SEARCH: dict[str, Any] = {"kind": "nsga2", "population": 32, "iterations": 20, "seed": 4}
 
 
@@ -97,8 +97,8 @@ def started(folder: Path) -> AbstractContextManager[Server]:
 def measures(scenario: str, parameters: Mapping[str, Any]) -> dict[str, float]:
     namespace: dict[str, Any] = {}
     exec(MODEL, namespace)
-    found: dict[str, float] = namespace["evaluate"](dict(parameters), {"function": scenario})
-    return found
+    values: dict[str, float] = namespace["evaluate"](dict(parameters), {"function": scenario})
+    return values
 
 
 def evaluated(scenario: str, cell: Cell) -> CellResult:
@@ -125,9 +125,9 @@ def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: 
     bare = []
     for _ in range(SEARCH["iterations"]):
         sets = [{f"x{place}": index / (VALUES - 1) for place, index in enumerate(row)} for row in optimizer.ask().population]
-        found = -np.array([list(measures(known.name, parameters).values()) for parameters in sets]).round(9)
-        optimizer.tell(found, np.zeros(len(found)))
-        gains = np.concatenate([gains, found])
+        told = -np.array([list(measures(known.name, parameters).values()) for parameters in sets]).round(9)
+        optimizer.tell(told, np.zeros(len(told)))
+        gains = np.concatenate([gains, told])
         bare.append(hypervolume(gains[non_dominated(gains)], np.full(known.objectives, -known.reference)) or 0.0)
     assert grown == pytest.approx(bare, rel=1e-8)
 

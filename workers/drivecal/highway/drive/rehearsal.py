@@ -16,7 +16,7 @@ from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerC
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
 from drivecal.highway.drive.loop import Loop
-from drivecal.highway.drive.measures import measures, series
+from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.plants import prepare_trackers
 from drivecal.highway.drive.road import HighwayRoad
@@ -65,9 +65,7 @@ def rehearse(
     loop = Loop(name, simulator, scenario, road, traffic, model, control)
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
-        record = loop.run(parameters).record
-        measures(record)
-        series(record, [])
+        measures(loop.run(parameters).record)
 
 
 def hold(writable: Sequence[str], scratch: Path) -> None:
