@@ -5,7 +5,7 @@ candidate. Two runs are in the same state until they choose differently. The nod
 the stored choice at every node down to a leaf, by the planner's own arithmetic on the stored features, it drives that leaf's run, bit for
 bit.
 
-In a state that was seen once, the planner itself decides again, from its stored inputs. States that are queried more often get a
+In a state that was seen a few times, the planner itself decides again, from its stored inputs. States that are queried more often get a
 description, from which deciding is a dozen times cheaper. With a description, a winning candidate that was never tested for feasibility
 proves nothing: that run has to be simulated.
 """
@@ -31,8 +31,8 @@ from drivecal.plugins.ports import CertifiablePlanner, Observation
 Result = TypeVar("Result")
 BYTES_PER_RESULT = 4000
 """Approximate size of a stored result, mostly metrics by name."""
-DECISIONS_UNTIL_DESCRIPTION = 2
-"""Decisions of the planner in a state before it is described: a description costs as much as a few decisions."""
+DECISIONS_UNTIL_DESCRIPTION = 4
+"""Decisions of the planner in a state before it is described: a description costs as much as four to six decisions."""
 TIMED = 8
 """Every so many plans the recording is timed: reading the clock takes a good part of what recording a plan does."""
 
