@@ -15,6 +15,8 @@ from drivecal.calibration_data import dcm
 from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.domain.errors import InvalidInputError
 
+PUBLIC = Path(__file__).parent / "public" / "DEMO.DCM"
+"""Written by CDM 7.2.3, from https://github.com/zhyongquan/pydcm; its licence is beside it."""
 QUALITY = Quality(
     "calibrated", "2026-11-21T10:00:00+00:00", "highway", "comfort", "frenet", "0" * 32, figures=(("score S1", "6"),)
 )
@@ -59,6 +61,35 @@ def test_a_thousand_numbers_keep_all_their_bits_in_another_reader(tmp_path: Path
     written = tmp_path / "theirs.dcm"
     other.write(str(written), sort_entries=False)
     assert list(map(content, dcm.read(written.read_bytes(), "theirs.dcm").characteristics)) == list(map(content, given))
+
+
+def test_another_reader_has_the_same_scalars_of_a_public_file() -> None:
+    with log_left_as_it_was():
+        from dcmReader.dcm_reader import DcmReader
+    other = DcmReader()
+    other.read(str(PUBLIC))
+    read = dcm.read(PUBLIC.read_bytes(), PUBLIC.name)
+    assert list(map(content, read.characteristics)) == [
+        (row.name, row.value, row.unit, row.description) for row in other.get_parameters()
+    ]
+    lists = (other.get_characteristic_lines(), other.get_characteristic_maps(), other.get_fixed_characteristic_lines())
+    others = [name for rows in lists for name in (row.name for row in rows)]
+    assert (len(read.characteristics), sorted(read.skipped)) == (2, sorted(others))
+
+
+@pytest.mark.parametrize("share", range(1, 20))
+def test_a_part_of_a_public_file_is_refused_or_ends_between_two_blocks(share: int) -> None:
+    whole = PUBLIC.read_bytes()
+    part = whole[: len(whole) * share // 20]
+    try:
+        read = dcm.read(part, PUBLIC.name)
+    except InvalidInputError as refused:
+        (problem,) = refused.problems
+        assert problem.field.startswith("DEMO.DCM, line ")
+        assert problem.remedy
+    else:
+        assert part.rstrip().endswith(b"END")
+        assert len(read.characteristics) <= 2
 
 
 def test_other_kinds_are_listed_and_left_out() -> None:
