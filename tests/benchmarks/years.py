@@ -46,7 +46,7 @@ QUESTIONS = {
     "generations": "/campaigns/{id}/generations",
     "evaluations, a page": "/campaigns/{id}/evaluations?limit=100",
     "solutions": "/campaigns/{id}/solutions?limit=50",
-    "solutions, other weights": "/campaigns/{id}/solutions?limit=50&weights=S1=3,S2=0",
+    "solutions, other weights": "/campaigns/{id}/solutions?limit=50&weights={weights}",
     "front": "/campaigns/{id}/front?limit=50",
     "explanation of a copy": "/evaluations/{copy}/explain",
     "trust": "/campaigns/{id}/trust",
@@ -71,11 +71,12 @@ def main(arguments: Sequence[str]) -> int:
         "--folder", type=Path, default=Path(".drivecal/bench/years"), help="where the databases are made, and removed"
     )
     chosen = parser.parse_args(arguments)
+    folder = chosen.folder.absolute()  # the API works in another one
     figures: dict[str, dict[str, Figures]] = {}
     for backend in chosen.backends:
         for cells in chosen.cells:
-            with _database(backend, chosen.folder) as url:
-                figures.setdefault(backend, {})[str(cells)] = measure(url, cells, chosen.folder)
+            with _database(backend, folder) as url:
+                figures.setdefault(backend, {})[str(cells)] = measure(url, cells, folder)
             TARGET.parent.mkdir(parents=True, exist_ok=True)
             TARGET.write_text(json.dumps(figures, indent=2))
     faults = [fault for backend, sizes in figures.items() for fault in judged(backend, sizes)]
@@ -103,7 +104,7 @@ def measure(url: str, cells: int, folder: Path) -> Figures:
     )
     if verdicts:
         raise SystemExit(f"the database is not whole: {verdicts}")
-    figures["upgrade from 0011"] = upgrade(database)
+    figures["upgrade from 0012"] = upgrade(database)
     plans: list[retention.RetentionPlan] = []
     figures["prune, plan"] = timed(lambda: plans.append(retention.plan(database, now() - timedelta(days=365), 10)))
     slices: list[float] = []
@@ -169,7 +170,7 @@ def look_ups(connection: Connection) -> Figures:
 
 
 def examples(connection: Connection) -> dict[str, str]:
-    """Returns a young campaign of the first problem that reused results, a cell that it copied and a cell that it simulated."""
+    """Returns a young campaign of the first problem that reused results, a cell that it copied, one that it simulated, and weights."""
     newest = "SELECT max(campaign_sequence) FROM evaluations WHERE outcome = 'reused' AND setup_id = 1"
     sequence = connection.scalar(text(newest))
     campaign = connection.scalar(text("SELECT id FROM campaigns WHERE sequence = :number"), {"number": sequence})
@@ -178,7 +179,10 @@ def examples(connection: Connection) -> dict[str, str]:
         name: connection.scalar(text(cell), {"number": sequence, "outcome": outcome})
         for name, outcome in (("copy", "reused"), ("simulated", "simulated"))
     }
-    return {"id": str(campaign)} | {name: str(number) for name, number in cells.items()}
+    scenarios = "SELECT DISTINCT scenario FROM evaluations WHERE campaign_sequence = :number ORDER BY scenario"
+    names = connection.scalars(text(scenarios), {"number": sequence})
+    weights = ",".join(f"{name}={weight}" for weight, name in enumerate(names))
+    return {"id": str(campaign), "weights": weights} | {name: str(number) for name, number in cells.items()}
 
 
 def over_http(url: str, folder: Path, about: dict[str, str]) -> Figures:
@@ -196,8 +200,10 @@ def over_http(url: str, folder: Path, about: dict[str, str]) -> Figures:
 
 
 def asked(http: httpx.Client, address: str) -> None:
-    """Asks once. Raises HTTPStatusError for an error."""
-    http.get(address).raise_for_status()
+    """Asks once. Raises RuntimeError with the answer for an error."""
+    answer = http.get(address)
+    if answer.is_error:
+        raise RuntimeError(f"{address}: {answer.status_code} {answer.text}")
 
 
 def upgrade(database: Database) -> float:
@@ -209,7 +215,7 @@ def upgrade(database: Database) -> float:
             "DROP INDEX ix_campaigns_listed",
             "ALTER TABLE metric_names RENAME TO kept_names",
             "ALTER TABLE campaigns DROP COLUMN pruned",
-            "UPDATE drivecal_revision SET version_num = '0011'",
+            "UPDATE drivecal_revision SET version_num = '0012'",
         ):
             connection.execute(text(statement))
         if connection.dialect.name == "postgresql":
