@@ -6,6 +6,7 @@ import logging
 import socket
 import sys
 from importlib.metadata import version
+from threading import Timer
 
 from drivecal.api.app import create_app
 from drivecal.api.http import memory
@@ -16,6 +17,10 @@ from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.domain.errors import DrivecalError, InvalidInputError
+from drivecal.plugins import registry
+
+LOADING_BEGINS = 1.0
+"""Seconds after the start. Catalogues measure their roads with SciPy, which takes a second: longer than a page should wait."""
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +53,9 @@ def main() -> int:
     tell_of_database(settings.database_url)
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
+    loading = Timer(LOADING_BEGINS, registry.catalogues)
+    loading.daemon = True
+    loading.start()
     server.run(sockets=[listener])
     return 0 if server.started else 1
 
