@@ -135,9 +135,9 @@ def test_the_demo_runs_on_one_machine_without_ray(layer: Callable[[str], Install
         assert process.stderr is not None
         for line in process.stderr:
             said.append(line)
-            if "http://" in line:
-                print(f"\ndrivecal demo: the page is there after {time.monotonic() - began:.0f} s", end="")
-    print(f", the end after {time.monotonic() - began:.0f} s")
+            if "http://" in line:  # the page answers, then the workers are ready
+                print(f"\ndrivecal demo: {line.strip()} ({time.monotonic() - began:.0f} s after the command)", end="")
+    print(f"\ndrivecal demo: the end after {time.monotonic() - began:.0f} s")
     assert process.returncode == 0, "".join(said)
     done = json.loads((home / "summary.json").read_text())
     assert [done[name]["state"] for name in ("campaign", "rerun")] == ["succeeded", "succeeded"]

@@ -49,10 +49,10 @@ def demo(as_json: JsonOption = False) -> None:
     started = time.monotonic()
     folder = load_settings().home / "demo"
     try:
+        tell(f"starting a server with a database and workers of its own in {_short(folder)}")
+        tell("the first start on a machine compiles the simulation, once; this takes up to some minutes")
         with fresh_folder(folder):
-            tell(f"starting a server with a database and workers of its own in {_short(folder)}")
-            with coordinator(folder) as client:
-                tell(f"it is ready: watch the campaign at {client.url}")
+            with coordinator(folder, tell) as client:
                 campaign = _first(client, as_json)
                 rerun = _second(client, campaign, as_json)
             summary = {
