@@ -125,6 +125,17 @@ def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
     assert "no licence" in report["scenarios"][0]["error"]
 
 
+def test_a_hang_is_named_with_its_limit_while_it_lasts_and_at_its_end(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.local.problems.SECONDS_BETWEEN_SIGNS", 0.1)
+    manifest = MANIFEST.replace("DETERMINISTIC}", "DETERMINISTIC, timeout: 1}").replace(", road: {gap: 60}", "")
+    folder = write("import time\ndef evaluate(p, s):\n    time.sleep(600)\n", manifest)
+    result = command("problem", "check", folder, "--json")
+    assert "city: run 1 has taken" in result.stderr
+    assert "1 s (`simulator.timeout` in problem.yaml)" in result.stderr
+    (scenario,) = json.loads(result.stdout)["scenarios"]
+    assert (result.exit_code, "`simulator.timeout` in problem.yaml" in scenario["error"]) == (1, True)
+
+
 def test_a_faulty_manifest_is_refused_with_its_line(write: Write) -> None:
     result = command("problem", "check", write(manifest=MANIFEST.replace("10/energy", "10/power")))
     assert result.exit_code == 2

@@ -80,10 +80,10 @@ def check(
             trial_set,
         )  # the workers' code, for this command only
 
-        report["tools"] = ask_probe(manifest, archive)
+        report["tools"] = ask_probe(manifest, archive, tell)
         report["parameters"] = parameters = trial_set(manifest)
         report["other_parameters"] = other = other_set(manifest)
-        for result in run_problem(manifest, archive, parameters, other):
+        for result in run_problem(manifest, archive, parameters, other, tell):
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
