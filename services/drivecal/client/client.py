@@ -343,7 +343,7 @@ class Client(CampaignLists):
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
-        """Returns the number of the evaluation by which the set at a place of a campaign is ranked in a scenario."""
+        """Returns the number of the evaluation by which the set at a place, counted from 0, is ranked in a scenario."""
         query = {"iteration": iteration, "individual": individual, "scenario": scenario}
         return self._get(CellAnswer, "campaigns", identifier, "cell", **query).evaluation
 
