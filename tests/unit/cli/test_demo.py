@@ -66,7 +66,7 @@ def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path) -> None:
     with (
         locks.hold(f"sqlite:///{tmp_path / 'drivecal.db'}"),
         pytest.raises(DrivecalError, match=r"exit status 1"),
-        coordinator(tmp_path, lambda _: None),
+        coordinator(tmp_path),
     ):
         pass
 

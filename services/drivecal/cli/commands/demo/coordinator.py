@@ -52,7 +52,7 @@ def _database_url(folder: Path) -> str:
 
 
 @contextmanager
-def coordinator(home: Path, tell: Callable[[str], None]) -> Iterator[Client]:
+def coordinator(home: Path, tell: Callable[[str], None] = lambda _: None) -> Iterator[Client]:
     """Runs a coordinator with its files in `home` until the block is left, and yields a client of it once its workers are ready.
 
     Calls `tell` with what it waits for. Raises DrivecalError with the end of the log if it does not start.
