@@ -128,7 +128,7 @@ def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
     assert problem.parameter_set.floats["P9"] == 5.05
     (note,) = problem.notes
     assert all(part in note for part in ("P9", "5.05", "5 or 5.1"))
-    assert resolve_evaluation(EvaluationSpecification(parameters=MIDDLE)).notes == ()
+    assert resolve_evaluation(EvaluationSpecification(parameters={**MIDDLE})).notes == ()
 
 
 def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:

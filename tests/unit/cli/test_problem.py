@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,17 @@ def test_different_bits_are_told_and_fail_where_the_simulator_claims_to_be_deter
     code, report = check(write(noisy, deterministic=False))
     assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [False, False])
     assert check(write(noisy))[0] == 1
+
+
+def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "README.md").read_text()
+    shown = re.findall(r'^```[a-z]+ title="my-brake/(.*?)"\n(.*?)^```', text, re.MULTILINE | re.DOTALL)
+    assert {name for name, _ in shown} == {"brake.py", "problem.yaml"}
+    for name, content in shown:
+        (tmp_path / name).write_text(content)
+    code, report = check(str(tmp_path))
+    assert (code, report["warnings"]) == (0, [])
+    assert [scenario["failure"] for scenario in report["scenarios"]] == [None, None]
 
 
 def test_a_failure_and_a_score_without_a_value_are_worth_the_worst(write: Write) -> None:
