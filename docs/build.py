@@ -34,13 +34,7 @@ FURTHER = (
     "tests/README.md", "workers/README.md", "workers/drivecal/**/*.md",
 )  # fmt: skip
 """Documents outside of docs/pages that are pages of the site as well."""
-INCLUDED = (
-    "deploy/examples/highway.yaml",
-    "deploy/examples/packages/hill-climbing/hill_climbing.py",
-    "deploy/examples/packages/lane-follower/lane_follower.py",
-    "deploy/examples/problems/python-function/problem.yaml",
-    "services/web/public/icon.svg",
-)
+INCLUDED = ("services/web/public/icon.svg",)
 """Further files that the site is made of."""
 DECISIONS = "shared/decisions"
 SECONDS = 180
@@ -133,8 +127,7 @@ def stage(folder: Path) -> None:
             target.with_suffix(".md").write_text(f"{text}\n[Download this notebook]({path.name})\n", encoding="utf-8")
     (folder / "pages" / "decisions.md").write_text(decisions(), encoding="utf-8")
     shutil.copyfile(ROOT / "services" / "web" / "public" / "icon.svg", folder / "pages" / "icon.svg")
-    configuration = (DOCS / "zensical.toml").read_text(encoding="utf-8")
-    (folder / "zensical.toml").write_text(configuration.replace('"ROOT"', f'"{ROOT.as_posix()}"'), encoding="utf-8")
+    shutil.copyfile(DOCS / "zensical.toml", folder / "zensical.toml")
 
 
 def without_inline_scripts(site: Path) -> None:

@@ -258,19 +258,23 @@ def campaign_file() -> str:
     """Returns the page of campaign files: the commented example, then all fields with their limits."""
     return (
         "# Campaign files\n\nYAML or JSON; a REST body has the same fields. Everything has a default, and `{}` is a campaign as well.\n\n"
-        '```yaml title="deploy/examples/highway.yaml"\n--8<-- "deploy/examples/highway.yaml"\n```\n\n'
+        + shown_file("deploy/examples/highway.yaml")
         + "\n".join(fields(model, "##") for model in CAMPAIGN)
         + "\n# Other files\n\n"
         + "\n".join(fields(model, "##") for model in OTHER_FILES)
     )
 
 
+def shown_file(name: str) -> str:
+    """Returns a YAML file of the project as a block."""
+    return f'```yaml title="{name}"\n{(TARGET.parents[2] / name).read_text()}```\n\n'
+
+
 def problem_file() -> str:
     """Returns the page of problem.yaml."""
     return (
         "# problem.yaml\n\n[What a problem is](../how-to/problems.md) explains it by examples.\n\n"
-        '```yaml title="deploy/examples/problems/python-function/problem.yaml"\n'
-        '--8<-- "deploy/examples/problems/python-function/problem.yaml"\n```\n\n'
+        + shown_file("deploy/examples/problems/python-function/problem.yaml")
         + "\n".join(fields(model, "##") for model in PROBLEM)
     )
 

@@ -163,7 +163,13 @@ def test_the_reference_is_that_of_the_code() -> None:
 
 def shown_in(language: str) -> list[Block]:
     """The blocks of a language on all pages."""
-    return [block for page in PAGES for block in blocks(page) if block.language == language and "--8<--" not in block.text]
+    return [block for page in PAGES for block in blocks(page) if block.language == language]
+
+
+def test_files_of_the_project_are_shown_as_they_are() -> None:
+    shown = {block.title: block.text for page in PAGES for block in blocks(page) if block.title.startswith("deploy/")}
+    assert len(shown) >= 4
+    assert shown == {name: (ROOT / name).read_text() for name in shown}, "type: make docs, and copy what it does not write"
 
 
 @pytest.mark.parametrize("block", shown_in("python"), ids=str)

@@ -13,6 +13,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from tests.architecture.test_configuration import project
 
+from drivecal.adapters import highway
+from drivecal.cli import application
+
 WITHOUT = """
 import sys
 from importlib.machinery import PathFinder
@@ -88,6 +91,13 @@ def test_a_command_that_needs_more_names_the_extra(words: tuple[str, ...], tmp_p
     done = run(None, COMMAND, *(word.format(tmp_path / "a.db") for word in words))
     assert done.returncode == 2, done.stderr
     assert "drivecal[local]" in done.stderr
+
+
+def test_the_extra_that_a_message_names_brings_the_missing_module() -> None:
+    named = application.EXTRAS | highway.EXTRAS
+    owners = packages_distributions()
+    brought = {name: {canonicalize_name(owner) for owner in owners[name]} & layer(extra) for name, extra in named.items()}
+    assert {name for name, packages in brought.items() if not packages} == set()
 
 
 @pytest.mark.parametrize("words", [("--backend", "ray"), ("--ray-address", "10.0.0.1:6379")])

@@ -347,7 +347,7 @@ def test_an_unknown_map_is_refused_when_the_campaign_is_submitted_or_tried(api: 
 
 
 def test_a_single_evaluation_shows_its_scenario_at_the_top(api: RunningApi) -> None:
-    response = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE, "scenario": "S2"})
+    response = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE | {"P9": 5.05}, "scenario": "S2"})
     assert response.status_code == 202
     queued = response.json()
     assert (queued["state"], queued["items"], queued["outcome"]) == ("queued", [], None)
@@ -355,7 +355,8 @@ def test_a_single_evaluation_shows_its_scenario_at_the_top(api: RunningApi) -> N
     found = api.http.get(response.headers["location"]).json()
     assert (found["state"], found["scenario"], found["outcome"], found["score"]) == ("succeeded", "S2", "simulated", 0)
     assert found["metrics"] == METRICS
-    assert found["parameters"] == MIDDLE
+    assert found["parameters"] == MIDDLE | {"P9": 5.05}
+    assert [note.partition(":")[0] for note in found["notes"]] == ["P9"]
     row = api.http.get(f"/api/v1/evaluations/{found['items'][0]['id']}").json()
     assert (row["scenario"], row["P1"], row["metrics"]) == ("S2", 0, METRICS)
 

@@ -135,7 +135,11 @@ def test_files_hold_the_same_rows(ended: Ended) -> None:
     assert exported.status_code == 200
     listed = list(csv.DictReader(io.StringIO(exported.text)))
     with Client(ended.api.url) as client:
-        rows, frame = client.front(ended.first), client.frame(ended.first, "front").to_pandas()
+        rows, downloaded = client.front(ended.first), client.frame(ended.first, "front")
+        assert rows.to_arrow() == downloaded.to_arrow()
+        judged = client.evaluated_sets(ended.first).to_arrow()
+        assert judged == client.frame(ended.first, "front/evaluated").to_arrow()
+    frame = rows.to_pandas()
     assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
     assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]
     assert "weights" not in listed[0]

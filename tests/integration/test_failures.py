@@ -17,6 +17,7 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
+from drivecal.domain.events import EventKind
 from drivecal.execution.backend import Finished, Lost, Slot
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
@@ -126,6 +127,8 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
     assert sum(cause.cells for cause in found.values()) < ended.cells.requested
     with database.read() as connection:
         assert list(check_counters(connection)) == []
+        told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "no licence" in str(event.data)]
+    assert [("crash" in event.data["text"], event.kind) for event in told] == [(True, EventKind.NOTE)]
 
 
 def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:

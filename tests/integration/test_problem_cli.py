@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,6 +44,20 @@ def test_a_problem_is_pushed_listed_and_shown(api: RunningApi) -> None:
     table = command("problem", "list", "--name", "python-function", "--url", api.url)
     assert answer["digest"] in table.stdout
     assert command("problem", "show", "nothing", "--url", api.url).exit_code == 5
+
+
+def test_a_push_names_what_it_replaces(api: RunningApi, tmp_path: Path) -> None:
+    folder = tmp_path / "problem"
+    shutil.copytree(EXAMPLE, folder)
+    digests, said = [], []
+    for description in ("first", "first", "second", "first"):
+        manifest = re.sub(r"(?m)^description:.*$", f"description: {description}", (EXAMPLE / "problem.yaml").read_text())
+        (folder / "problem.yaml").write_text(manifest)
+        pushed = command("problem", "push", str(folder), "--url", api.url, "--json")
+        digests.append(json.loads(pushed.stdout)["digest"][:12])
+        said.append([digest for digest in dict.fromkeys(digests) if digest in pushed.stderr])
+    first, second = digests[0], digests[2]
+    assert said == [[first], [first], [first, second], [first, second]]
 
 
 def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp_path: Path) -> None:

@@ -23,6 +23,20 @@ LARGEST_MB = {"": 150, "local": 1250, "cluster": 1600}
 """Sizes that no change may exceed unnoticed. Of the local layer half is SUMO and the compiler of the kernels; 500 MB were wanted."""
 
 
+SHOWN = 8
+"""Number of printed packages, largest first."""
+SIZES = """
+import json
+from importlib import metadata
+
+sizes = {}
+for package in metadata.distributions():
+    files = [package.locate_file(file) for file in package.files or ()]
+    sizes[package.name] = sum(file.stat().st_size for file in files if file.is_file()) / 1e6
+print(json.dumps(sizes))
+"""
+
+
 @dataclass(frozen=True)
 class Installed:
     """A layer in an environment of its own, and an empty home folder beside it."""
@@ -51,6 +65,12 @@ class Installed:
 def megabytes(folder: Path) -> float:
     """Size of the files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file() and not path.is_symlink()) / 1e6
+
+
+def largest(python: Path) -> str:
+    """The largest packages of an environment with their MB."""
+    sizes: dict[str, float] = json.loads(subprocess.run([python, "-c", SIZES], capture_output=True, check=True).stdout)
+    return ", ".join(f"{name} {size:.0f}" for name, size in sorted(sizes.items(), key=lambda item: -item[1])[:SHOWN])
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +106,9 @@ def layer(wheel: Path, constraints: Path, tmp_path_factory: pytest.TempPathFacto
         subprocess.run([*pip, "--constraint", str(constraints), f"{wheel}[{extra}]" if extra else str(wheel)], check=True)
         made = Installed(folder / "env" / "bin" / "python", megabytes(folder / "env") - empty)
         name = f"drivecal[{extra}]" if extra else "drivecal"
-        print(f"\n{name}: {made.megabytes:.0f} MB installed in {time.monotonic() - began:.0f} s")
+        print(
+            f"\n{name}: {made.megabytes:.0f} MB installed in {time.monotonic() - began:.0f} s, among them {largest(made.python)}"
+        )
         return made
 
     return installed
@@ -135,9 +157,9 @@ def test_the_demo_runs_on_one_machine_without_ray(layer: Callable[[str], Install
         assert process.stderr is not None
         for line in process.stderr:
             said.append(line)
-            if "http://" in line:
-                print(f"\ndrivecal demo: the page is there after {time.monotonic() - began:.0f} s", end="")
-    print(f", the end after {time.monotonic() - began:.0f} s")
+            if "http://" in line:  # the page answers, then the workers are ready
+                print(f"\ndrivecal demo: {line.strip()} ({time.monotonic() - began:.0f} s after the command)", end="")
+    print(f"\ndrivecal demo: the end after {time.monotonic() - began:.0f} s")
     assert process.returncode == 0, "".join(said)
     done = json.loads((home / "summary.json").read_text())
     assert [done[name]["state"] for name in ("campaign", "rerun")] == ["succeeded", "succeeded"]

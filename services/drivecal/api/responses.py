@@ -142,5 +142,6 @@ def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Eva
         items=items,
         **{name: getattr(only, name, None) for name in ("outcome", "score", "rating", "failure", "metrics")},
         error=stored.error,
+        notes=list(stored.notes),
         links={"self": f"{ROOT}/evaluations/{stored.id}"},
     )

@@ -130,6 +130,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             kind="evaluation",
             idempotency_key=key,
             body_digests=digests_of("evaluations", specification),
+            notes=problem.notes,
         )
         return _pinned(connection, stored, problem)
 

@@ -15,9 +15,9 @@ from drivecal.client.answers import harmless, raise_for, unreachable
 from drivecal.client.documents import Document, plain, weights_text
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
-from drivecal.client.frames import DownloadedTable
+from drivecal.client.frames import DownloadedTable, Rows
 from drivecal.client.identifiers import completed, ids_on, is_abbreviated, with_full_ids
-from drivecal.client.notebooks import Rows, displayed
+from drivecal.client.notebooks import displayed
 from drivecal.client.organising import CampaignLists
 from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, named, path_of
@@ -234,17 +234,17 @@ class Client(CampaignLists):
             if cursor is None:
                 return
 
-    def influence(self, identifier: str) -> list[InfluenceRow]:
+    def influence(self, identifier: str) -> Rows[InfluenceRow]:
         """Returns the rows of the influence map that a campaign uses, empty without a map."""
         return self._rows_of(identifier, "influence", InfluenceRow)
 
-    def optima(self, identifier: str) -> list[OptimumRow]:
+    def optima(self, identifier: str) -> Rows[OptimumRow]:
         """Returns the sets that share a campaign's best objective, with their regions."""
         return self._rows_of(identifier, "optima", OptimumRow)
 
     def front(
         self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
-    ) -> list[FrontRow]:
+    ) -> Rows[FrontRow]:
         """Returns a campaign's front, best first under given `weights` of the objectives; with `everything` of all that is stored."""
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
 
@@ -252,7 +252,7 @@ class Client(CampaignLists):
         """Returns the objectives, knee, extremes and hypervolumes of a front."""
         return self._get(FrontSummary, "campaigns", identifier, "front", "summary", everything=everything or None)
 
-    def evaluated_sets(self, identifier: str, *, everything: bool = False) -> list[JudgedSet]:
+    def evaluated_sets(self, identifier: str, *, everything: bool = False) -> Rows[JudgedSet]:
         """Returns all sets that have a value of every objective, dominated ones as well; `everything` as for the front."""
         return self._rows_of(identifier, "front/evaluated", JudgedSet, everything=everything or None)
 
@@ -281,33 +281,33 @@ class Client(CampaignLists):
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
         return self._get(StudyPage, "campaigns", identifier, "studies")
 
-    def robustness(self, identifier: str) -> list[RobustnessRow]:
+    def robustness(self, identifier: str) -> Rows[RobustnessRow]:
         """Returns the examined sets of a campaign, most robust first; empty before the robustness stage."""
         return self._rows_of(identifier, "robustness", RobustnessRow)
 
-    def validation(self, identifier: str) -> list[ValidationRow]:
+    def validation(self, identifier: str) -> Rows[ValidationRow]:
         """Returns the validation of a campaign's map by scenario; empty before that stage."""
         return self._rows_of(identifier, "validation", ValidationRow)
 
-    def compared_runs(self, identifier: str) -> list[ComparedRun]:
+    def compared_runs(self, identifier: str) -> Rows[ComparedRun]:
         """Returns the runs of a comparison."""
         return self._rows_of(identifier, "comparison", ComparedRun)
 
-    def compared_groups(self, identifier: str) -> list[ComparedGroup]:
+    def compared_groups(self, identifier: str) -> Rows[ComparedGroup]:
         """Returns the runs of a comparison by optimizer, population and reduction."""
         return self._rows_of(identifier, "comparison-groups", ComparedGroup)
 
-    def compared_pairs(self, identifier: str) -> list[ComparedPair]:
+    def compared_pairs(self, identifier: str) -> Rows[ComparedPair]:
         """Returns the runs of a comparison that differ in the reduction alone, side by side."""
         return self._rows_of(identifier, "comparison-pairs", ComparedPair)
 
-    def reduction_effects(self, identifier: str) -> list[ReductionEffect]:
+    def reduction_effects(self, identifier: str) -> Rows[ReductionEffect]:
         """Returns the effects over all pairs."""
         return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
-    def _rows_of(self, identifier: str, table: Table, model: type[Answer], **query: Any) -> list[Answer]:
+    def _rows_of(self, identifier: str, table: Table, model: type[Answer], **query: Any) -> Rows[Answer]:
         try:
-            return Rows(model.model_validate(row) for row in self.rows(identifier, table, **query))
+            return Rows(model, (model.model_validate(row) for row in self.rows(identifier, table, **query)))
         except ValidationError as error:
             raise self._strange() from error
 
@@ -343,7 +343,7 @@ class Client(CampaignLists):
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
-        """Returns the number of the evaluation by which the set at a place of a campaign is ranked in a scenario."""
+        """Returns the number of the evaluation by which the set at a place, counted from 0, is ranked in a scenario."""
         query = {"iteration": iteration, "individual": individual, "scenario": scenario}
         return self._get(CellAnswer, "campaigns", identifier, "cell", **query).evaluation
 

@@ -1,23 +1,11 @@
-"""Answers in notebooks: lists of rows as tables, and a followed campaign that is displayed anew with each change."""
+"""A followed campaign in notebooks, displayed anew with each change."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import Any
 
-from pydantic import BaseModel
-
-from drivecal.contracts.campaign import Campaign, html_table
-
-RowModel = TypeVar("RowModel", bound=BaseModel)
-
-
-class Rows(list[RowModel]):
-    """Rows of a table: a list that notebooks show as a table."""
-
-    def _repr_html_(self) -> str:
-        """Returns the first rows as a table."""
-        return html_table([row.model_dump(mode="json") for row in self])
+from drivecal.contracts.campaign import Campaign
 
 
 def displayed(states: Iterable[Campaign]) -> Iterator[Campaign]:

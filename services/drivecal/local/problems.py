@@ -1,16 +1,18 @@
 """Checks a problem bundle by running it here, in child processes as on a worker: one set per scenario twice, and another one once."""
 
 import tempfile
+import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.probe import run_probe
+from drivecal.adapters.probe import PROBE_SECONDS, run_probe
+from drivecal.adapters.process import start_seconds
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
@@ -23,6 +25,10 @@ from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, S
 DRAWN = 10_000
 """Sets among which one is searched that keeps all constraints."""
 SEED = 20261121
+SECONDS_BETWEEN_SIGNS = 10.0
+"""Longest silence while a simulator is waited for."""
+Tell = Callable[[str], None]
+"""Takes a sentence on what is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +88,24 @@ def other_set(manifest: Manifest) -> dict[str, Setting] | None:
 
 
 def run_problem(
-    manifest: Manifest, archive: bytes, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None = None
+    manifest: Manifest,
+    archive: bytes,
+    parameters: Mapping[str, Setting],
+    other: Mapping[str, Setting] | None = None,
+    tell: Tell = lambda _: None,
 ) -> Iterator[CheckedScenario]:
-    """Yields the result of each scenario. Raises UnavailableError if this machine cannot run the simulator."""
+    """Yields the result of each scenario. Calls `tell` every 10 s of a run. Raises UnavailableError if this machine cannot run the
+    simulator."""
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:
-            yield _checked(manifest, scenario, folder, parameters, other)
+            yield _checked(manifest, scenario, folder, parameters, other, tell)
 
 
-def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
+def ask_probe(manifest: Manifest, archive: bytes, tell: Tell = lambda _: None) -> str | None:
     """Returns what the problem's `probe` answers here, None without a probe. Raises UnavailableError if it gives no answer."""
     if manifest.simulator.probe is None:
         return None
-    with _unpacked(archive) as folder:
+    with _unpacked(archive) as folder, _signs("the probe", f"the limit is {PROBE_SECONDS:g} s", tell):
         return run_probe(manifest.simulator.model_dump(mode="json"), folder)
 
 
@@ -109,21 +120,55 @@ def _unpacked(archive: bytes) -> Iterator[Path]:
             remove(folder)
 
 
+@contextmanager
+def _signs(what: str, limit: str, tell: Tell) -> Iterator[None]:
+    """Calls `tell` every SECONDS_BETWEEN_SIGNS until the block is left."""
+    began, is_left = time.monotonic(), threading.Event()
+
+    def give() -> None:
+        while not is_left.wait(SECONDS_BETWEEN_SIGNS):
+            tell(f"{what} has taken {time.monotonic() - began:.0f} s so far; {limit}")
+
+    thread = threading.Thread(target=give, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        is_left.set()
+        thread.join()
+
+
 def _checked(
-    manifest: Manifest, scenario: str, folder: Path, parameters: Mapping[str, Setting], other: Mapping[str, Setting] | None
+    manifest: Manifest,
+    scenario: str,
+    folder: Path,
+    parameters: Mapping[str, Setting],
+    other: Mapping[str, Setting] | None,
+    tell: Tell,
 ) -> CheckedScenario:
+    limit = manifest.simulator.timeout
+    source = "`simulator.timeout` in problem.yaml"
+    start_limit = f"the limit is {start_seconds(limit):g} s ({source}, or 60 if that is less)"
+
+    def run(number: int) -> AbstractContextManager[None]:
+        return _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell)
+
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series))
     began = time.perf_counter()
     try:
-        session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+        with _signs(f"{scenario}: the start", start_limit, tell):
+            session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
     except UnavailableError as error:
         return CheckedScenario(scenario, error=str(error))
     started = time.perf_counter() - began
     try:
-        first, first_seconds = _run(session, parameters, series=bool(manifest.series))
-        second, second_seconds = _run(session, parameters, series=bool(manifest.series))
-        elsewhere = None if other is None else _tried(manifest, session, other)
+        with run(1):
+            first, first_seconds = _run(session, parameters, series=bool(manifest.series))
+        with run(2):
+            second, second_seconds = _run(session, parameters, series=bool(manifest.series))
+        with run(3):
+            elsewhere = None if other is None else _tried(manifest, session, other)
     except NoMeasuresError as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:

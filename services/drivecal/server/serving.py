@@ -2,6 +2,7 @@
 
 import errno
 import http.client
+import logging
 import os
 import socket
 import sys
@@ -19,6 +20,10 @@ from drivecal.storage.engine.types import now
 DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
 BACKLOG = 512
 PROBE_SECONDS = 2.0
+ANSWERING = "the page answers at %s; the workers are starting"
+"""Message of the log once the API works."""
+
+log = logging.getLogger(__name__)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -79,11 +84,16 @@ def run_server(
     url: str,
     ready: Callable[[], None],
 ) -> int:
-    """Runs API and dispatcher until a signal and returns the exit code. Calls `ready` once both work."""
+    """Runs API and dispatcher until a signal and returns the exit code. Logs ANSWERING once the API works; calls `ready` once both do."""
     started_at = now()
+    is_announced = False
 
     def missing() -> list[str]:
+        nonlocal is_announced
         lacking = [] if _answers(url) else ["API"]
+        if not lacking and not is_announced:
+            is_announced = True
+            log.info(ANSWERING, url)
         try:
             with database.read() as connection:
                 dispatcher = processes.read(connection, "dispatcher")

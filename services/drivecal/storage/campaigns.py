@@ -126,6 +126,7 @@ def insert(
     idempotency_key: str | None = None,
     body_digests: Sequence[str] = (),
     priority: int = 0,
+    notes: Sequence[str] = (),
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
@@ -144,7 +145,7 @@ def insert(
         "influence_map_id": influence_map_id,
         "idempotency_key": idempotency_key,
         "body_digest": next(iter(body_digests), None),
-        "notes": [],
+        "notes": list(notes),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
         "simulating_seconds": 0.0,

@@ -107,6 +107,8 @@ class Evaluation(Answer):
     failure: str | None = None
     metrics: dict[str, float | None] | None = None
     error: str | None = None
+    notes: list[str] = Field(default_factory=list)
+    """E.g. values off the grid, which are simulated as given."""
     links: dict[str, str] = Field(default_factory=dict)
 
 

@@ -69,7 +69,8 @@ class FrontObjective(Answer):
 
 
 class FrontGrowth(Answer):
-    """The front of all sets up to an iteration; -1: those of other campaigns. `hypervolume` is null for more than three objectives."""
+    """The front of all sets up to an `iteration`, counted from 0; -1: those of other campaigns. `hypervolume` is null for more than three
+    objectives."""
 
     iteration: int
     hypervolume: float | None

@@ -388,7 +388,7 @@ class InfluenceMapSpecification(Model):
 
 
 class EvaluationSpecification(Model):
-    """A parameter set in a scenario, or in all scenarios of the catalogue."""
+    """A parameter set in a scenario, or in all of the catalogue. Notes of the answer name values off the grid, simulated as given."""
 
     parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None

@@ -162,6 +162,7 @@ class EvaluationRow(Answer):
     id: int
     stage: str
     iteration: int
+    """Counted from 0; commands, page and report count iterations from 1."""
     individual: int
     scenario: str
     outcome: str | None
@@ -190,6 +191,7 @@ class Generation(Answer):
     """An iteration of the calibration stage."""
 
     iteration: int
+    """Counted from 0; commands, page and report count iterations from 1."""
     proposed: int
     carried_over: int
     requested: int
@@ -222,6 +224,7 @@ class Solution(Answer):
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int
+    """Counted from 0; commands, page and report count iterations from 1."""
     individual: int
 
 
@@ -264,7 +267,7 @@ class FrontRow(Answer):
     copied or predicted score that a simulation of this very set replaced; stored: by a run of another campaign."""
     parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int | None
-    """Null for a set that only other campaigns evaluated."""
+    """Counted from 0; null for a set that only other campaigns evaluated."""
     individual: int | None
 
 
@@ -276,7 +279,7 @@ class JudgedSet(Answer):
     on_front: bool
     """Whether no other set dominates it."""
     iteration: int | None
-    """Null for a set that only other campaigns evaluated."""
+    """Counted from 0; null for a set that only other campaigns evaluated."""
     individual: int | None
 
 

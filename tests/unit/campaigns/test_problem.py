@@ -126,6 +126,9 @@ def test_a_single_evaluation_takes_values_between_the_grid_points() -> None:
     problem = resolve_evaluation(EvaluationSpecification(parameters={**MIDDLE, "P9": 5.05}, scenario="S3"))
     assert list(problem.bench.scenarios) == ["S3"]
     assert problem.parameter_set.floats["P9"] == 5.05
+    (note,) = problem.notes
+    assert all(part in note for part in ("P9", "5.05", "5 or 5.1"))
+    assert resolve_evaluation(EvaluationSpecification(parameters={**MIDDLE})).notes == ()
 
 
 def test_a_single_evaluation_names_what_is_missing_unknown_or_forbidden() -> None:

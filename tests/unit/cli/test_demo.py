@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
 
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.commands.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
-from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo.coordinator import ANNOUNCEMENT, LOG, coordinator, fresh_folder, url_when_ready
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
+from drivecal.server.serving import ANSWERING
 from drivecal.storage.engine import locks
 
 
@@ -66,3 +69,23 @@ def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path) -> None:
         coordinator(tmp_path),
     ):
         pass
+
+
+def test_the_page_is_announced_before_the_workers_are_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.cli.commands.demo.coordinator.SECONDS_BETWEEN_SIGNS", 0.0)
+    url, said = "http://127.0.0.1:4321", []
+    (tmp_path / ANNOUNCEMENT).touch()
+    (tmp_path / LOG).touch()
+
+    def tell(message: str) -> None:
+        """Goes on with the start after each message: the server, the page, the workers."""
+        said.append(message)
+        if len(said) == 1:
+            (tmp_path / LOG).write_text(f"2026-01-01 info server {ANSWERING % url}\n")
+        elif len(said) == 3:
+            (tmp_path / ANNOUNCEMENT).write_text(json.dumps({"url": url}) + "\n")
+
+    with subprocess.Popen(["sleep", "600"]) as process:
+        assert url_when_ready(process, tmp_path, tell) == url
+        process.kill()
+    assert [url in message for message in said] == [False, True, False, True]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -113,6 +114,17 @@ def test_different_bits_are_told_and_fail_where_the_simulator_claims_to_be_deter
     assert check(write(noisy))[0] == 1
 
 
+def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "README.md").read_text()
+    shown = re.findall(r'^```[a-z]+ title="my-brake/(.*?)"\n(.*?)^```', text, re.MULTILINE | re.DOTALL)
+    assert {name for name, _ in shown} == {"brake.py", "problem.yaml"}
+    for name, content in shown:
+        (tmp_path / name).write_text(content)
+    code, report = check(str(tmp_path))
+    assert (code, report["warnings"]) == (0, [])
+    assert [scenario["failure"] for scenario in report["scenarios"]] == [None, None]
+
+
 def test_a_failure_and_a_score_without_a_value_are_worth_the_worst(write: Write) -> None:
     code, report = check(write("def evaluate(p, s):\n    return {'energy': 0.0}\n"))
     assert (code, report["scenarios"][0]["scores"]) == (0, {"cost": 10.0})
@@ -123,6 +135,17 @@ def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
     code, report = check(write("def evaluate(p, s):\n    raise ValueError('no licence')\n"))
     assert code == 1
     assert "no licence" in report["scenarios"][0]["error"]
+
+
+def test_a_hang_is_named_with_its_limit_while_it_lasts_and_at_its_end(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.local.problems.SECONDS_BETWEEN_SIGNS", 0.1)
+    manifest = MANIFEST.replace("DETERMINISTIC}", "DETERMINISTIC, timeout: 1}").replace(", road: {gap: 60}", "")
+    folder = write("import time\ndef evaluate(p, s):\n    time.sleep(600)\n", manifest)
+    result = command("problem", "check", folder, "--json")
+    assert "city: run 1 has taken" in result.stderr
+    assert "1 s (`simulator.timeout` in problem.yaml)" in result.stderr
+    (scenario,) = json.loads(result.stdout)["scenarios"]
+    assert (result.exit_code, "`simulator.timeout` in problem.yaml" in scenario["error"]) == (1, True)
 
 
 def test_a_faulty_manifest_is_refused_with_its_line(write: Write) -> None:

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from drivecal.client.notebooks import Rows, displayed
+from drivecal.client.frames import Rows
+from drivecal.client.notebooks import displayed
 from drivecal.contracts.campaign import Campaign, Progress
 from drivecal.contracts.inventory import InfluenceMapAnswer
-from drivecal.contracts.tables import InfluenceRow, Solution
+from drivecal.contracts.tables import InfluenceRow, JudgedSet, Solution
 
 STATES = [
     Campaign(id="0" * 32, name="mine", state="running", progress=Progress(done=done, total=9, eta_seconds=9.4 - done))
@@ -80,12 +81,24 @@ def test_rows_are_a_list_and_a_table() -> None:
         )
         for rank in range(1, 31)
     ]
-    rows = Rows(solutions)
+    rows = Rows(Solution, solutions)
     assert rows == solutions
+    pytest.importorskip("pandas")
+    frame = rows.to_pandas()
+    assert frame[["rank", "score_S1"]].dtypes.map(str).tolist() == ["Int64", "Int64"]
+    assert list(frame["P1"]) == [2.0] * 30
     shown = rows._repr_html_()
     assert "<th>parameters.P1</th>" in shown
     assert shown.count("<tr>") == 21
     assert "10 more rows" in shown
+
+
+def test_rows_without_parameters_in_common_have_missing_values() -> None:
+    sets = [JudgedSet(objectives={name: 1.0}, violation=0.0, on_front=True, iteration=None, individual=None) for name in "ab"]
+    table = Rows(JudgedSet, sets).to_arrow()
+    assert table.column("objective_a").to_pylist() == [1.0, None]
+    assert str(table.schema.field("iteration").type) == "int64"
+    assert Rows(JudgedSet, []).to_arrow().num_rows == 0
 
 
 def test_a_map_is_shown_with_its_rows() -> None:

@@ -19,7 +19,7 @@ def build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     for folder in (pages / "how-to", decisions, tmp_path / "services/web/public"):
         folder.mkdir(parents=True)
     (tmp_path / "services/web/public/icon.svg").write_text("<svg/>")
-    (tmp_path / "docs" / "zensical.toml").write_text('base_path = ["ROOT"]')
+    (tmp_path / "docs" / "zensical.toml").write_text("[project]")
     (pages / "index.md").write_text(
         "[decision](../../shared/decisions/001-a.md#why) [all](../../shared/decisions) `[no](link.md)`"
     )
@@ -44,7 +44,7 @@ def test_links_between_files_become_links_between_pages(build: ModuleType, tmp_p
     assert (pages / "how-to" / "b.md").read_text() == "[start](../index.md) code [web](https://example.org) ![i](../i.png)"
     assert (pages / "i.png").read_bytes() == b"png"
     assert "[001](shared/decisions/001-a.md) | A decision" in (pages / "decisions.md").read_text()
-    assert str(tmp_path) in (tmp_path / "staged" / "zensical.toml").read_text()
+    assert (tmp_path / "staged" / "zensical.toml").read_text() == "[project]"
 
 
 def test_a_notebook_becomes_a_page_with_its_outputs(build: ModuleType, tmp_path: Path) -> None:

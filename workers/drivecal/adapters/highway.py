@@ -15,6 +15,8 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import VERSIONS, Declared
 from drivecal.roads.network import network_file
 
+EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
+"""Extra of drivecal that installs a module; FMPy runs controllers and vehicles that are FMUs."""
 MOST_RUNS = 2000
 """Runs of a child before another replaces it, so that what SUMO or a controller leaks stays small."""
 MOST_FMU_RUNS = 500
@@ -38,9 +40,8 @@ class HighwayAdapter:
         for name in (network, data.get("routes"), data.get("openscenario"), *files):
             if name is not None and not (folder / name).exists():
                 raise UnavailableError(f"{name} does not exist in the bundle")
-        for package in ("libsumo", "numba", *(["fmpy"] if has_fmu else [])):
-            if find_spec(package) is None:
-                extra = "fmu" if package == "fmpy" else "worker"
+        for package, extra in EXTRAS.items():
+            if (has_fmu or package != "fmpy") and find_spec(package) is None:
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
         scratch = Scratch(folder)
         try:

@@ -14,6 +14,8 @@ LONGEST_LINE = 16 << 20
 """Largest answer in bytes, time series included."""
 LONGEST_TAIL = 4096
 """Bytes of standard error that are kept."""
+RUN_LIMIT = "the limit of a run (`simulator.timeout` in problem.yaml, s); raise it if runs may take longer"
+"""Origin of the time limit, for the message of a hang."""
 TICK_SECONDS = 0.5
 """Longest time between two looks at the clock and at the child's processes."""
 CLOSED_SECONDS = 1.0
@@ -30,7 +32,7 @@ class Pipes:
 
         Raises UnavailableError if its command cannot be run.
         """
-        self._children = children
+        self._children, self._limit = children, RUN_LIMIT
         self._tail = b""
         self._received = bytearray()
         self._waiting = memoryview(b"")
@@ -69,8 +71,9 @@ class Pipes:
                 return False
         return self._ended is None
 
-    def ask(self, request: bytes, seconds: float) -> bytes:
-        """Sends a line and returns the line of the answer. After an error, `stop` must follow."""
+    def ask(self, request: bytes, seconds: float, limit: str = RUN_LIMIT) -> bytes:
+        """Sends a line and returns the line of the answer. After an error, `stop` must follow. `limit`: origin of the time limit."""
+        self._limit = limit
         self._waiting = memoryview(request)
         self._write()
         deadline = time.monotonic() + seconds
@@ -98,8 +101,9 @@ class Pipes:
         if self._ended.status != 0:
             raise self._failure(self._ended)
 
-    def collect(self, seconds: float, most: int) -> bytes:
+    def collect(self, seconds: float, most: int, limit: str) -> bytes:
         """Waits for the child's end and returns its standard output of at most `most` bytes. After an error, `stop` must follow."""
+        self._limit = limit
         self._close_input()
         deadline = time.monotonic() + seconds
         while self._ended is None and len(self._received) <= most:
@@ -154,7 +158,7 @@ class Pipes:
         elif left <= 0 and not (answers and b"\n" in self._received):
             if seconds < 0:
                 raise NoMeasuresError(Breakdown.ERROR, self._with_tail("it closed its standard output without an answer"))
-            raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s (timeout)"))
+            raise NoMeasuresError(Breakdown.HANG, self._with_tail(f"no answer after {seconds:g} s, {self._limit}"))
 
     def _drain(self) -> None:
         """Reads what an ended child has left in its pipes."""

@@ -38,7 +38,7 @@ def run_probe(section: Mapping[str, Any], folder: Path) -> str:
 def _answer(children: Children) -> str:
     pipes = Pipes(children)
     try:
-        output = pipes.collect(PROBE_SECONDS, LONGEST_ANSWER)
+        output = pipes.collect(PROBE_SECONDS, LONGEST_ANSWER, "the limit of a probe")
         answer = "\n".join(line.rstrip() for line in output.decode(errors="replace").strip().splitlines()) or pipes.tail()
     finally:
         pipes.stop()

@@ -17,11 +17,20 @@ from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, Run
 
 START_SECONDS = 60.0
 """Shortest time limit of a start, which may load libraries and licences."""
+START_LIMIT = (
+    "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
+)
+"""Origin of that limit, for the message of a hang."""
 QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
 SEED = 1
 """Seed in every request: equal random numbers for all parameter sets make them comparable."""
 _QUIT = b'{"quit": true}\n'
+
+
+def start_seconds(timeout: float) -> float:
+    """Returns the time limit of a start (s) of a simulator with this limit of a run."""
+    return max(timeout, START_SECONDS)
 
 
 class ProcessSession:
@@ -99,7 +108,7 @@ class ProcessSession:
         self._pipes, self._runs = Pipes(self._children), 0
         greeting = json.dumps({"drivecal": 1, "problem": self._declared.problem}).encode() + b"\n"
         try:
-            answer = answers.document(self._pipes.ask(greeting, max(self._timeout, START_SECONDS)), "the answer")
+            answer = answers.document(self._pipes.ask(greeting, start_seconds(self._timeout), START_LIMIT), "the answer")
             if "error" in answer:
                 raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from fastapi.responses import StreamingResponse
 
 from drivecal.api.http.queries import PARQUET
+from drivecal.client.arrow import arrow_schema, arrow_table
 from drivecal.contracts.tables import Column, spreadsheet_text
 
 Row = Mapping[str, Any]
@@ -49,22 +50,13 @@ def _plain(value: object) -> object:
 
 
 def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    import pyarrow as pa  # takes a while and memory; most servers never write Parquet
-    from pyarrow import parquet
+    from pyarrow import parquet  # takes a while and memory; most servers never write Parquet
 
-    types = {
-        "integer": pa.int64(),
-        "number": pa.float64(),
-        "text": pa.string(),
-        "truth": pa.bool_(),
-        "numbers": pa.list_(pa.float64()),
-    }
-    schema = pa.schema([(column.name, types[column.kind]) for column in columns])
+    schema = arrow_schema(columns)
     sink = _Sink()
     with parquet.ParquetWriter(sink, schema) as writer:
         for piece in pieces:
-            data = [pa.array([row[column.name] for row in piece], types[column.kind]) for column in columns]
-            writer.write_table(pa.Table.from_arrays(data, schema=schema))
+            writer.write_table(arrow_table(schema, piece))
             yield sink.take()
     yield sink.take()
 

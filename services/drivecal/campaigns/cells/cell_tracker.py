@@ -59,6 +59,8 @@ class CellTracker:
         self.simulating_seconds = simulating_seconds
         self.undefined: str | None = None
         """Why a score has no value, of the first such result; None before."""
+        self.broken: str | None = None
+        """Scenario and cause of the first cell without a result; None before."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -291,6 +293,7 @@ class CellTracker:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[StoredEvaluation] = []
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
+        self.broken = self.broken or f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'}"
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)

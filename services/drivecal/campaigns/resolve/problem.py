@@ -17,7 +17,14 @@ from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals
 from drivecal.campaigns.resolve.resolvers import Optimization
-from drivecal.campaigns.resolve.spaces import fixed_to_document, free_values, given_set, search_space, space_to_document
+from drivecal.campaigns.resolve.spaces import (
+    fixed_to_document,
+    free_values,
+    given_set,
+    notes_off_grid,
+    search_space,
+    space_to_document,
+)
 from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
 from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
@@ -135,6 +142,7 @@ class EvaluationProblem:
     specification: EvaluationSpecification
     bench: Bench
     parameter_set: ParameterSet
+    notes: tuple[str, ...] = ()
 
     def resolution(self) -> dict[str, Any]:
         """See `CalibrationProblem.resolution`."""
@@ -224,7 +232,9 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
         parameter_set, "parameters"
     )
     specification = specification.model_copy(update=dict(workbench.settled))
-    return EvaluationProblem(specification, workbench.make(scenarios), parameter_set)
+    return EvaluationProblem(
+        specification, workbench.make(scenarios), parameter_set, notes_off_grid(values, workbench.function)
+    )
 
 
 def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:

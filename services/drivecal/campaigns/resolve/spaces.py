@@ -191,6 +191,17 @@ def free_values(given: Mapping[str, Setting], function: Parameterised, diagnosti
     return values
 
 
+def notes_off_grid(values: Mapping[str, Value], function: Parameterised) -> tuple[str, ...]:
+    """Returns a note for each of `free_values` that no campaign on the driving function's own space asks for."""
+    notes = []
+    for name, parameter in _default_space(function).items():
+        try:
+            parameter.index(values[name], name)
+        except InvalidInputError as error:
+            notes += [f"{name}: {problem.message} ({problem.remedy}); it is simulated as given" for problem in error.problems]
+    return tuple(notes)
+
+
 def _value(given: Setting) -> Value:
     return given if isinstance(given, str) else decimal(given)
 

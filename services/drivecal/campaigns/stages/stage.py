@@ -57,7 +57,7 @@ class Stage(Job):
         self._eta = EtaEstimate(time.monotonic, counts.requested)
         self._resumed = False
         self._round: Round | None = None
-        self._told_undefined = counts.unscored > 0
+        self._told_undefined, self._told_broken = counts.unscored > 0, counts.failed > 0
         self.finished = False
 
     @abstractmethod
@@ -89,6 +89,7 @@ class Stage(Job):
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
         self._tell_undefined(connection)
+        self._tell_broken(connection)
         counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
             stage=self.name,
@@ -104,6 +105,13 @@ class Stage(Job):
             text = f"a score has no value, so that its run counts as failed: {self._tracker.undefined}"
             events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
             self._told_undefined = True
+
+    def _tell_broken(self, connection: Connection) -> None:
+        """Adds an event for the stage's first cell without a result: others may take as long to fail, e.g. if a simulator hangs."""
+        if self._tracker.broken is not None and not self._told_broken:
+            text = f"a cell has no result after all attempts: {self._tracker.broken}"
+            events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
+            self._told_broken = True
 
     def _undefined_notes(self) -> list[str]:
         """Returns a note on scores without a value."""

@@ -50,7 +50,7 @@ def evaluate(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate one parameter set and show its scores."""
+    """Simulate one parameter set and show its scores. Values may lie off the grid; a note names them."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     specification: dict[str, object] = {
         "parameters": settings(parameters, "parameters"),
@@ -127,6 +127,8 @@ def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | Se
 
 def _print(evaluation: Evaluation) -> None:
     typer.echo(parameters_text(evaluation.parameters))
+    for note in evaluation.notes:
+        typer.echo(f"note: {note}")
     if evaluation.error:
         typer.echo(f"error: {evaluation.error}")
     header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]

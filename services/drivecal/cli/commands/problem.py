@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 problems = typer.Typer(no_args_is_help=True, help="Your own problems: a simulation, its parameters, measures and scores.")
 app.add_typer(problems, name="problem")
 
+SHOWN = 12
+"""Characters of a digest in a sentence."""
+
 FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder with problem.yaml.")]
 
 
@@ -80,10 +83,10 @@ def check(
             trial_set,
         )  # the workers' code, for this command only
 
-        report["tools"] = ask_probe(manifest, archive)
+        report["tools"] = ask_probe(manifest, archive, tell)
         report["parameters"] = parameters = trial_set(manifest)
         report["other_parameters"] = other = other_set(manifest)
-        for result in run_problem(manifest, archive, parameters, other):
+        for result in run_problem(manifest, archive, parameters, other, tell):
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
@@ -100,12 +103,27 @@ def check(
 
 @problems.command()
 def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Store a problem on the server, so that campaigns can name it. Takes a token of the role author, or the server's own user."""
-    _, archive, notes = read_bundle_with_notes(folder)
+    """Store a problem on the server, so that campaigns can name it. Its files are checked; `problem check` runs it as well. Replaces what
+    the name means; earlier campaigns keep theirs. Takes a token of the role author, or the server's own user."""
+    manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
         tell(note)
     with connect(url) as client:
-        print_answer(client.push_problem(archive), as_json, _print_problem)
+        earlier = client.problems(name=manifest.problem, limit=1).items
+        pushed = client.push_problem(archive)
+    tell(_change(pushed, earlier[0].digest if earlier else None, folder))
+    print_answer(pushed, as_json, _print_problem)
+
+
+def _change(pushed: ProblemAnswer, earlier: str | None, folder: str) -> str:
+    """Returns what a push changed. `earlier`: the digest that the name meant before."""
+    name, digest = pushed.name, pushed.digest[:SHOWN]
+    check = f"nothing was run; to run it, type: drivecal problem check {quote(folder)}"
+    if earlier is None:
+        return f"{name}: digest {digest}, the first of this name; {check}"
+    if earlier == pushed.digest:
+        return f"{name}: digest {digest}, unchanged since the last push"
+    return f"{name}: new digest {digest}, replaces {earlier[:SHOWN]}; campaigns of earlier digests keep theirs; {check}"
 
 
 @problems.command("list")

@@ -49,10 +49,10 @@ def demo(as_json: JsonOption = False) -> None:
     started = time.monotonic()
     folder = load_settings().home / "demo"
     try:
+        tell(f"starting a server with a database and workers of its own in {_short(folder)}")
+        tell("the first start on a machine compiles the simulation, once; this takes up to some minutes")
         with fresh_folder(folder):
-            tell(f"starting a server with a database and workers of its own in {_short(folder)}")
-            with coordinator(folder) as client:
-                tell(f"it is ready: watch the campaign at {client.url}")
+            with coordinator(folder, tell) as client:
                 campaign = _first(client, as_json)
                 rerun = _second(client, campaign, as_json)
             summary = {
@@ -75,13 +75,18 @@ def _first(client: Client, as_json: bool) -> Campaign:
     optimizer = CAMPAIGN["optimizer"]
     tell(
         f"submitting a campaign: {optimizer['population']} individuals x 6 scenarios x {optimizer['iterations']} iterations = "
-        f"{expected.calibration_proposed:,} cells; the optimizer changes at most {expected.calibration_at_most:,} of them"
+        f"{expected.calibration_proposed:,} cells, a parameter set in a scenario each; the optimizer changes at most "
+        f"{expected.calibration_at_most:,} of them"
     )
     campaign = _carried_out(client, client.submit(CAMPAIGN))
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
         _print_comparison(campaign)
-        _print_answers(campaign, "How its cells, one parameter set in one scenario each, were answered", campaign=campaign)
+        _print_answers(
+            campaign,
+            "How its cells were answered; certified: by a proof that the run would repeat a stored one",
+            campaign=campaign,
+        )
     return campaign
 
 

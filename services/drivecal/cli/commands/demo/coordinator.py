@@ -3,12 +3,13 @@
 import fcntl
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,6 +23,8 @@ SECONDS_TO_STOP = 20.0
 ANNOUNCEMENT = "serve.json"
 """File with the address of the ready coordinator."""
 LOG = "serve.log"
+SECONDS_BETWEEN_SIGNS = 15.0
+"""Longest silence while the workers start."""
 
 
 @contextmanager
@@ -49,10 +52,10 @@ def _database_url(folder: Path) -> str:
 
 
 @contextmanager
-def coordinator(home: Path) -> Iterator[Client]:
-    """Runs a coordinator with its files in `home` until the block is left, and yields a client of it.
+def coordinator(home: Path, tell: Callable[[str], None] = lambda _: None) -> Iterator[Client]:
+    """Runs a coordinator with its files in `home` until the block is left, and yields a client of it once its workers are ready.
 
-    Raises DrivecalError with the end of the log if it does not start.
+    Calls `tell` with what it waits for. Raises DrivecalError with the end of the log if it does not start.
     """
     settings = load_settings(home=str(home), database_url=_database_url(home)).environment
     environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
@@ -71,7 +74,7 @@ def coordinator(home: Path) -> Iterator[Client]:
             start_new_session=True,
         )
     try:
-        with _interrupted_by_sigterm(), Client(_url_when_ready(process, home), token="") as client:
+        with _interrupted_by_sigterm(), Client(url_when_ready(process, home, tell), token="") as client:
             yield client
     finally:
         process.terminate()
@@ -88,18 +91,37 @@ def _interrupted_by_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _url_when_ready(process: subprocess.Popen[bytes], home: Path) -> str:
-    deadline = time.monotonic() + SECONDS_TO_START
-    while time.monotonic() < deadline:
+def url_when_ready(process: subprocess.Popen[bytes], home: Path, tell: Callable[[str], None]) -> str:
+    """Returns the address once the workers are ready. Tells it as soon as the page answers, and how long the workers have been starting."""
+    began = told = time.monotonic()
+    page: str | None = None
+    while (now := time.monotonic()) < began + SECONDS_TO_START:
         line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
         if newline:
-            return str(json.loads(line)["url"])
+            url = str(json.loads(line)["url"])
+            tell(f"the workers are ready after {now - began:.0f} s; watch the campaign at {url}")
+            return url
         if process.poll() is not None:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
+        if page is None and (page := _answering(home / LOG)) is not None:
+            tell(f"the page is at {page}; the workers are starting")
+            told = now
+        elif now >= told + SECONDS_BETWEEN_SIGNS:
+            tell(f"{'the server is' if page is None else 'the workers are'} still starting ({now - began:.0f} s)")
+            told = now
         time.sleep(0.1)
     raise DrivecalError(
         f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; if the machine was busy, try again:\n{_end_of(home / LOG)}"
     )
+
+
+def _answering(log: Path) -> str | None:
+    """Returns the address of the page once the log says that it answers."""
+    from drivecal.server.serving import ANSWERING
+
+    pattern = re.escape(ANSWERING).replace("%s", r"(http://\S+)")
+    answering = re.search(pattern, log.read_text(errors="replace"))
+    return None if answering is None else answering[1]
 
 
 def _end_of(log: Path) -> str:
