@@ -88,6 +88,7 @@ def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
 
 
+@pytest.mark.slow("routes")
 @pytest.mark.parametrize("data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE], ids=["openscenario", "routes"])
 def test_runs_repeat_to_the_bit_in_other_orders_and_processes(folder: Path, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (26.0, 30.0, 33.0)]

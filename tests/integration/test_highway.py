@@ -108,6 +108,7 @@ def test_the_lane_keeper_holds_the_centre_on_a_curve_and_the_speed_keeper_the_li
     assert series(steered, "speed_mps")[-1] == pytest.approx(36.1, abs=1.0)
 
 
+@pytest.mark.slow("standing1-False")
 @pytest.mark.parametrize(
     ("standing", "gap"),
     [
@@ -153,6 +154,7 @@ def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
     assert 60 < begin < 90
 
 
+@pytest.mark.slow
 def test_others_react_to_a_lane_change_of_the_ego_vehicle(tmp_path: Path) -> None:
     code = """
 def control(o, p):
@@ -180,6 +182,7 @@ def test_a_gap_triggers_in_the_first_step_that_begins_with_it(tmp_path: Path) ->
     assert gaps[begin] <= 20 < gaps[begin - 1]
 
 
+@pytest.mark.slow
 def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
     drift = {"do": "drift", "s": 400, "offset": -1.6, "seconds": 2}
     outcome = result(folder, drive([{"lane": 1, "s": 160, "speed": 30, "model": "constant", "actions": [drift]}], 12.0))
@@ -193,6 +196,7 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     assert outcomes[0].failure is None
 
 
+@pytest.mark.slow("exact-process", "exact-fmu", "random-python", "random-fmu")
 @pytest.mark.parametrize("kind", ["python", "process", "fmu"])
 @pytest.mark.parametrize(
     "data", [drive([BRAKING, CUTTER], 15.0), drive(BUSY, 15.0, flows=FLOWS, seed=5)], ids=["exact", "random"]
@@ -209,11 +213,13 @@ def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dic
     assert first[0] != first[1]
 
 
+@pytest.mark.slow
 def test_another_seed_gives_other_traffic(folder: Path) -> None:
     outcomes = [result(folder, drive(BUSY, 20.0, flows=FLOWS, seed=seed)) for seed in (1, 2)]
     assert outcomes[0].series != outcomes[1].series
 
 
+@pytest.mark.slow
 def test_a_controller_may_run_slower_or_faster_than_the_traffic(folder: Path) -> None:
     for period, step in ((0.02, 0.1), (0.5, 0.1), (0.1, 0.02)):
         outcome = result(folder, drive([BRAKING], 20.0), CONTROLLERS["python"] | {"period": period}, step=step)
@@ -265,6 +271,7 @@ def control(observation, parameters):
         assert session.evaluate({"x": 0}) == expected
 
 
+@pytest.mark.slow
 def test_a_faulty_program_costs_its_cell_and_is_started_again(tmp_path: Path) -> None:
     bundle = motorway(tmp_path / "bundle")
     (bundle / "program.py").write_text("""
@@ -318,6 +325,7 @@ def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
         pass
 
 
+@pytest.mark.slow("change0-e9", "change1-e2", "change2-lane 5", "change4-e9")
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
@@ -339,6 +347,7 @@ def test_the_ego_vehicle_does_not_start_inside_of_another(folder: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_network_that_sumo_refuses_is_named(tmp_path: Path) -> None:
     bundle = motorway(tmp_path / "bundle")
     text = NETWORK.read_text()

@@ -127,6 +127,7 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
     assert campaign.best == honest.best
 
 
+@pytest.mark.slow
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path) -> None:
     def begin(database: Database) -> StoredCampaign:
         campaign = ask(database)

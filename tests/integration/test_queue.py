@@ -137,6 +137,7 @@ def leased(database: Database) -> int:
         return connection.scalar(select(func.count()).select_from(leases_table)) or 0
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
     databases: Callable[[], Database], seed: int

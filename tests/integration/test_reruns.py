@@ -113,6 +113,7 @@ def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database
     assert narrow.best.objective >= wide.best.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
@@ -242,6 +243,7 @@ def forgetful(scenario: str, cell: Cell) -> CellResult:
     return replace(usual, metrics={"undefined": 0.0}) if cell.parameters["P1"] < 0.3 else usual
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of_stored_runs(tmp_path: Path) -> None:
     found = []

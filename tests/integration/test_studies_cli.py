@@ -242,6 +242,7 @@ def predicted(api: RunningApi) -> str:
     return campaign.id
 
 
+@pytest.mark.slow
 def test_released_predictions_are_validated_apart_from_maps(run: Run, api: RunningApi, predicted: str) -> None:
     result = run("validate", predicted[:12], "--predicted")
     assert result.exit_code == 0, result.output

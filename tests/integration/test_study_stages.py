@@ -127,6 +127,7 @@ def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(datab
     assert study(database, ended)["complete"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw, found = random.Random(seed), []

@@ -155,6 +155,7 @@ def answered(cells: CellCounts) -> tuple[int, ...]:
     return cells.requested, cells.repeated, cells.reused, cells.certified + cells.simulated, cells.audited, cells.failed
 
 
+@pytest.mark.slow
 def test_one_worker_without_ray_gives_the_same_evaluations_bit_for_bit(two_workers: Gone, tmp_path: Path) -> None:
     with api.serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running, working(running.database, InThisProcess()):
         one_worker = _carry_out(running.url)

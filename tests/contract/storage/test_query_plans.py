@@ -234,6 +234,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
                 assert scanned(plan) == set(), plan
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(1500):
@@ -289,6 +290,7 @@ def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> N
             assert "TEMP B-TREE" not in plan
 
 
+@pytest.mark.slow("postgresql")
 def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> None:
     with filled.transaction() as connection:
         for number in range(1500):

@@ -84,6 +84,7 @@ def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
     return {HEADER: sign(secret, archive)}
 
 
+@pytest.mark.slow("::1", "192.168.1.5")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
 @pytest.mark.parametrize("allow", [None, True, False])
 def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(serve: Serve, address: str, allow: bool | None) -> None:

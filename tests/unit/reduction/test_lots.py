@@ -70,7 +70,7 @@ def test_expected_errors_are_those_of_a_simulation() -> None:
         assert np.mean(released) == pytest.approx(outgoing_errors(plan)[wrong], abs=0.002)
 
 
-@settings(deadline=None, max_examples=examples(8))
+@settings(deadline=None, max_examples=examples(4))
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.sampled_from([0.02, 0.05]))
 def test_a_thousand_replays_of_any_predictor_release_few_errors_in_the_mean(seed: int, drift: float, limit: float) -> None:
     """The predictor drifts from lot to lot, claims an arbitrary error rate, and knows every earlier verdict."""

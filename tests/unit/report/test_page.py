@@ -130,6 +130,7 @@ def test_ids_of_several_drawings_do_not_meet(whole: Whole) -> None:
     assert used <= set(page.ids)
 
 
+@pytest.mark.slow
 def test_what_a_user_wrote_is_shown_and_not_obeyed(tmp_path: Path) -> None:
     page, _ = written(findings(titles={"S1": "<script>alert(1)</script>"}), tmp_path)
     assert "a <b>small</b> study" in page.text
