@@ -25,6 +25,7 @@ def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         yield running
 
 
+@pytest.mark.slow("sqlite")
 def test_fifty_posts_at_once_with_one_key_make_one_campaign(api: RunningApi) -> None:
     def post(number: int) -> httpx.Response:
         body: dict[str, Any] = {"name": "mine" if number % 5 else "another"}

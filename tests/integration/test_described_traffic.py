@@ -67,6 +67,7 @@ def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) 
     assert braking == pytest.approx(13.1, abs=0.3)  # a second after the change is done
 
 
+@pytest.mark.slow
 def test_a_parameter_of_the_file_moves_the_cut_in(folder: Path) -> None:
     for gap in (15, 40):
         outcome = result(folder, {"openscenario": "scenarios/slower_cut_in.xosc", "duration": 12.0, "parameters": {"gap": gap}})

@@ -76,6 +76,7 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
     assert best == ended.best.objective
 
 
+@pytest.mark.slow("0.3")
 @pytest.mark.parametrize("audit", [0.0, 0.3])
 def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
     found = []

@@ -173,6 +173,7 @@ def driven(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
 
 
+@pytest.mark.slow
 def test_a_killed_search_over_real_runs_ends_with_the_same_bits(database: Database) -> None:
     spec: dict[str, Any] = {
         "objectives": TWO,

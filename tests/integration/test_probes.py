@@ -109,6 +109,7 @@ def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) ->
         assert campaigns.get(connection, campaign.id).state is CampaignState.CANCELLED
 
 
+@pytest.mark.slow
 def test_evaluations_comparisons_and_reruns_are_asked_too(database: Database) -> None:
     first = ended(database, submit(database, reduction={"mode": "exact"}), on("1.0"))
     wanted = {"problem": "mine", "parameters": {"value": 7.0}}

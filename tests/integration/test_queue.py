@@ -171,6 +171,7 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
     assert found[0][0][-1][0] >= TINY["optimizer"]["iterations"], "the best set was confirmed"
 
 
+@pytest.mark.slow("postgresql")
 def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(databases: Callable[[], Database]) -> None:
     database = databases()
     campaign = submit(database, **TINY)
@@ -208,6 +209,7 @@ class Poisoned:
         return self._first
 
 
+@pytest.mark.slow("postgresql")
 def test_a_poison_cell_has_three_attempts_however_many_dispatchers_it_sees(databases: Callable[[], Database]) -> None:
     database = databases()
     campaign = submit(database, **TINY)
@@ -335,6 +337,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         assert _states(database, submitted)[4] == "queued", "it takes no place of theirs"
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], Database]) -> None:
     database = databases()
     before, during, sound = (submit(database, **TINY) for _ in range(3))

@@ -55,6 +55,7 @@ def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path
     assert "`drivecal db upgrade`" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_api_says_unasked_that_its_database_is_not_migrated_and_when_it_is(tmp_path: Path) -> None:
     database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
     log = tmp_path / "log"
@@ -84,6 +85,7 @@ def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_p
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_it_is_asked(tmp_path: Path) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
 

@@ -107,6 +107,7 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
     assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)

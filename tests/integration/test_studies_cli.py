@@ -78,6 +78,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     assert float(table[0]["P1"]) == rows[0]["parameters"]["P1"]
 
 
+@pytest.mark.slow
 def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
     run: Run, api: RunningApi, ended: str
 ) -> None:
@@ -167,6 +168,7 @@ def test_the_solutions_of_a_campaign_that_is_not_there_are_refused_by_name(api: 
     assert [one["field"] for one in answer.json()["errors"]] == ["robustness.of"]
 
 
+@pytest.mark.slow
 def test_a_report_has_the_studies_that_other_campaigns_made(run: Run, api: RunningApi, ended: str) -> None:
     url = f"/api/v1/campaigns/{ended}"
     made = []

@@ -72,7 +72,7 @@ def test_a_lane_keeper_in_cpp_and_an_acc_as_an_fmu_give_the_same_bits_on_two_wor
         assert outcomes[0].failure is None
 
 
-@pytest.mark.slow("finite", "numbers")
+@pytest.mark.slow("step", "2 values", "finite", "numbers")
 @pytest.mark.parametrize(
     ("code", "cause"),
     [

@@ -98,6 +98,7 @@ def test_every_cell_has_its_answer_and_two_workers_gave_them(two_workers: Gone) 
             assert (reference["scenario"], reference["score"]) == (row["scenario"], row["score"])
 
 
+@pytest.mark.slow
 def test_a_plain_runner_in_another_process_gives_the_same_bits(two_workers: Gone) -> None:
     function, vehicle = registry.driving_function("frenet"), registry.vehicle("single_track")
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}

@@ -266,6 +266,7 @@ def test_another_programs_database_is_not_restored_into(
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:

@@ -252,6 +252,7 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert scanned(plan) == set(), plan
 
 
+@pytest.mark.slow("postgresql")
 def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(300):
@@ -269,6 +270,7 @@ def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> N
     assert "TEMP B-TREE" not in plan
 
 
+@pytest.mark.slow("postgresql")
 def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection).sequence for _ in range(40)]

@@ -253,6 +253,7 @@ def test_another_type_or_encoding_is_refused(serve: Serve) -> None:
         assert client.post(PROBLEMS, content=packed(), headers=bearer("author") | headers).status_code == 415
 
 
+@pytest.mark.slow
 def test_no_more_than_the_limit_are_kept(serve: Serve) -> None:
     client = serve(tokens=True, pushed_problems=1)
     client.headers.update(bearer("author"))
