@@ -43,8 +43,11 @@ gc.disable()
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
-LONG_FILES = {"test_tutorials.py", "test_notebooks.py", "test_highway.py", "test_page_views.py", "test_page_sources.py"}
-"""Files that take most of a minute or a single test that does."""
+LONG_FILES = {
+    *("test_kills.py", "test_page_views.py", "test_ray_backend.py", "test_highway.py", "test_serve.py", "test_backup.py"),
+    *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_problem.py", "test_whole_way.py"),
+}
+"""Files that take most of a minute: those of `make test`, and further ones of `make test-slow`."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
 """From those with long files to those with short ones."""
 

@@ -39,7 +39,6 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     (folder / "tokens").write_text(f"writer write {TOKEN}\nreader read {READER}\n")
     with serving(
         folder,
-        DRIVECAL_BACKEND="processes",
         DRIVECAL_TOKENS_FILE="tokens",
         DRIVECAL_TOKEN=MINE,
         DRIVECAL_LOG_FORMAT="json",

@@ -22,6 +22,8 @@ from drivecal.domain.evaluations import Failure
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
+pytestmark = pytest.mark.slow
+
 OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}
 OTHER_WEIGHTS = {"S1": 3, "S5": 0}
 PARAMETERS = tuple(f"P{number}" for number in range(1, 12))
@@ -98,7 +100,6 @@ def test_every_cell_has_its_answer_and_two_workers_gave_them(two_workers: Gone) 
             assert (reference["scenario"], reference["score"]) == (row["scenario"], row["score"])
 
 
-@pytest.mark.slow
 def test_a_plain_runner_in_another_process_gives_the_same_bits(two_workers: Gone) -> None:
     function, vehicle = registry.driving_function("frenet"), registry.vehicle("single_track")
     nominal = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
@@ -156,7 +157,6 @@ def answered(cells: CellCounts) -> tuple[int, ...]:
     return cells.requested, cells.repeated, cells.reused, cells.certified + cells.simulated, cells.audited, cells.failed
 
 
-@pytest.mark.slow
 def test_one_worker_without_ray_gives_the_same_evaluations_bit_for_bit(two_workers: Gone, tmp_path: Path) -> None:
     with api.serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running, working(running.database, InThisProcess()):
         one_worker = _carry_out(running.url)
