@@ -92,6 +92,7 @@ def busy(api: RunningApi) -> Measures:
     return measures
 
 
+@pytest.mark.slow("postgresql")
 def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
     cells = [
         {

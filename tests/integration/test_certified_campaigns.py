@@ -195,6 +195,7 @@ def failed(database: Database, backend: ComputedBackend, **changes: Any) -> Stor
     return ended
 
 
+@pytest.mark.slow("1", "2")
 @pytest.mark.parametrize("seed", range(4))
 def test_a_refuted_certificate_leaves_no_certified_answer_of_its_setup_among_the_references(
     database: Database, seed: int

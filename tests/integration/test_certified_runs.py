@@ -83,6 +83,7 @@ def test_what_is_forgotten_is_simulated_again() -> None:
     assert certifying.answer(parameters, 2, check=False).proven_by is None
 
 
+@pytest.mark.slow
 def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
     memory = Memory(megabytes=1)
     names = ("S3", "S5")

@@ -105,6 +105,7 @@ def test_what_runs_have_in_common_is_simulated_once_and_counted_by_each(
         assert one.cells.repeated == len(rows) - len(distinct)
 
 
+@pytest.mark.slow
 def test_runs_count_alike_whatever_was_stored_before_and_whichever_others_there_are(
     compared: tuple[Database, StoredCampaign, ComputedBackend], database: Database
 ) -> None:
@@ -163,6 +164,7 @@ def test_a_comparison_rests_goes_on_and_ends_with_its_runs(database: Database) -
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: Database) -> None:
     def broken(scenario: str, cell: Cell) -> CellResult:
         if scenario == "S1":

@@ -217,6 +217,7 @@ def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
         assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
 
 
+@pytest.mark.slow
 def test_a_default_given_in_words_changes_nothing(database: Database) -> None:
     plain = run(database, submit(database, reduction={"mode": "off"}))
     worded = run(database, submit(database, objectives=[{"score": "comfort"}], reduction={"mode": "off"}))

@@ -144,6 +144,7 @@ def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> 
     assert "map" in (other.error or "")
 
 
+@pytest.mark.slow
 def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) -> None:
     first = ended(database, submit(database), on("1.0"))
     with database.transaction() as connection:

@@ -184,6 +184,7 @@ def test_without_a_map_there_is_nothing_to_narrow_by() -> None:
         resolve(specification)
 
 
+@pytest.mark.slow
 def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Database) -> None:
     first = _run(database)
     backend = ComputedBackend(answer=influenced)

@@ -42,6 +42,7 @@ def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_pa
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_an_api_for_everybody_names_the_file_of_tokens_that_is_missing(tmp_path: Path) -> None:
     words = ("drivecal.api", "--host", "0.0.0.0", "--port", str(free_port()))
     done = run(tmp_path, *words, DRIVECAL_TOKENS_FILE=str(tmp_path / "tokens"))

@@ -117,6 +117,7 @@ def test_what_cannot_be_compared_is_refused_before_anything_is_driven(run: Run, 
         assert newest(api)["id"] == before
 
 
+@pytest.mark.slow
 def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi, ended: str) -> None:
     options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
     few = run("robustness", ended, *options)

@@ -121,6 +121,7 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
     assert ended.counts(StageName.ROBUSTNESS).failed > 0
 
 
+@pytest.mark.slow
 def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
     ended = run(database, submit(database, robustness=ROBUST), ComputedBackend())
     assert ended.state is CampaignState.SUCCEEDED

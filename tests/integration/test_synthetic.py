@@ -142,6 +142,7 @@ def test_a_map_of_either_design_answers_and_is_validated(database: Database, des
     assert [row["wrong"] for row in validated["items"]] == [0, 0]
 
 
+@pytest.mark.slow
 def test_predictions_are_released_in_the_problem_s_units(database: Database) -> None:
     ended = run(
         database,

@@ -294,6 +294,7 @@ def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, conte
     database.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_damaged_backup_is_not_restored(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
@@ -353,6 +354,7 @@ def _restore_and_die(file: Path, url: str) -> None:
     backup.restore(file, Database.open(url), die)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used: Database, tmp_path: Path) -> None:
     folder = tmp_path / "shelf"
     folder.mkdir()
@@ -363,6 +365,7 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
         assert plain.execute("SELECT count(*) FROM runs").fetchone()[0] > 300
 
 
+@pytest.mark.slow("postgresql")
 def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 100)
     told: list[tuple[str, int, int]] = []

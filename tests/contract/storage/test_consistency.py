@@ -229,6 +229,7 @@ def _without_foreign_keys(connection: Connection) -> None:
         connection.execute(text("SET LOCAL session_replication_role = replica"))
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
@@ -287,6 +288,7 @@ def test_documents_that_are_none_are_found(filled: Database) -> None:
     assert "documents: 3 documents in runs.metrics are no JSON" in problems(filled)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_sample_leaves_out_what_a_full_check_finds(filled: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verification, "SAMPLED", 50)
     assert problems(filled, full=False) == []
