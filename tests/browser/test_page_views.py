@@ -175,6 +175,7 @@ def test_a_heat_map_shows_fields_with_rows_and_keeps_the_ranges_of_one(shown: Sh
     assert int(expected.replace(",", "")) <= rows_shown(page)[0] < whole[0]
 
 
+@pytest.mark.slow
 def test_importance_is_labelled_with_its_method_and_opens_the_scatter_of_a_parameter(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.at('evaluations')}?chart=importance&of=S1")
     bars = page.get_by_role("img", name=re.compile("Importance in the search: P1 "))

@@ -57,6 +57,7 @@ def run_sql(api: RunningApi, statements: str) -> None:
         connection.execute(statements)
 
 
+@pytest.mark.slow("'40001'", "'25006'", "'XX000'")
 @pytest.mark.parametrize(
     "fault",
     [

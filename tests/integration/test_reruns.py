@@ -348,6 +348,7 @@ def test_a_rerun_on_another_push_analyses_again_if_the_map_does_not_hold(
         assert rerun.influence_map_id == first.influence_map_id
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_the_best_set_of_the_first_campaign_is_known_under_the_weights_of_its_rerun(database: Database) -> None:
     first = _run(database)

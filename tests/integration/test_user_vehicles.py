@@ -44,7 +44,7 @@ def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path) -> 
     assert outcomes[0].failure is None
 
 
-@pytest.mark.slow("path", "curvature")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "controller",
     [

@@ -187,6 +187,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
 }
 
 
+@pytest.mark.slow("postgresql")
 def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         for name, (use, index) in LOOK_UPS.items():

@@ -99,6 +99,7 @@ def test_broken_catalogues_are_listed_with_their_errors_and_nothing_else_fails(t
     assert "theirs_package" in remedy
 
 
+@pytest.mark.slow
 def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> None:
     entry = "[drivecal.driving_functions]\nmine = mine:PLUGIN\n[drivecal.vehicles]\nmine = mine:PLUGIN\n"
     install(tmp_path, "mine", "import not_installed_anywhere", entry)
