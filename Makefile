@@ -25,6 +25,7 @@ test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and
 	@$(WHOLE_FILES)
 
 test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (a quarter of an hour)
+	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
 
