@@ -26,7 +26,7 @@ from drivecal.execution.supervised import WorkerLimits
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
-hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("everyday", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.register_profile("wide", deadline=None, max_examples=effort.examples(100), print_blob=True)
 hypothesis.settings.load_profile("wide" if effort.LONG else "everyday")
 
@@ -43,8 +43,11 @@ gc.disable()
 
 SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison.py", "tests/integration/test_ray_backend.py"}
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
-LONG_FILES = {"test_tutorials.py", "test_notebooks.py", "test_highway.py", "test_page_views.py", "test_page_sources.py"}
-"""Files that take most of a minute or a single test that does."""
+LONG_FILES = {
+    *("test_kills.py", "test_page_views.py", "test_ray_backend.py", "test_highway.py", "test_serve.py", "test_backup.py"),
+    *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_problem.py", "test_whole_way.py"),
+}
+"""Files that take most of a minute: those of `make test`, and further ones of `make test-slow`."""
 SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "architecture", "unit")
 """From those with long files to those with short ones."""
 
@@ -66,8 +69,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> WholeFi
     return WholeFiles(config, log) if config.option.dist == "loadfile" else None
 
 
+def holds(mark: pytest.Mark, item: pytest.Item) -> bool:
+    """Whether a mark is the item's: `slow("postgresql", "S2")` is that of cases with one of these ids, or with one in a row of ids."""
+    case = item.nodeid.partition("[")[2].removesuffix("]")
+    return not mark.args or any(f"-{name}-" in f"-{case}-" for name in mark.args)
+
+
+@pytest.hookimpl(tryfirst=True)  # before `-m` looks at the marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselects tests of unrequested `MARKERS`. Puts long files first, so that no process is left alone with one at the end."""
+    for item in items:
+        item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "slow" or holds(mark, item)]
     unwanted = [marker for marker in MARKERS if marker not in config.option.markexpr]
     deselected = [item for item in items if any(map(item.get_closest_marker, unwanted))]
     if deselected:

@@ -175,6 +175,7 @@ def test_a_heat_map_shows_fields_with_rows_and_keeps_the_ranges_of_one(shown: Sh
     assert int(expected.replace(",", "")) <= rows_shown(page)[0] < whole[0]
 
 
+@pytest.mark.slow
 def test_importance_is_labelled_with_its_method_and_opens_the_scatter_of_a_parameter(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.at('evaluations')}?chart=importance&of=S1")
     bars = page.get_by_role("img", name=re.compile("Importance in the search: P1 "))
@@ -194,6 +195,7 @@ def test_every_verdict_of_the_analysis_has_its_reason(shown: Shown, opening: Ope
         expect(table.get_by_role("row").nth(place)).to_contain_text(row["reason"])
 
 
+@pytest.mark.slow
 def test_a_view_is_saved_renamed_opened_and_deleted(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.at('ranking')}?chart=scatter&x=P2&b.P1=0:0.5")
     expect(page.get_by_role("grid")).to_be_visible()
@@ -262,6 +264,7 @@ def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Show
     expect(page.get_by_role("heading", level=1)).to_contain_text("S1 · evaluation")
 
 
+@pytest.mark.slow
 def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at("evaluations"))
     expect(page.get_by_role("grid")).to_be_visible()
@@ -291,6 +294,7 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
     assert rows_shown(page) == whole
 
 
+@pytest.mark.slow
 def test_a_table_of_any_length_is_scrolled_row_by_row(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at("evaluations"))
     grid = page.get_by_role("grid")
@@ -348,6 +352,7 @@ def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is
     expect(page.get_by_text("cancelled").first).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/submit?kind=comparison")
     page.get_by_label("populations").fill("10, 20")
@@ -367,6 +372,7 @@ def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, openi
     expect(page.get_by_role("link", name="Ranking")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_tables_and_charts_are_exported(shown: Shown, opening: Opening, tmp_path: Path) -> None:
     page = opening(shown.at("curves"))
 

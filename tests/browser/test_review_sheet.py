@@ -56,6 +56,7 @@ def large(identifier: str) -> ReviewedSet:
     return replace(made, setup=setup, chosen=chosen, cells=cells, summary=summary())
 
 
+@pytest.mark.slow("large")
 @pytest.mark.parametrize("page", [BOTH, sheet(review(large("a" * 32), large("b" * 32)))], ids=["small", "large"])
 def test_a_sheet_opens_offline_and_prints_on_a4_with_every_number(browser: Browser, page: str, tmp_path: Path) -> None:
     file = tmp_path / "sheet.html"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.support.faults.coordinator import Coordinator
@@ -25,15 +27,36 @@ from tests.support.faults.lives import (
     outage,
     terminate,
 )
+from tests.support.faults.oracle import carried_out
 from tests.support.faults.postgres import KillablePostgres
 
 DATABASES = ("sqlite", "postgresql")
 LIVES, KILLS_IN_A_LIFE = 5, 10
 KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
+SMALL: dict[str, dict[str, Any]] = {
+    "small": {
+        "sensitivity": None,
+        "catalogue": ["S1"],
+        "optimizer": {"kind": "genetic", "population": 12, "iterations": 3, "seed": 2},
+    }
+}
+
 MakeServer = Callable[..., Coordinator]
 
 
+def test_a_small_campaign_outlives_all_processes_of_its_server(server_on: MakeServer, tmp_path: Path) -> None:
+    """The short form of what follows: one kill, and a worker without Ray."""
+    expected = carried_out(tmp_path, SMALL)
+    live(
+        server_on("sqlite", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1"),
+        [(Moment(0.4, 0.0), kill_everything)],
+        expected,
+        SMALL,
+    )
+
+
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
     plan = [(Moment(0.1, 0.0), kill_api), (Moment(0.3, 0.1), kill_dispatcher), (Moment(0.6, 0.0), kill_supervisor)]

@@ -51,6 +51,7 @@ def _drain(pool: WorkPool) -> list[Completed]:
     raise AssertionError(f"{pool.held('test')} cells never came back; {pool.workers()}; {pool.trouble()}")
 
 
+@pytest.mark.slow
 def test_a_segfault_a_hang_and_exhausted_memory_in_a_batch_of_sixteen_cost_their_own_cells_only(
     healed: RayBackend, monkeypatch: pytest.MonkeyPatch
 ) -> None:

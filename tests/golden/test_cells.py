@@ -85,6 +85,7 @@ def test_the_golden_cells_show_good_and_bad_driving() -> None:
     assert all(scores[f"{name} calm"] > scores[f"{name} hasty"] for name in ("S1", "S2", "S4", "S6"))
 
 
+@pytest.mark.slow
 def test_two_fresh_processes_give_the_same_bits_as_this_one() -> None:
     here = json.dumps(results())
     assert in_a_fresh_process() == here

@@ -63,6 +63,7 @@ def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
     assert_alike(vehicle_card.range_table(residual.shipped()), read_table(VEHICLE_CARD, vehicle_card.RANGE))
 
 
+@pytest.mark.slow
 def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
     drives = comfort.drives(held_out=True)
     ratings = comfort_card.ratings(regression_arrays.shipped(), drives)

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from pydantic import BaseModel
 from tests.support.api_process import ApiProcess, api_process
+from tests.support.effort import sample
 
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 
@@ -114,8 +115,9 @@ def fill(field: str) -> bytes:
 def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) -> None:
     usual_work(api)
     before = api.megabytes
+    first = next(iter(POSTS))
     for path, model in POSTS.items():
-        for name, content in BODIES.items():
+        for name, content in BODIES.items() if path == first else sample(list(BODIES.items()), 8):
             document = refused(api.http.post(path, content=content, headers=JSON))
             assert document["status"] in {413, 422}, name
             assert document["errors"], name

@@ -57,6 +57,7 @@ def run_sql(api: RunningApi, statements: str) -> None:
         connection.execute(statements)
 
 
+@pytest.mark.slow("'40001'", "'25006'", "'XX000'")
 @pytest.mark.parametrize(
     "fault",
     [
@@ -132,6 +133,7 @@ def test_fifty_posts_with_one_key_on_a_database_that_fails_now_and_then_make_one
     assert count(api.database) == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_under_sqlite_is_unavailable_until_there_is_room(tmp_path: Path) -> None:
     file = tmp_path / "drivecal.db"
     with api_process(f"sqlite:///{file}", tmp_path) as api:

@@ -70,6 +70,7 @@ def post(api: RunningApi, path: str, content: bytes, content_type: str = "applic
     return api.http.post(path, content=content, headers={"Content-Type": content_type})
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("path", POSTS)
 @pytest.mark.parametrize(
     "content",
@@ -139,6 +140,7 @@ def test_a_body_that_is_not_declared_as_json_is_refused(api: RunningApi, path: s
     assert refused(response)["status"] == 415
 
 
+@pytest.mark.slow("sqlite")
 @pytest.mark.parametrize("path", GETS)
 @pytest.mark.parametrize(
     "identifier",
@@ -215,6 +217,7 @@ anything: st.SearchStrategy[Any] = st.recursive(
 FIELDS = [*CampaignSpecification.model_fields, "scenarios", "scenario", "map"]
 
 
+@pytest.mark.slow("postgresql")
 @given(document=st.dictionaries(st.sampled_from(FIELDS), anything, max_size=4) | anything, path=st.sampled_from(POSTS[1:]))
 @many
 def test_no_document_gives_a_server_error(api: RunningApi, document: object, path: str) -> None:

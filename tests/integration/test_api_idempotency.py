@@ -25,6 +25,7 @@ def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         yield running
 
 
+@pytest.mark.slow("sqlite")
 def test_fifty_posts_at_once_with_one_key_make_one_campaign(api: RunningApi) -> None:
     def post(number: int) -> httpx.Response:
         body: dict[str, Any] = {"name": "mine" if number % 5 else "another"}
@@ -40,6 +41,7 @@ def test_fifty_posts_at_once_with_one_key_make_one_campaign(api: RunningApi) -> 
     assert [campaign["id"] for campaign in listed] == [accepted[0]["id"]]
 
 
+@pytest.mark.slow("sqlite")
 def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None:
     body = {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}, "scenario": "S1"}
 
@@ -96,6 +98,7 @@ def test_the_earlier_defaults_are_another_request_than_todays(api: RunningApi) -
     assert api.http.post("/api/v1/campaigns", json=EARLIER, headers=key).status_code == 409
 
 
+@pytest.mark.slow("sqlite")
 def test_fifty_reruns_at_once_with_one_key_are_one_and_no_other_request(api: RunningApi) -> None:
     small = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}}
     first = api.http.post("/api/v1/campaigns", json=small).json()["id"]

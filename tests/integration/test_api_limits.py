@@ -45,6 +45,7 @@ def problem(response: httpx.Response, status: int) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.slow("sqlite")
 def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api: RunningApi) -> None:
     def crowd(number: int) -> httpx.Response:
         return post(api, SINGLE, path="evaluations") if number % 3 == 0 else post(api, SMALL, key=f"key-{number}")
@@ -59,6 +60,7 @@ def test_the_queue_is_never_longer_than_it_may_be_however_many_come_at_once(api:
     assert "5 campaigns" in problem(refused, 429)["detail"]
 
 
+@pytest.mark.slow("postgresql")
 def test_a_full_queue_still_knows_what_it_took_and_what_contradicts_it(api: RunningApi) -> None:
     first = post(api, SMALL, key="first").json()
     for _ in range(PLACES - 1):
@@ -69,6 +71,7 @@ def test_a_full_queue_still_knows_what_it_took_and_what_contradicts_it(api: Runn
     assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200
 
 
+@pytest.mark.slow("postgresql")
 def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
     ids = [post(api, SMALL).json()["id"] for _ in range(PLACES)]
     assert post(api, SMALL).status_code == 429
@@ -78,6 +81,7 @@ def test_what_starts_or_is_cancelled_makes_room(api: RunningApi) -> None:
     assert problem(post(api, {"weights": {"S1": 2}}, path=f"campaigns/{ids[1]}/rerun"), 429)
 
 
+@pytest.mark.slow("postgresql")
 def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,6 +101,7 @@ def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
     assert waits == [30.0, 30.0]
 
 
+@pytest.mark.slow("postgresql")
 def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(api: RunningApi) -> None:
     document = {"scenarios": {"S1": {"P1": {"influential": False}}}}
     with ThreadPoolExecutor(10) as pool:

@@ -92,6 +92,7 @@ def busy(api: RunningApi) -> Measures:
     return measures
 
 
+@pytest.mark.slow("postgresql")
 def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
     cells = [
         {
@@ -149,6 +150,7 @@ def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
     assert lookup["drivecal_lookup_seconds_sum", None] == pytest.approx(90.404)
 
 
+@pytest.mark.slow("postgresql")
 def test_requests_are_counted_by_route_and_not_by_what_somebody_asked_for(api: RunningApi) -> None:
     before = samples(metrics(api)["drivecal_http_requests"])
     for path in ("/api/v1/campaigns/a", "/api/v1/campaigns/b", "/no/such/thing", "/another"):

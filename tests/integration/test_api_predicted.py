@@ -105,6 +105,7 @@ def test_metrics_count_the_outcome(ended: Ended) -> None:
     assert float(line.split()[-1]) == ended.campaign.cells.predicted
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("DRIVECAL_URL", ended.api.url)
     shown = command("show", ended.campaign.id).stdout.splitlines()

@@ -57,6 +57,7 @@ def ended(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         yield Ended(api, first, _carry_out(api, again.json()))
 
 
+@pytest.mark.slow("postgresql")
 def test_every_cell_can_be_explained(ended: Ended) -> None:
     reasons = set()
     for row in ended.rows(ended.first)[::7]:

@@ -6,6 +6,7 @@ import random
 from pathlib import Path
 from typing import Any
 
+import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
@@ -61,6 +62,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert len(kinds) <= 30
 
 
+@pytest.mark.slow
 def test_what_is_told_of_a_campaign_that_was_killed_again_and_again_is_told_once(tmp_path: Path) -> None:
     found = []
     for name in ("calm", "killed"):

@@ -124,6 +124,7 @@ def test_certified_results_are_references_like_simulated_ones(database: Database
     assert [row[:-1] for row in found(database, second)] == [row[:-1] for row in found(database, first)]
 
 
+@pytest.mark.slow("off-1", "influence-2")
 @pytest.mark.parametrize(("mode", "seed"), [("off", 1), ("exact", 1), ("influence", 1), ("influence", 2), ("influence", 3)])
 def test_no_result_changes_by_a_bit_when_certification_is_switched_on_or_off(tmp_path: Path, mode: str, seed: int) -> None:
     seen, certified_cells = [], []
@@ -194,6 +195,7 @@ def failed(database: Database, backend: ComputedBackend, **changes: Any) -> Stor
     return ended
 
 
+@pytest.mark.slow("1", "2")
 @pytest.mark.parametrize("seed", range(4))
 def test_a_refuted_certificate_leaves_no_certified_answer_of_its_setup_among_the_references(
     database: Database, seed: int

@@ -39,6 +39,7 @@ def runner(name: str, memory: Memory | None = None) -> CertifiedRunner:
     return CertifiedRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE, memory or Memory())
 
 
+@pytest.mark.slow("S2", "S4", "S6")
 @pytest.mark.parametrize("name", list(HIGHWAY.scenarios))
 def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> None:
     certifying = runner(name)
@@ -82,6 +83,7 @@ def test_what_is_forgotten_is_simulated_again() -> None:
     assert certifying.answer(parameters, 2, check=False).proven_by is None
 
 
+@pytest.mark.slow
 def test_a_small_memory_forgets_in_all_scenarios_and_stays_right() -> None:
     memory = Memory(megabytes=1)
     names = ("S3", "S5")

@@ -55,6 +55,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Databas
     opened.dispose()
 
 
+@pytest.mark.slow
 def test_every_optimizer_population_and_seed_is_a_run(compared: tuple[Database, StoredCampaign, ComputedBackend]) -> None:
     database, comparison, _ = compared
     runs = runs_of(database, comparison)
@@ -104,6 +105,7 @@ def test_what_runs_have_in_common_is_simulated_once_and_counted_by_each(
         assert one.cells.repeated == len(rows) - len(distinct)
 
 
+@pytest.mark.slow
 def test_runs_count_alike_whatever_was_stored_before_and_whichever_others_there_are(
     compared: tuple[Database, StoredCampaign, ComputedBackend], database: Database
 ) -> None:
@@ -162,6 +164,7 @@ def test_a_comparison_rests_goes_on_and_ends_with_its_runs(database: Database) -
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: Database) -> None:
     def broken(scenario: str, cell: Cell) -> CellResult:
         if scenario == "S1":
@@ -202,6 +205,7 @@ def test_a_run_that_fails_while_its_cells_are_at_workers_leaves_nothing_behind(
 WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
 
 
+@pytest.mark.slow
 def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     stored_map = post_map(database, nothing_matters())
     comparison = submit_comparison(
@@ -233,6 +237,7 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
     assert all(one.rating is not None and one.best is not None for _, one in figures)
 
 
+@pytest.mark.slow
 def test_what_a_search_believed_of_references_is_confirmed_after_it(database: Database) -> None:
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
     reductions = ["exact", WITHOUT_LOTS]

@@ -182,6 +182,7 @@ def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path)
     assert ends[0][2] == list(range(ITERATIONS))
 
 
+@pytest.mark.slow
 def test_a_verdict_is_told_once_however_often_dispatchers_die_after_it(database: Database) -> None:
     campaign = ask(database, 50, population=10)
     assert live(

@@ -37,6 +37,7 @@ def url(database: Database) -> str:
     return database.url.render_as_string(hide_password=False)
 
 
+@pytest.mark.slow
 def test_a_database_goes_through_a_file_to_another_backend_and_back(url: str, postgres_url: str, tmp_path: Path) -> None:
     there, back = tmp_path / "there.db", tmp_path / "back.db"
     with locks.hold(url):  # a server may run

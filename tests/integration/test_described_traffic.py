@@ -67,6 +67,7 @@ def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) 
     assert braking == pytest.approx(13.1, abs=0.3)  # a second after the change is done
 
 
+@pytest.mark.slow
 def test_a_parameter_of_the_file_moves_the_cut_in(folder: Path) -> None:
     for gap in (15, 40):
         outcome = result(folder, {"openscenario": "scenarios/slower_cut_in.xosc", "duration": 12.0, "parameters": {"gap": gap}})
@@ -88,6 +89,7 @@ def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
 
 
+@pytest.mark.slow("routes")
 @pytest.mark.parametrize("data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE], ids=["openscenario", "routes"])
 def test_runs_repeat_to_the_bit_in_other_orders_and_processes(folder: Path, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (26.0, 30.0, 33.0)]

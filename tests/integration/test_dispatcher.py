@@ -76,6 +76,7 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
     assert best == ended.best.objective
 
 
+@pytest.mark.slow("0.3")
 @pytest.mark.parametrize("audit", [0.0, 0.3])
 def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit: float) -> None:
     found = []
@@ -89,6 +90,7 @@ def test_the_order_in_which_workers_answer_changes_nothing(tmp_path: Path, audit
     assert found[0][2].reused > 0
 
 
+@pytest.mark.slow("1")
 @pytest.mark.parametrize("seed", range(tries(2, 4)))
 def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     calm, killed = (migrated(f"sqlite:///{tmp_path / name}.db") for name in ("calm", "killed"))

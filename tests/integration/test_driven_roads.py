@@ -96,6 +96,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CheckedScenar
     return {result.scenario: result for result in run_problem(manifest, archive, trial_set(manifest))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_car_keeps_its_lane_to_the_end(results: dict[str, CheckedScenario], scenario: str) -> None:
     result = results[scenario]

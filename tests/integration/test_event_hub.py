@@ -27,6 +27,7 @@ def _little_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "PAGE", 2)
 
 
+@pytest.mark.slow("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_breaks_off(
     database: Database, seed: int

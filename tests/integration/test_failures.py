@@ -188,6 +188,7 @@ def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
     assert ended.cells.failed > ALL_FAILED
 
 
+@pytest.mark.slow
 def test_failures_that_come_back_before_slow_results_end_nothing(database: Database) -> None:
     simulated = Simulated(broken=0.7)
     campaign = submit(database, optimizer={"kind": "random", "population": 200, "iterations": 1, "seed": 1})

@@ -132,6 +132,7 @@ def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: 
     assert grown == pytest.approx(bare, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_search_of_three_objectives_ends_alike_in_spite_of_deaths(tmp_path: Path) -> None:
     search = SEARCH | {"population": 16, "iterations": 6}
     document = DTLZ2.campaign(optimizer=search, constraints=[{"measure": "f2", "at_most": 4.0}], reduction={"mode": "exact"})

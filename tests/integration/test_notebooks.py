@@ -29,6 +29,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", notebooks.NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.usefixtures("server")
 def test_a_notebook_gives_what_it_shows(path: Path, tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
         assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
 
 
+@pytest.mark.slow("changes1", "changes2")
 @pytest.mark.parametrize("changes", [{}, {"kind": "nsga3"}, {"kind": "optuna", "population": 8, "iterations": 4}])
 def test_a_killed_search_ends_with_the_same_rows(database: Database, changes: dict[str, Any]) -> None:
     spec: dict[str, Any] = {
@@ -172,6 +173,7 @@ def driven(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
 
 
+@pytest.mark.slow
 def test_a_killed_search_over_real_runs_ends_with_the_same_bits(database: Database) -> None:
     spec: dict[str, Any] = {
         "objectives": TWO,
@@ -215,6 +217,7 @@ def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
         assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
 
 
+@pytest.mark.slow
 def test_a_default_given_in_words_changes_nothing(database: Database) -> None:
     plain = run(database, submit(database, reduction={"mode": "off"}))
     worded = run(database, submit(database, objectives=[{"score": "comfort"}], reduction={"mode": "off"}))

@@ -121,6 +121,7 @@ def test_a_score_that_no_push_declares_for_these_measures_is_refused(
     assert (error["field"], said in error["remedy"]) == ("score", True)
 
 
+@pytest.mark.slow
 def test_a_rerun_under_another_formula_names_better_stored_sets(asked: Asked, database: Database) -> None:
     digest = store(database, MANIFEST | {"scores": PUSHED_LATER})
     changes: dict[str, Any] = {

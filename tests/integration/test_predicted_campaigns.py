@@ -106,6 +106,7 @@ def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCa
     assert learned <= {Outcome.SIMULATED, Outcome.CERTIFIED}
 
 
+@pytest.mark.slow
 def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sabotaged predictor claims to be certain, and is wrong by a point."""
     from drivecal.reduction.forest import Forest
@@ -127,6 +128,7 @@ def test_a_predictor_that_errs_has_its_lots_rejected(database: Database, monkeyp
     assert campaign.best == honest.best
 
 
+@pytest.mark.slow
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path) -> None:
     def begin(database: Database) -> StoredCampaign:
         campaign = ask(database)
@@ -147,6 +149,7 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
 
 
+@pytest.mark.slow
 def test_certificates_and_the_order_of_answers_change_no_lot_and_no_score(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

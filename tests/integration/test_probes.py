@@ -109,6 +109,7 @@ def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) ->
         assert campaigns.get(connection, campaign.id).state is CampaignState.CANCELLED
 
 
+@pytest.mark.slow
 def test_evaluations_comparisons_and_reruns_are_asked_too(database: Database) -> None:
     first = ended(database, submit(database, reduction={"mode": "exact"}), on("1.0"))
     wanted = {"problem": "mine", "parameters": {"value": 7.0}}
@@ -143,6 +144,7 @@ def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> 
     assert "map" in (other.error or "")
 
 
+@pytest.mark.slow
 def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) -> None:
     first = ended(database, submit(database), on("1.0"))
     with database.transaction() as connection:

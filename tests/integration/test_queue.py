@@ -137,6 +137,7 @@ def leased(database: Database) -> int:
         return connection.scalar(select(func.count()).select_from(leases_table)) or 0
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing_twice(
     databases: Callable[[], Database], seed: int
@@ -170,6 +171,7 @@ def test_a_dispatcher_killed_at_any_moment_changes_no_result_and_answers_nothing
     assert found[0][0][-1][0] >= TINY["optimizer"]["iterations"], "the best set was confirmed"
 
 
+@pytest.mark.slow("postgresql")
 def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(databases: Callable[[], Database]) -> None:
     database = databases()
     campaign = submit(database, **TINY)
@@ -207,6 +209,7 @@ class Poisoned:
         return self._first
 
 
+@pytest.mark.slow("postgresql")
 def test_a_poison_cell_has_three_attempts_however_many_dispatchers_it_sees(databases: Callable[[], Database]) -> None:
     database = databases()
     campaign = submit(database, **TINY)
@@ -334,6 +337,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         assert _states(database, submitted)[4] == "queued", "it takes no place of theirs"
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_whose_rows_are_damaged_fails_alone(databases: Callable[[], Database]) -> None:
     database = databases()
     before, during, sound = (submit(database, **TINY) for _ in range(3))

@@ -130,6 +130,7 @@ backend.close()
 """
 
 
+@pytest.mark.slow
 def test_without_libsumo_no_worker_starts_and_the_reason_is_said(tmp_path: Path) -> None:
     (tmp_path / "libsumo.py").write_text("raise ImportError('libsumo is blocked')")
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}

@@ -163,6 +163,7 @@ def test_lots_of_references_and_of_predictions_stand_beside_each_other(database:
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
+@pytest.mark.slow
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_same_verdicts(tmp_path: Path) -> None:
     def begin(database: Database) -> StoredCampaign:
         campaign = ask(database)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from tests.support.browser import chromium, opened, printed
 from tests.unit.report.rows import findings
 
 from drivecal.report.writing import write_report
 
 
+@pytest.mark.slow
 def test_the_page_opens_without_network_and_without_a_complaint_and_can_be_printed(tmp_path: Path) -> None:
     chromium()
     page = write_report(findings(), {}, tmp_path / "report")[-1]

@@ -68,6 +68,7 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert (folder / "index.html").read_text() == page, "the same campaign gives the same page"
 
 
+@pytest.mark.slow
 def test_the_reports_campaign_can_be_submitted_again(run: Run, ended: str, tmp_path: Path) -> None:
     run("report", ended, "-o", str(tmp_path))
     result = run("submit", str(tmp_path / "campaign.json"), "--dry-run")

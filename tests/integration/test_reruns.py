@@ -113,6 +113,7 @@ def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database
     assert narrow.best.objective >= wide.best.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
@@ -183,6 +184,7 @@ def test_without_a_map_there_is_nothing_to_narrow_by() -> None:
         resolve(specification)
 
 
+@pytest.mark.slow
 def test_a_rerun_of_a_subset_of_the_scenarios_simulates_those_alone(database: Database) -> None:
     first = _run(database)
     backend = ComputedBackend(answer=influenced)
@@ -242,6 +244,7 @@ def forgetful(scenario: str, cell: Cell) -> CellResult:
     return replace(usual, metrics={"undefined": 0.0}) if cell.parameters["P1"] < 0.3 else usual
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of_stored_runs(tmp_path: Path) -> None:
     found = []
@@ -345,6 +348,7 @@ def test_a_rerun_on_another_push_analyses_again_if_the_map_does_not_hold(
         assert rerun.influence_map_id == first.influence_map_id
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_the_best_set_of_the_first_campaign_is_known_under_the_weights_of_its_rerun(database: Database) -> None:
     first = _run(database)

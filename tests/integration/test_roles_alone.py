@@ -42,6 +42,7 @@ def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_pa
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_an_api_for_everybody_names_the_file_of_tokens_that_is_missing(tmp_path: Path) -> None:
     words = ("drivecal.api", "--host", "0.0.0.0", "--port", str(free_port()))
     done = run(tmp_path, *words, DRIVECAL_TOKENS_FILE=str(tmp_path / "tokens"))
@@ -55,6 +56,7 @@ def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path
     assert "`drivecal db upgrade`" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_api_says_unasked_that_its_database_is_not_migrated_and_when_it_is(tmp_path: Path) -> None:
     database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
     log = tmp_path / "log"
@@ -84,6 +86,7 @@ def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_p
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_it_is_asked(tmp_path: Path) -> None:
     database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
 

@@ -145,6 +145,7 @@ PREDICTED: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_costs_without_steps_are_predicted_within_the_tolerance(database: Database) -> None:
     ended = run(database, submit(database, **PREDICTED), ComputedBackend(answer=smooth))
     rows = [row for row in rows_of(database, ended) if row.outcome == "predicted"]

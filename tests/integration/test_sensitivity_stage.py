@@ -107,6 +107,7 @@ def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(da
     assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 3)))
 def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)
@@ -157,6 +158,7 @@ def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_r
     assert runs[0] < runs[1]
 
 
+@pytest.mark.slow
 def test_an_analysis_that_was_stored_before_there_was_a_sequential_one_makes_all_its_runs(database: Database) -> None:
     specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
     del specification["sensitivity"]["sequential"]
@@ -171,6 +173,7 @@ def test_an_analysis_that_was_stored_before_there_was_a_sequential_one_makes_all
     assert _interval_cells(database, ended)[0] == 2 * 8 * (1 + 4 * (2 * 5 - 1))
 
 
+@pytest.mark.slow
 def test_a_campaign_that_was_stored_before_there_was_a_confirmation_has_none(database: Database) -> None:
     specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
     del specification["reduction"]["confirm"]
@@ -203,6 +206,7 @@ def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(data
     assert together.best == ended.best
 
 
+@pytest.mark.slow
 def test_failed_runs_cost_their_effects_and_not_the_analysis(database: Database) -> None:
     def broken(scenario: str, cell: Cell) -> CellResult:
         if scenario == "S2" and cell.parameters["P4"] == 0.5:

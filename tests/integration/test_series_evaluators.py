@@ -98,6 +98,7 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 
 
+@pytest.mark.slow
 def test_what_another_campaign_has_simulated_again_meanwhile_is_not_seen(tmp_path: Path) -> None:
     """Nor does a dispatcher's end change anything, nor the order in which workers answer."""
     found = []

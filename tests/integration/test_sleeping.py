@@ -30,6 +30,7 @@ SPEC: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_cpu_time_wall_time_and_savings_of_a_simulator_that_sleeps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))

@@ -78,6 +78,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     assert float(table[0]["P1"]) == rows[0]["parameters"]["P1"]
 
 
+@pytest.mark.slow
 def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
     run: Run, api: RunningApi, ended: str
 ) -> None:
@@ -116,6 +117,7 @@ def test_what_cannot_be_compared_is_refused_before_anything_is_driven(run: Run, 
         assert newest(api)["id"] == before
 
 
+@pytest.mark.slow
 def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi, ended: str) -> None:
     options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
     few = run("robustness", ended, *options)
@@ -167,6 +169,7 @@ def test_the_solutions_of_a_campaign_that_is_not_there_are_refused_by_name(api: 
     assert [one["field"] for one in answer.json()["errors"]] == ["robustness.of"]
 
 
+@pytest.mark.slow
 def test_a_report_has_the_studies_that_other_campaigns_made(run: Run, api: RunningApi, ended: str) -> None:
     url = f"/api/v1/campaigns/{ended}"
     made = []
@@ -242,6 +245,7 @@ def predicted(api: RunningApi) -> str:
     return campaign.id
 
 
+@pytest.mark.slow
 def test_released_predictions_are_validated_apart_from_maps(run: Run, api: RunningApi, predicted: str) -> None:
     result = run("validate", predicted[:12], "--predicted")
     assert result.exit_code == 0, result.output

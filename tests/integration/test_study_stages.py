@@ -121,12 +121,14 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
     assert ended.counts(StageName.ROBUSTNESS).failed > 0
 
 
+@pytest.mark.slow
 def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
     ended = run(database, submit(database, robustness=ROBUST), ComputedBackend())
     assert ended.state is CampaignState.SUCCEEDED
     assert study(database, ended)["complete"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw, found = random.Random(seed), []

@@ -89,6 +89,7 @@ def true_cost(row: results.StoredEvaluation) -> float:
     return min(10 * energy(row.scenario, dict(values)), 100.0)
 
 
+@pytest.mark.slow("swarm", "random", "cma_es", "optuna", "nsga3")
 @pytest.mark.parametrize("kind", OPTIMIZERS)
 def test_every_optimizer_minimises_keeps_constraints_and_resumes_exactly(database: Database, kind: str) -> None:
     wanted = {"optimizer": {"kind": kind, "population": 12, "iterations": 5, "seed": 3}}
@@ -112,6 +113,7 @@ def test_every_optimizer_minimises_keeps_constraints_and_resumes_exactly(databas
     assert everything(database, run(database, broken, backend()))[0] == everything(database, whole)[0]
 
 
+@pytest.mark.slow("influence-lines", "influence-paper", "both-paper")
 @pytest.mark.parametrize("design", ["lines", "paper"])
 @pytest.mark.parametrize("mode", ["influence", "both"])
 def test_a_map_of_either_design_answers_and_is_validated(database: Database, design: str, mode: str) -> None:
@@ -140,6 +142,7 @@ def test_a_map_of_either_design_answers_and_is_validated(database: Database, des
     assert [row["wrong"] for row in validated["items"]] == [0, 0]
 
 
+@pytest.mark.slow
 def test_predictions_are_released_in_the_problem_s_units(database: Database) -> None:
     ended = run(
         database,

@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 
+import pytest
+
 WARM_THEN_WORK = """
 import gc, json
 from drivecal.campaigns.resolve.problem import resolve
@@ -31,6 +33,7 @@ print(json.dumps([before, compiled(), [one.detail for one in results if one.brea
 """
 
 
+@pytest.mark.slow
 def test_after_its_trial_a_worker_compiles_nothing_more_in_any_scenario() -> None:
     done = subprocess.run([sys.executable, "-c", WARM_THEN_WORK], capture_output=True, text=True, check=True)
     before, after, broken, results = json.loads(done.stdout)

@@ -49,6 +49,7 @@ def typed(line: str, server: Server) -> None:
     assert result.exit_code == 0, (line, result.output, result.stderr)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_works_as_it_is_written(page: Path, server: Server) -> None:
     with Client(server.url) as client:

@@ -44,6 +44,7 @@ def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path) -> 
     assert outcomes[0].failure is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "controller",
     [
@@ -62,6 +63,7 @@ def test_the_trackers_keep_another_vehicle_on_its_lane_on_a_curve_as_the_built_i
     assert own.measures["distance_m"] == pytest.approx(built_in.measures["distance_m"], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_lane_keeper_in_cpp_and_an_acc_as_an_fmu_give_the_same_bits_on_two_workers(folder: Path) -> None:
     for controller in (LANE_KEEPER, CONTROLLERS["fmu"]):
         with driven(folder, CURVE, controller) as one, driven(folder, CURVE, controller) as other:
@@ -70,6 +72,7 @@ def test_a_lane_keeper_in_cpp_and_an_acc_as_an_fmu_give_the_same_bits_on_two_wor
         assert outcomes[0].failure is None
 
 
+@pytest.mark.slow("step", "2 values", "finite", "numbers")
 @pytest.mark.parametrize(
     ("code", "cause"),
     [

@@ -22,6 +22,8 @@ from drivecal.domain.evaluations import Failure
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.plugins import registry
 
+pytestmark = pytest.mark.slow
+
 OPTIMIZER: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 3, "seed": 4}
 OTHER_WEIGHTS = {"S1": 3, "S5": 0}
 PARAMETERS = tuple(f"P{number}" for number in range(1, 12))

@@ -127,6 +127,7 @@ def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) ->
     assert all(isinstance(event, Finished) for event in collect(backend, 2).values())
 
 
+@pytest.mark.slow("ray")
 def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend) -> None:
     send(backend, 1, batch(WELL))
     send(backend, 2, batch(WELL))
@@ -139,6 +140,7 @@ def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend
     assert backend.trouble() is None
 
 
+@pytest.mark.slow("ray")
 def test_a_replaced_worker_is_another_process_and_its_fault_is_told_until_there_is_a_result(backend: Backend) -> None:
     one, other = (worker.id for worker in backend.workers())
     backend.replace(one, "it sees ghosts")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
+import pytest
 from tests.contract.backend.test_backend import WELL, batch, collect, send, wait_for_idle
 
 from drivecal.domain.evaluations import Breakdown
@@ -15,6 +16,7 @@ LARGE = 4_000
 """Cells of a batch that fits into no buffer of a connection."""
 
 
+@pytest.mark.slow
 def test_a_stopped_process_keeps_nobody_waiting_and_is_replaced(processes_backend: ProcessBackend) -> None:
     wait_for_idle(processes_backend)
     stopped, other = processes_backend.workers()

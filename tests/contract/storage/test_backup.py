@@ -81,6 +81,7 @@ def as_file(database: Database, tmp_path: Path) -> Database:
     return Database.open(f"sqlite:///{file}")
 
 
+@pytest.mark.slow("postgresql-postgresql", "sqlite-postgresql")
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_what_is_restored_is_what_was_backed_up(
     used: Database, target_url: Callable[[str], str], kind: str, tmp_path: Path
@@ -103,6 +104,7 @@ def test_what_is_restored_is_what_was_backed_up(
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_database(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
@@ -155,6 +157,7 @@ def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
         assert connection.scalar(text("SELECT count(*) FROM campaigns WHERE name = 'meanwhile'")) == len(written)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_backup_of_an_older_revision_is_restored_and_upgraded(
     empty_url: str, target_url: Callable[[str], str], tmp_path: Path
 ) -> None:
@@ -181,6 +184,7 @@ def test_an_existing_file_is_replaced_only_by_force(database: Database, tmp_path
     assert not list(tmp_path.glob("*.partial*"))
 
 
+@pytest.mark.slow("postgresql")
 def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise UnavailableError("the disk is gone")
@@ -239,6 +243,7 @@ def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     backup.write(used, file, silent)
@@ -248,6 +253,7 @@ def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Pat
         assert connection.scalar(text("SELECT count(*) FROM runs")) > 300
 
 
+@pytest.mark.slow("postgresql")
 def test_another_programs_database_is_not_restored_into(
     used: Database, target_url: Callable[[str], str], tmp_path: Path
 ) -> None:
@@ -260,6 +266,7 @@ def test_another_programs_database_is_not_restored_into(
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
@@ -287,6 +294,7 @@ def test_what_is_no_backup_is_not_restored(empty_url: str, tmp_path: Path, conte
     database.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_damaged_backup_is_not_restored(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
@@ -319,6 +327,7 @@ def test_a_backup_of_a_newer_release_is_not_restored(
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_a_killed_restore_leaves_the_database_empty(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
@@ -345,6 +354,7 @@ def _restore_and_die(file: Path, url: str) -> None:
     backup.restore(file, Database.open(url), die)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used: Database, tmp_path: Path) -> None:
     folder = tmp_path / "shelf"
     folder.mkdir()
@@ -355,6 +365,7 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
         assert plain.execute("SELECT count(*) FROM runs").fetchone()[0] > 300
 
 
+@pytest.mark.slow("postgresql")
 def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 100)
     told: list[tuple[str, int, int]] = []

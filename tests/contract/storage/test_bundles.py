@@ -133,6 +133,7 @@ def pushed(database: Database) -> str:
     return digest
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize(
     ("statement", "said"),
     [

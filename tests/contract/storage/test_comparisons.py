@@ -110,6 +110,7 @@ def test_a_comparison_knows_its_runs_without_reading_all_of_them(database: Datab
         assert [(one.name, one.begun) for one in found] == [("run 0", True), ("run 1", True), ("run 2", False)]
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize(
     ("statement", "sentence"),
     [

@@ -30,7 +30,7 @@ SMALL: dict[str, Any] = WITH_ANALYSIS | {
 }
 
 
-OFTEN = tries(10, 1)
+OFTEN = tries(25, 1)
 """Steps between two checks."""
 
 
@@ -73,6 +73,7 @@ def failing(scenario: str, cell: Cell) -> CellResult:
     return influenced(scenario, cell)
 
 
+@pytest.mark.slow("postgresql")
 def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> None:
     listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
     working = dispatcher(database, ComputedBackend(4, failing))
@@ -209,6 +210,7 @@ def _make_keys(database: Database) -> None:
         reference_keys.sync(database, first.sequence, one.id, str(evaluator), 227, keys_of)
 
 
+@pytest.mark.slow("postgresql")
 def test_what_is_broken_is_found_and_named(filled: Database, backend: str, subtests: pytest.Subtests) -> None:
     for name, (statement, sentence) in BROKEN.items():
         with subtests.test(name):
@@ -227,6 +229,7 @@ def _without_foreign_keys(connection: Connection) -> None:
         connection.execute(text("SET LOCAL session_replication_role = replica"))
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize(
     ("statement", "words"),
     [
@@ -285,6 +288,7 @@ def test_documents_that_are_none_are_found(filled: Database) -> None:
     assert "documents: 3 documents in runs.metrics are no JSON" in problems(filled)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_sample_leaves_out_what_a_full_check_finds(filled: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verification, "SAMPLED", 50)
     assert problems(filled, full=False) == []

@@ -22,6 +22,7 @@ def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> New
     return replace(one, **changes)
 
 
+@pytest.mark.slow("sqlite")
 def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)

@@ -144,6 +144,7 @@ def test_expiry_counts_from_the_moment_of_leasing(database: Database) -> None:
     assert begin + timedelta(seconds=90) <= expires <= now() + timedelta(seconds=90)
 
 
+@pytest.mark.slow("postgresql")
 def test_leases_are_found_by_their_keys_among_very_many(database: Database, subtests: pytest.Subtests) -> None:
     ids = pending(database, 5_000)
     take(database, ids)

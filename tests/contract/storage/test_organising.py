@@ -107,6 +107,7 @@ def test_archiving_and_listing_again_are_idempotent(database: Database) -> None:
         assert labels.change(connection, ended.id, archived=False).archived_at is None
 
 
+@pytest.mark.slow("postgresql")
 def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(database: Database) -> None:
     first = carried_out(database)
     stock = runs(database)
@@ -125,6 +126,7 @@ def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(d
     assert [problem for check in verify(database, full=True) for problem in check.problems] == []
 
 
+@pytest.mark.slow("postgresql")
 def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(database: Database) -> None:
     first, other = carried_out(database), carried_out(database, optimizer=SMALL["optimizer"] | {"seed": 5})
     deleted(database, first)

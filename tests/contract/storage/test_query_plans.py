@@ -187,6 +187,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
 }
 
 
+@pytest.mark.slow("postgresql")
 def test_look_ups_use_their_indexes(filled: Database, subtests: pytest.Subtests) -> None:
     with filled.transaction() as connection:
         for name, (use, index) in LOOK_UPS.items():
@@ -234,6 +235,7 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
                 assert scanned(plan) == set(), plan
 
 
+@pytest.mark.slow("postgresql")
 def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(1500):
@@ -251,6 +253,7 @@ def test_a_campaign_and_the_active_ones_are_found_among_many_ended_ones(database
         assert scanned(plan) == set(), plan
 
 
+@pytest.mark.slow("postgresql")
 def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> None:
     with database.transaction() as connection:
         for number in range(300):
@@ -268,6 +271,7 @@ def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> N
     assert "TEMP B-TREE" not in plan
 
 
+@pytest.mark.slow("postgresql")
 def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection).sequence for _ in range(40)]
@@ -289,6 +293,7 @@ def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> N
             assert "TEMP B-TREE" not in plan
 
 
+@pytest.mark.slow("postgresql")
 def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> None:
     with filled.transaction() as connection:
         for number in range(1500):

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 import pytest
+from tests.support.effort import tries
 from tests.support.storage import EVALUATOR, new_run, setup_id
 
 from drivecal.domain.campaigns import StageName
@@ -46,7 +47,7 @@ def random_runs(chance: random.Random, count: int, setup: int, set_ids: Sequence
     ]
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(tries(5, 12)))
 def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_the_keys_were_computed(
     database: Database, seed: int
 ) -> None:
@@ -87,7 +88,7 @@ def test_every_watermark_sees_the_first_run_in_the_order_of_campaigns_whenever_t
         assert reference_keys.look_up(connection, 1, setup, asked, "learned 1", newest) == {}
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(tries(3, 6)))
 def test_a_run_that_an_evaluator_cannot_rate_hides_no_reference_from_it(database: Database, seed: int) -> None:
     """Of each evaluator's rated runs the first answers, whatever the others rated and whoever's keys were computed first."""
     chance = random.Random(seed)
@@ -194,6 +195,7 @@ def test_sets_with_their_parameters_in_other_orders_share_their_keys(database: D
     assert [donor.evaluation for donor in found.values()] == [1]
 
 
+@pytest.mark.slow("postgresql")
 def test_many_keys_are_looked_up_at_once(database: Database) -> None:
     sets = [ParameterSet.of({"P1": decimal("0.3") + decimal(number) / 100_000, "P2": decimal(1)}) for number in range(12_000)]
     with database.transaction() as connection:

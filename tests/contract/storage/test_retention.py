@@ -23,6 +23,7 @@ from drivecal.storage.retention import removal
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 2, "seed": 1}
 
 
+@pytest.mark.slow("postgresql")
 def test_what_a_younger_campaign_needs_is_left_and_nothing_else(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retention, "SLICE", 10)
     monkeypatch.setattr(removal, "KEYS", 2)
@@ -50,6 +51,7 @@ def test_what_a_younger_campaign_needs_is_left_and_nothing_else(database: Databa
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
+@pytest.mark.slow("postgresql")
 def test_a_single_evaluation_goes_whole(database: Database) -> None:
     specification = EvaluationSpecification.model_validate(
         {"parameters": {f"P{number}": 0.5 for number in range(1, 12)}, "scenario": "S1"}
@@ -67,6 +69,7 @@ def test_a_single_evaluation_goes_whole(database: Database) -> None:
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
+@pytest.mark.slow("postgresql")
 def test_what_a_deleted_campaign_left_goes_with_its_row(database: Database) -> None:
     first = run(database, submit(database, optimizer=SEARCH))
     with database.transaction() as connection:

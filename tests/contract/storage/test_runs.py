@@ -14,6 +14,7 @@ from drivecal.storage.references import ratings, runs, setups
 from drivecal.storage.references.runs import NewRun, StoredRun
 
 
+@pytest.mark.slow("postgresql")
 def test_results_are_found_by_setup_parameter_set_and_evaluator(database: Database) -> None:
     with database.transaction() as connection:
         s1, s2 = setup_id(connection, "S1"), setup_id(connection, "S2")

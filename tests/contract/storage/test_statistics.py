@@ -124,6 +124,7 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
     assert look(database, Tally())[0].leases == 0
 
 
+@pytest.mark.slow("postgresql")
 def test_a_look_reads_only_what_is_open_or_new(database: Database) -> None:
     with database.transaction() as connection:
         sequences = [campaign(connection, str(number)).sequence for number in range(500)]

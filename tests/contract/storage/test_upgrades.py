@@ -98,6 +98,9 @@ def test_every_revision_is_tried() -> None:
     assert tuple(sorted(schema.known_revisions())) == REVISIONS, "make the rows of a release with support/revisions/make.py"
 
 
+@pytest.mark.slow(
+    *(f"sqlite-{revision}" for revision in REVISIONS if revision not in KEPT), "postgresql-0003", "postgresql-0005"
+)
 @every
 def test_everything_that_was_there_is_there_and_the_whole_is_sound_and_as_new(old: Database, migrated: Database) -> None:
     with old.read() as connection:
@@ -227,6 +230,7 @@ def _is_running(campaign: StoredCampaign) -> bool:
     return campaign.state is CampaignState.RUNNING
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("statement", [1, 12, None])
 def test_a_killed_upgrade_leaves_the_old_revision_or_the_new_one(empty_url: str, statement: int | None) -> None:
     database = Database.open(empty_url)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import httpx
 import psutil
@@ -216,13 +216,18 @@ def moments(seed: int, number: int) -> list[Moment]:
     ]
 
 
-def live(coordinator: Coordinator, plan: Sequence[tuple[Moment, Fault]], expected: dict[str, Found]) -> Life:
-    """Gives a server its work and does all of the plan to it; then the campaigns have to end as they do without faults, and the server
-    has to leave nothing behind."""
+def live(
+    coordinator: Coordinator,
+    plan: Sequence[tuple[Moment, Fault]],
+    expected: dict[str, Found],
+    documents: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Life:
+    """Gives a server its work, the `documents` or the suite's campaigns, and does all of the plan to it; then the campaigns have to end as
+    they do without faults, and the server has to leave nothing behind."""
     life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
     coordinator.start_ready()
     life.tell("ready")
-    accepted = submit(coordinator.url)
+    accepted = submit(coordinator.url, documents)
     with single_evaluations(coordinator.url, accepted):
         for moment, fault in plan:
             answered = life.wait_for(moment, accepted)

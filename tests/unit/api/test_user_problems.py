@@ -84,6 +84,7 @@ def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
     return {HEADER: sign(secret, archive)}
 
 
+@pytest.mark.slow("::1", "192.168.1.5")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
 @pytest.mark.parametrize("allow", [None, True, False])
 def test_a_token_pushes_if_it_is_an_authors_and_pushing_is_on(serve: Serve, address: str, allow: bool | None) -> None:
@@ -252,6 +253,7 @@ def test_another_type_or_encoding_is_refused(serve: Serve) -> None:
         assert client.post(PROBLEMS, content=packed(), headers=bearer("author") | headers).status_code == 415
 
 
+@pytest.mark.slow
 def test_no_more_than_the_limit_are_kept(serve: Serve) -> None:
     client = serve(tokens=True, pushed_problems=1)
     client.headers.update(bearer("author"))

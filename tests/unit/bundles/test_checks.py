@@ -238,7 +238,7 @@ def paths(inner: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path, *(deeper for key, child in children for deeper in paths(child, (*path, key)))]
 
 
-@settings(deadline=None, max_examples=examples(400))
+@settings(deadline=None, max_examples=examples(200))
 @given(path=st.sampled_from(paths(VALID)[1:]), value=values)
 def test_whatever_stands_at_a_place_is_taken_or_refused(path: tuple[Any, ...], value: Any) -> None:
     given = document()

@@ -213,7 +213,7 @@ words = st.sampled_from([*SIGNS.split(" "), *NAMES.split(" "), *constants])
 texts = st.lists(words, max_size=60).map(" ".join) | st.lists(words, max_size=60).map("".join) | st.text(max_size=200)
 
 
-@settings(deadline=None, max_examples=examples(500))
+@settings(deadline=None, max_examples=examples(200))
 @given(text=texts)
 @example("a**" * 60 + "a < 1")
 def test_whatever_is_given_is_refused_or_evaluates(text: str) -> None:
@@ -248,7 +248,7 @@ grid = st.integers(-30, 30).map(lambda value: value / 10)
 rows = st.tuples(grid, grid, st.floats(-1e6, 1e6), st.sampled_from(["eco", "sport"]))
 
 
-@settings(deadline=None, max_examples=examples(300))
+@settings(deadline=None, max_examples=examples(150))
 @given(text=conditions, population=st.lists(rows, min_size=1, max_size=9))
 def test_a_population_is_judged_as_each_of_its_rows(text: str, population: list[tuple[float, float, float, str]]) -> None:
     constraint = Constraint(f"{text} and (a <= 5 or b <= 5)", PARAMETERS)

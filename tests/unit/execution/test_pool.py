@@ -170,7 +170,7 @@ _step = st.one_of(
 
 
 @given(st.integers(1, 5), st.lists(_step, max_size=30))
-@settings(max_examples=examples(300), deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 def test_every_cell_comes_back_exactly_once_whatever_happens(workers: int, steps: list[tuple[object, ...]]) -> None:
     backend = FakeBackend(workers, {"S1": 0.007, "S2": 0.5})
     pool = WorkPool(backend, clock=lambda: backend.now)

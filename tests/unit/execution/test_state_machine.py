@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from tests.support.turmoil import run_turmoil
 
-STEPS = 10_000
+STEPS = 4_000
 
 
 def test_every_cell_is_answered_once_or_withdrawn_whatever_happens() -> None:

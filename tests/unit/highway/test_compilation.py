@@ -32,6 +32,7 @@ print(twice(), sum(twice.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_an_edit_of_a_called_module_compiles_its_callers_anew(tmp_path: Path) -> None:
     (tmp_path / "caller.py").write_text(CALLER)
 

@@ -58,7 +58,7 @@ def test_feasible_rows_are_those_that_keep_every_constraint(population: Indices)
 
 
 @given(populations, st.data())
-@settings(deadline=None, max_examples=examples(40))
+@settings(deadline=None, max_examples=examples(20))
 def test_repair_is_feasible_idempotent_and_a_pure_function_of_the_row(population: Indices, data: st.DataObject) -> None:
     repaired = REPAIR(population)
     assert CONSTRAINTS.feasible(repaired).all()
@@ -78,7 +78,7 @@ def test_a_row_is_repaired_alike_in_every_company() -> None:
 
 
 @given(populations)
-@settings(deadline=None, max_examples=examples(40))
+@settings(deadline=None, max_examples=examples(20))
 def test_a_replacement_is_no_farther_than_the_nearest_anchor(population: Indices) -> None:
     def away(others: Indices, row: Indices) -> float:
         shares = (others - row) / LAST

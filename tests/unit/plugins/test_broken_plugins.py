@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 GOOD = """
 from drivecal.plugins import registry
 class Catalogue:
@@ -79,6 +81,7 @@ BROKEN = {
 """By name of a catalogue: the source of its package, and what its error says."""
 
 
+@pytest.mark.slow
 def test_broken_catalogues_are_listed_with_their_errors_and_nothing_else_fails(tmp_path: Path) -> None:
     for name, (source, _) in BROKEN.items():
         install(tmp_path, f"{name}_package", source, f"[drivecal.scenarios]\n{name} = {name}_package:PLUGIN\n")
@@ -96,6 +99,7 @@ def test_broken_catalogues_are_listed_with_their_errors_and_nothing_else_fails(t
     assert "theirs_package" in remedy
 
 
+@pytest.mark.slow
 def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> None:
     entry = "[drivecal.driving_functions]\nmine = mine:PLUGIN\n[drivecal.vehicles]\nmine = mine:PLUGIN\n"
     install(tmp_path, "mine", "import not_installed_anywhere", entry)

@@ -66,12 +66,13 @@ def test_it_has_a_version_where_stored_results_depend_on_it(group: str, entry: E
     assert version.strip()
 
 
-@pytest.mark.parametrize(("group", "entry"), BUILT_IN)
-def test_loading_it_imports_neither_simulator_nor_compiler(group: str, entry: EntryPoint) -> None:
+@pytest.mark.parametrize("group", PORTS)
+def test_loading_them_imports_neither_simulator_nor_compiler(group: str) -> None:
     program = (
         f"import json, sys; from importlib.metadata import entry_points\n"
-        f"plugin = entry_points(group={group!r})[{entry.name!r}].load()\n"
-        f"for name in ('spaces', 'scenarios', 'parameters', 'settings'): getattr(plugin, name, None)\n"
+        f"for entry in entry_points(group={group!r}):\n"
+        f"    plugin = entry.load() if entry.value.startswith('drivecal.') else None\n"
+        f"    for name in ('spaces', 'scenarios', 'parameters', 'settings'): getattr(plugin, name, None)\n"
         f"print(json.dumps(sorted(sys.modules)))"
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

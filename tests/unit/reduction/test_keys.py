@@ -62,7 +62,7 @@ def _random_case(draw: random.Random) -> tuple[InfluenceMap, list[ParameterSet],
     return InfluenceMap({"S1": influences}, ranges), table, parameter_set()
 
 
-TABLES = tries(2_000, 10_000)
+TABLES = tries(800, 10_000)
 
 
 def test_the_keyed_look_up_agrees_with_the_naive_scan_on_random_tables() -> None:

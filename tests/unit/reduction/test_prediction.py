@@ -150,6 +150,7 @@ def bits() -> str:
     return " ".join(part.tobytes().hex() for part in (told.scores, told.ratings, told.confidence))
 
 
+@pytest.mark.slow
 def test_predictions_have_the_same_bits_in_another_process() -> None:
     script = "from tests.unit.reduction.test_prediction import bits;print(bits())"
     here = bits()

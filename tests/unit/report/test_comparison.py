@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.lines import Line2D
 from tests.unit.report.rows import generation
 
@@ -134,6 +135,7 @@ def test_the_page_says_what_was_found_and_needs_nothing_else(tmp_path: Path) -> 
     assert all(f'href="{name}"' in page for name in names[:-1])
 
 
+@pytest.mark.slow
 def test_what_a_run_believed_stands_beside_what_it_has(tmp_path: Path) -> None:
     found = findings()
     runs = [
@@ -164,6 +166,7 @@ def renamed(found: ComparisonData, **labels: str) -> ComparisonData:
     )
 
 
+@pytest.mark.slow
 def test_labels_are_text_and_neither_formulas_nor_patterns_nor_names_of_files(tmp_path: Path) -> None:
     found = renamed(findings(), genetic=r"a $\frac$ \d", swarm=r"A $\frac$ (d)")
     figures = [path.name for path in write_comparison(found, {}, tmp_path) if path.suffix == ".svg"]

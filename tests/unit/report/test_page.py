@@ -130,6 +130,7 @@ def test_ids_of_several_drawings_do_not_meet(whole: Whole) -> None:
     assert used <= set(page.ids)
 
 
+@pytest.mark.slow
 def test_what_a_user_wrote_is_shown_and_not_obeyed(tmp_path: Path) -> None:
     page, _ = written(findings(titles={"S1": "<script>alert(1)</script>"}), tmp_path)
     assert "a <b>small</b> study" in page.text
@@ -303,6 +304,7 @@ def test_a_campaign_that_has_just_begun_has_a_report_too(tmp_path: Path) -> None
     assert any(part.startswith("No parameter set") for part in page.text)
 
 
+@pytest.mark.slow
 def test_the_page_says_where_the_map_comes_from(tmp_path: Path) -> None:
     settings = {"design": "lines", "intervals": 5, "samples": 3, "threshold": "auto", "seed": 1}
     basis = {"sensitivity": settings, "runs": 2484, "simulated": 2329}

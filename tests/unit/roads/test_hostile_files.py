@@ -22,8 +22,8 @@ from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
 
-MUTATIONS = tries(300, 10_000)
-CONVERSIONS = tries(10, 100)
+MUTATIONS = tries(100, 10_000)
+CONVERSIONS = tries(5, 100)
 SUBJECTS: dict[str, tuple[Callable[[], bytes], tuple[str, ...]]] = {
     "entrance": (entrance, ("before", "beside", "after")),
     "ramp": (lambda: entrance("--no-internal-links"), ("ramp", "beside", "after")),

@@ -62,7 +62,7 @@ def rough(space: Any, box: Box, seed: int, changed: float, failing: float) -> Sc
     st.sampled_from([0.0, 0.02, 0.1, 0.6]),
     st.sampled_from([0.0, 0.1, 0.5]),
 )
-@settings(max_examples=examples(80), deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_the_bounds_are_those_of_the_whole_design(
     sizes: list[int], intervals: int, samples: int, threshold: Threshold, seed: int, changed: float, failing: float
 ) -> None:
@@ -198,7 +198,7 @@ effects_of = st.floats(-1, 1).map(lambda change: round(7 * change))
     st.sampled_from(THRESHOLDS),
     st.integers(0, 10_000),
 )
-@settings(max_examples=examples(400))
+@settings(max_examples=examples(150))
 def test_what_is_surely_influential_stays_so_whatever_comes(
     pairs: list[tuple[int, float, bool]], made: int, threshold: Threshold, seed: int
 ) -> None:

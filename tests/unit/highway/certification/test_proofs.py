@@ -129,7 +129,7 @@ def simulate_or_prove(trie: Trie[bytes], parameters: Sequence[float], number: in
     share=st.sampled_from([0.0, 0.3, 0.9, 1.0]),
     room=st.sampled_from([2_000, 20_000, 2**30]),
 )
-@settings(max_examples=examples(60))
+@settings(max_examples=examples(30))
 def test_what_is_certified_is_what_would_have_been_simulated(
     seed: int, n_candidates: int, n_terms: int, share: float, room: int
 ) -> None:
@@ -243,7 +243,7 @@ def test_parameters_beyond_what_was_allowed_for_are_never_certified() -> None:
     leaders=st.integers(1, 16),
     share=st.sampled_from([0.0, 0.5]),
 )
-@settings(max_examples=examples(80))
+@settings(max_examples=examples(40))
 def test_every_candidate_that_can_win_is_a_contender(
     seed: int, n_candidates: int, n_terms: int, leaders: int, share: float
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.effort import tries
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import BENDING, CHANGING, KEEPING, LANE, MIDDLE, random_drive, seen, vehicle
 
@@ -56,7 +57,7 @@ def ideal_drive(
     return np.array(rows)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(tries(4, 12)))
 def test_the_trajectory_is_the_path_of_the_chosen_candidate(seed: int) -> None:
     random = np.random.default_rng(seed)
     planner, reference = planner_for(BENDING), ReferencePlanner(BENDING)

@@ -232,6 +232,7 @@ def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path,
         residual.read(tmp_path / "hybrid.npz")
 
 
+@pytest.mark.slow
 def test_training_again_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     """On one machine; a drive and a few steps of the search represent all of them."""
     monkeypatch.setattr(training, "ITERATIONS", 3)
