@@ -75,9 +75,24 @@ def holds(mark: pytest.Mark, item: pytest.Item) -> bool:
     return not mark.args or any(f"-{name}-" in f"-{case}-" for name in mark.args)
 
 
+def refuse_misspelt_cases(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Raises UsageError for ids in `slow(...)` that no case of their test has, unless single cases were asked for."""
+    if any("::" in argument for argument in config.args):
+        return
+    held: dict[tuple[str, str], bool] = {}
+    for item in items:
+        test = item.nodeid.partition("[")[0]
+        for mark in item.own_markers:
+            for name in mark.args if mark.name == "slow" else ():
+                held[test, name] = held.get((test, name), False) or holds(pytest.mark.slow(name).mark, item)
+    if misspelt := [f"{test} has no case {name!r}" for (test, name), is_held in held.items() if not is_held]:
+        raise pytest.UsageError("; ".join(misspelt))
+
+
 @pytest.hookimpl(tryfirst=True)  # before `-m` looks at the marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselects tests of unrequested `MARKERS`. Puts long files first, so that no process is left alone with one at the end."""
+    refuse_misspelt_cases(config, items)
     for item in items:
         item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "slow" or holds(mark, item)]
     unwanted = [marker for marker in MARKERS if marker not in config.option.markexpr]
