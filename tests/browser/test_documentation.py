@@ -38,6 +38,9 @@ def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, o
         page.wait_for_timeout(100)
     words.fill("certificate")
     expect(page.get_by_role("option", name="Certificates").first).to_be_visible()
+    page.goto(f"{api.url}/help/concepts/cells.html")
+    page.get_by_role("link", name="To the page").first.click()
+    expect(page.get_by_role("heading", name="Campaigns")).to_be_visible()
 
 
 @pytest.mark.slow("all")

@@ -1,13 +1,44 @@
-"""The page on a phone: nothing that is needed lies outside of the screen."""
+"""The page on a phone: nothing that is needed lies outside of the screen, and a finger scrolls."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
-from playwright.sync_api import Locator, expect
-from tests.browser.conftest import PHONE, Opening
+import pytest
+from playwright.sync_api import Browser, CDPSession, Locator, Page, expect
+from tests.browser.conftest import PHONE, Opening, barriers, too_wide
 from tests.support.runs import SMALL, run, submit
-from tests.support.server import serving
+from tests.support.server import RunningApi, serving
+
+from drivecal.storage.campaigns import StoredCampaign
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A server with a campaign that has ended."""
+
+    api: RunningApi
+    campaign: StoredCampaign
+
+    def at(self, tab: str) -> str:
+        return f"{self.api.url}/#/campaigns/{self.campaign.id}/{tab}"
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('phone') / 'drivecal.db'}") as api:
+        baseline = {f"P{i}": 0.5 for i in range(1, 12)}
+        yield Shown(api, run(api.database, submit(api.database, **SMALL | {"baseline": baseline})))
+
+
+@pytest.fixture
+def touched(browser: Browser) -> Iterator[Page]:
+    """A page that fingers touch."""
+    context = browser.new_context(viewport=PHONE, has_touch=True)
+    yield context.new_page()
+    context.close()
 
 
 def on_screen(place: Locator) -> bool:
@@ -17,21 +48,108 @@ def on_screen(place: Locator) -> bool:
     return box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
 
 
-def test_menus_and_numbers_lie_on_the_screen(tmp_path: Path, opening: Opening) -> None:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
-        campaign = run(api.database, submit(api.database, **SMALL))
-        page = opening(f"{api.url}/#/campaigns/{campaign.id}", phone=True)
-        for menu, content in (
-            ("Views", page.get_by_label("Name of the view")),
-            ("Export", page.get_by_text("settings as JSON")),
-        ):
-            page.get_by_text(menu, exact=True).click()
-            expect(content).to_be_visible()
-            assert on_screen(content.locator("xpath=ancestor::*[contains(@class, 'card')][1]")), menu
-            page.get_by_role("heading", level=1).click()
-            expect(content).to_be_hidden()
-        page.goto(f"{api.url}/#/submit")
-        for what in ("from", "to", "step", "held at", "baseline"):
-            assert on_screen(page.get_by_label(f"P4 {what}", exact=True)), what
-        assert page.get_by_label("P4 to", exact=True).evaluate("field => field.scrollWidth <= field.clientWidth")
-        page.close()
+def in_sight(place: Locator) -> bool:
+    """Whether the upper edge of a part of the page is in sight."""
+    box = place.bounding_box()
+    return box is not None and 0 <= box["y"] < PHONE["height"]
+
+
+def middle(place: Locator) -> tuple[float, float]:
+    box = place.bounding_box()
+    assert box is not None
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
+    """Draws a finger down by so many pixels."""
+    fingers.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+    for step in range(1, 11):
+        fingers.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + by * step / 10}]})
+    fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+
+def test_menus_and_numbers_lie_on_the_screen(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at("overview"), phone=True)
+    for menu, content in (
+        ("Views", page.get_by_label("Name of the view")),
+        ("Export", page.get_by_text("settings as JSON")),
+    ):
+        page.get_by_text(menu, exact=True).click()
+        expect(content).to_be_visible()
+        assert on_screen(content.locator("xpath=ancestor::*[contains(@class, 'card')][1]")), menu
+        page.get_by_role("heading", level=1).click()
+        expect(content).to_be_hidden()
+    assert barriers(page) == []
+    for tab in page.get_by_role("navigation", name="Views of the campaign").get_by_role("link").all():
+        assert on_screen(tab), tab.inner_text()
+    page.goto(f"{shown.api.url}/#/submit")
+    for what in ("from", "to", "step", "held at", "baseline"):
+        assert on_screen(page.get_by_label(f"P4 {what}", exact=True)), what
+    assert page.get_by_label("P4 to", exact=True).evaluate("field => field.scrollWidth <= field.clientWidth")
+
+
+def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, touched: Page) -> None:
+    touched.goto(shown.at("evaluations"))
+    fingers = touched.context.new_cdp_session(touched)
+    axis = touched.get_by_role("slider", name=re.compile(r"^Range of P1\b"))
+    axis.scroll_into_view_if_needed()
+    expect(touched.get_by_text("Tap an axis")).to_be_visible()
+    before, (x, y) = touched.evaluate("scrollY"), middle(axis)
+    drag(fingers, x, y, -150)
+    touched.wait_for_function("before => scrollY > before + 50", arg=before)
+    expect(axis).to_have_attribute("aria-valuetext", "all")
+    axis.tap()
+    expect(touched.get_by_text("Drag along P1")).to_be_visible()
+    x, y = middle(axis)
+    drag(fingers, x, y, -80)
+    expect(axis).not_to_have_attribute("aria-valuetext", "all")
+    assert abs(middle(axis)[1] - y) < 40, "a scroll would move it by 80"
+    axis.tap()
+    axis.tap()
+    expect(axis).to_have_attribute("aria-valuetext", "all")
+
+
+def test_rows_keep_their_names_when_a_table_is_scrolled_sideways(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at("ranking"), phone=True)
+    place, first = page.get_by_role("grid"), page.get_by_role("gridcell").first
+    for scrolled, name in (
+        (place, first),
+        (page.get_by_role("region", name="Parameters of the set"), page.get_by_role("rowheader", name="P1", exact=True)),
+    ):
+        if scrolled is not place:
+            page.goto(shown.at("overview"))
+        expect(name).to_be_visible()
+        left = name.evaluate("cell => cell.getBoundingClientRect().left")
+        scrolled.evaluate("table => { table.scrollLeft = 200; }")
+        assert scrolled.evaluate("table => table.scrollLeft") > 100
+        assert abs(name.evaluate("cell => cell.getBoundingClientRect().left") - left) < 25
+        assert name.evaluate("cell => getComputedStyle(cell).backgroundColor") not in {"transparent", "rgba(0, 0, 0, 0)"}
+    assert too_wide(page) == []
+
+
+def test_what_a_button_opens_comes_into_sight(shown: Shown, touched: Page) -> None:
+    touched.goto(shown.at("overview"))
+    touched.get_by_role("button", name="Replay in S2").tap()
+    both = touched.get_by_role("group", name="Both in S2")
+    expect(both).to_be_visible()
+    expect(both).to_be_in_viewport()
+    touched.wait_for_function("() => new Promise((done) => { const y = scrollY; setTimeout(() => done(scrollY === y), 200); })")
+    assert in_sight(both)
+
+
+def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/submit", phone=True, expected=("422",))
+    bar, start = page.get_by_role("group", name="Start"), page.get_by_role("button", name="Start it")
+    expect(bar).to_contain_text(re.compile(r"At most [\d,]+ cells"))
+    for place in (0, 1500, 1_000_000):
+        page.evaluate("y => scrollTo(0, y)", place)
+        expect(start).to_be_in_viewport(ratio=1)
+        assert on_screen(start)
+    card, under = page.get_by_role("heading", name="Maximum cost").locator("xpath=ancestor::section[1]"), bar.bounding_box()
+    above = card.bounding_box()
+    assert above is not None
+    assert under is not None
+    assert above["y"] + above["height"] <= under["y"]
+    page.get_by_label("population").fill("-3")
+    expect(bar).to_contain_text("optimizer.population")
+    expect(start).to_be_disabled()

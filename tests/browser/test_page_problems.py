@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, show, too_wide
+from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, leave, show, too_wide
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import run, submit, working
@@ -280,11 +280,42 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
 
     page.goto(heater.at())
     page.get_by_role("button", name="Rerun").click()
+    page.get_by_role("slider", name=re.compile("^winter")).fill("3")
     page.get_by_role("button", name="Search again under these weights").click()
     expect(page.get_by_role("link", name=heater.campaign.id[:8]).first).to_be_visible()
     again = heater.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()
     assert again["rerun_of"] == heater.campaign.id
+    assert again["spec"]["weights"]["winter"] == 3
+    page.goto(f"{heater.api.url}/")
+    expect(page.get_by_role("row").filter(has_text=again["id"][:8])).to_contain_text("rerun, weights winter 3")
+    leave(page, f"{heater.api.url}/")
     heater.api.http.post(f"/api/v1/campaigns/{again['id']}/cancel").raise_for_status()
+
+
+def test_empty_views_lead_to_what_fills_them(heater: Heated, opening: Opening) -> None:
+    waiting = submit(heater.api.database, **SPEC | {"sensitivity": None})
+    page = opening(f"{heater.api.url}/#/compare")
+    page.get_by_role("button", name="Compare the two newest").click()
+    expect(page.get_by_role("heading", name="Settings")).to_be_visible()
+    page.goto(f"{heater.api.url}/#/campaigns/{waiting.id}/influence")
+    page.get_by_role("link", name="Clone with an analysis").click()
+    expect(page.get_by_role("checkbox", name="sensitivity")).to_be_checked()
+    expect(page.get_by_label("population")).to_have_value("40")
+    heater.api.http.post(f"/api/v1/campaigns/{waiting.id}/cancel").raise_for_status()
+
+
+def test_words_of_the_page_lead_to_their_meaning(heater: Heated, opening: Opening) -> None:
+    page = opening(heater.at("savings"))
+    account = heater.api.http.get(f"/api/v1/campaigns/{heater.campaign.id}/accounting").json()
+    tile = page.get_by_role("region", name="Figures").locator(".card").last
+    expect(tile).to_contain_text("a loss" if account["net_seconds"] < 0 else "saved")
+    expect(tile).to_contain_text("analysis")
+    words = {"savings": "Net saving", "overview": "cells", "trust": "lots"}
+    for tab, word in words.items():
+        page.goto(heater.at(tab))
+        address = page.get_by_role("link", name=word, exact=True).first.get_attribute("href")
+        assert address is not None
+        assert address.startswith("/help/concepts/glossary.html#")
 
 
 def test_what_is_selected_is_what_is_exported(heater: Heated, opening: Opening) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,9 @@ from tests.browser.conftest import GONE, LOST, Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
 from tests.support.server import free_port, serving
+
+from drivecal.storage import processes
+from drivecal.storage.engine.types import now
 
 pytestmark = pytest.mark.slow
 
@@ -24,10 +28,15 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
         campaign = submit(api.database, **SMALL)
         page = opening(f"{api.url}/#/campaigns/{campaign.id}")
         expect(page.get_by_text("Waiting for its turn.").first).to_be_visible()
+        starting = {"workers": [{"id": f"worker {number}", "state": "starting"} for number in (1, 2)]}
+        with api.database.transaction() as connection:
+            processes.heartbeat(connection, "dispatcher", 1, now() + timedelta(minutes=1), starting)
+        expect(page.get_by_text("The 2 workers are starting")).to_be_visible()
         working = dispatcher(api.database)
         while get(api.database, campaign).cells.requested < 60:
             working.step()
         expect(page.get_by_text(re.compile(r"Searching: iteration \d"))).to_be_visible()
+        expect(page.get_by_text("workers are starting")).to_have_count(0)
         run(api.database, campaign)
         expect(page.get_by_text("Finished.")).to_be_visible()
         requested = get(api.database, campaign).cells.requested

@@ -135,6 +135,15 @@ def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_camp
     assert TrustAnswer.model_validate(ended.api.http.get(study["links"]["trust"]).json()) == TrustAnswer(light=None, reasons=[])
 
 
+def test_the_light_judges_the_course_of_the_search_and_the_ends_of_the_ranges(ended: Ended) -> None:
+    reasons = ended.api.http.get(ended.first["links"]["trust"]).json()["reasons"]
+    about = {reason["light"]: reason["text"] for reason in reasons if reason["about"] == "search"}
+    rows = ended.api.http.get(f"{ended.first['links']['self']}/generations").json()["items"]
+    assert ("amber" in about) is (len({(row["best"], row["rating"]) for row in rows}) == 1)
+    at_end = {name for name in ("P1", "P2", "P3", "P4") if ended.first["best"]["parameters"][name] in {0, 1}}
+    assert {name for name in ended.first["best"]["parameters"] if f"{name} (" in about.get("green", "")} == at_end
+
+
 def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:
     def expected(**changes: Any) -> dict[str, Any]:
         response = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=WITH_ANALYSIS | changes)

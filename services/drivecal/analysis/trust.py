@@ -12,7 +12,7 @@ from typing import Any
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -20,6 +20,8 @@ from drivecal.domain.campaigns import CampaignState
 
 FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
+LONG = 3
+"""Iterations from which on a search had time to improve what its first one found."""
 SHORT = 8
 """Characters of a campaign's id in a sentence."""
 _ORDER: tuple[Light, ...] = ("red", "amber", "green")
@@ -43,6 +45,15 @@ class Driven:
 
 
 @dataclass(frozen=True, slots=True)
+class Search:
+    """The course of a search for one objective. `course`: objective and rating of the best set so far, by finished iteration.
+    `ranges`: lower and upper value of the searched parameters with an order."""
+
+    course: Sequence[tuple[float | None, float | None]]
+    ranges: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
 class Earlier:
     """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
 
@@ -61,9 +72,10 @@ def trust(
     validated: Sequence[Validated] = (),
     driven: Sequence[Driven] = (),
     earlier: Earlier | None = None,
+    search: Search | None = None,
 ) -> TrustAnswer:
     """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
-    reruns, if both have the same problem."""
+    reruns, if both have the same problem. `search`: None with several objectives, which have no single course."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
         return TrustAnswer(light=None, reasons=[])
     reasons = [
@@ -71,6 +83,7 @@ def trust(
         *_constraints(campaign),
         *_confirmation(campaign),
         *_baseline(campaign),
+        *_search(campaign, search),
         *_earlier(campaign, earlier),
         *_map(campaign, _newest(validated, of_predictions=False)),
         *_references(campaign),
@@ -129,6 +142,40 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
         yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
     else:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
+
+
+def _search(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
+    if search is None or campaign.best is None or CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
+        return
+    if len(search.course) >= LONG and _stood_still(search.course, campaign.best) and not _is_the_highest(campaign):
+        text = (
+            f"No iteration after the first found a better set ({len(search.course) - 1} tried). More iterations, wider ranges or another "
+            "optimizer may find one."
+        )
+        yield Reason(light="amber", about="search", text=text)
+    values = campaign.best.parameters
+    at_end = [f"{name} ({value_text(values[name])})" for name, ends in search.ranges.items() if values.get(name) in ends]
+    if at_end:
+        lie = "lies at an end of its range" if len(at_end) == 1 else "lie at an end of their ranges"
+        text = f"In the best set {', '.join(at_end)} {lie}; a wider range may hold better sets."
+        yield Reason(light="green", about="search", text=text)
+
+
+def _stood_still(course: Sequence[tuple[float | None, float | None]], best: Best) -> bool:
+    """Returns whether the best set of the first iteration is still the best, by objective and rating."""
+    (first, rating), (last, last_rating) = course[0], course[-1]
+    if first is None or last is None or (rating is None) is not (last_rating is None):
+        return False
+    gains = (last - first, best.objective - first, (last_rating or 0.0) - (rating or 0.0))
+    return all(abs(gain) <= EQUAL for gain in gains)
+
+
+def _is_the_highest(campaign: Campaign) -> bool:
+    """Returns whether no score is better: scores in steps end at the range's end."""
+    scale = campaign.scale
+    if campaign.objective is not None or scale.step is None or campaign.best is None:
+        return False
+    return not scale.is_better(scale.upper if scale.sign > 0 else scale.lower, campaign.best.objective)
 
 
 def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:

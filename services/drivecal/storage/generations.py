@@ -121,6 +121,16 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
     return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
 
 
+def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None]]:
+    """Returns the objective and the rating of the best set so far, by finished iteration."""
+    query = (
+        select(generations.c.best, generations.c.rating)
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
+        .order_by(generations.c.iteration)
+    )
+    return [(row.best, row.rating) for row in connection.execute(query)]
+
+
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
 ) -> tuple[list[tuple[int, Figures]], str | None]:

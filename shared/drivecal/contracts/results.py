@@ -10,7 +10,7 @@ Light = Literal["green", "amber", "red"]
 
 
 class Reason(Answer):
-    """A reason for a light. `about`: end, constraints, confirmation, baseline, earlier, map, references, predictions, noise,
+    """A reason for a light. `about`: end, constraints, confirmation, baseline, search, earlier, map, references, predictions, noise,
     failures or robustness."""
 
     light: Light

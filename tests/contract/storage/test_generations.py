@@ -29,6 +29,7 @@ def test_a_generation_is_taken_up_as_it_was_asked_for(database: Database) -> Non
     with database.transaction() as connection:
         sequence = campaign(connection).sequence
         assert generations.last(connection, sequence) is None
+        assert generations.course(connection, sequence) == []
         generations.insert(
             connection,
             sequence,
@@ -56,6 +57,7 @@ def test_a_finished_generation_keeps_what_it_found(database: Database) -> None:
             generations.finish(connection, sequence, iteration, FOUND, [6.5, float("nan"), None])
         stored = generations.last(connection, sequence)
         assert generations.page(connection, sequence) == ([(0, FOUND), (1, FOUND)], None)
+        assert generations.course(connection, sequence) == [(6.5, None), (6.5, None)]
     assert stored is not None
     assert (stored.iteration, stored.figures, stored.finished) == (1, FOUND, True)
     assert stored.objectives == [6.5, None, None]

@@ -9,7 +9,7 @@ import pytest
 from tests.support.scales import COST
 
 from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
-from drivecal.analysis.trust import Driven, Earlier, Validated, trust
+from drivecal.analysis.trust import Driven, Earlier, Search, Validated, trust
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
@@ -210,3 +210,43 @@ def test_a_better_set_of_the_campaign_that_is_rerun_is_told(objective: float, gi
     reasons = [reason for reason in judged.reasons if reason.about == "earlier"]
     assert [reason.light for reason in reasons] == ["amber"] * is_told
     assert all("solutions eeeeeeee --weights S1=4,S2=1" in reason.text for reason in reasons)
+
+
+def about_the_search(subject: Campaign, search: Search) -> list[tuple[str, str]]:
+    return [(reason.light, reason.text) for reason in trust(subject, search=search).reasons if reason.about == "search"]
+
+
+@pytest.mark.parametrize(
+    ("course", "given", "lights"),
+    [
+        ([(6.0, 6.2)] * 3, {}, ["amber"]),
+        ([(6.0, None)] * 3, {}, ["amber"]),
+        ([(6.0, 6.2)] * 2, {}, []),
+        ([(5.5, 6.2), (6.0, 6.2), (6.0, 6.2)], {}, []),
+        ([(6.0, 6.2), (6.0, 6.2), (6.0, 6.3)], {}, []),
+        ([(5.5, 6.2)] * 3, {}, []),
+        ([(None, None)] * 3, {}, []),
+        ([(6.0, 6.2)] * 3, {"state": "cancelled"}, []),
+        ([(6.0, 6.2)] * 3, {"best": None}, []),
+        ([], {}, []),
+    ],
+)
+def test_a_search_that_its_first_iteration_decided_is_amber(
+    course: list[tuple[float | None, float | None]], given: dict[str, Any], lights: list[str]
+) -> None:
+    assert [light for light, _ in about_the_search(campaign(**given), Search(course, {}))] == lights
+
+
+@pytest.mark.parametrize(("objective", "scale", "is_doubted"), [(7.0, {}, False), (7.0, {"scale": COST}, True)])
+def test_the_highest_score_in_steps_is_not_doubted(objective: float, scale: dict[str, Any], is_doubted: bool) -> None:
+    subject = campaign(best=BEST.model_copy(update={"objective": objective}), **scale)
+    assert bool(about_the_search(subject, Search([(objective, None)] * 5, {}))) is is_doubted
+
+
+def test_values_at_an_end_of_their_range_are_named() -> None:
+    best = BEST.model_copy(update={"parameters": {"P1": 0.5, "P2": 3.0, "P3": 1.0, "mode": "eco"}})
+    ranges = {"P1": (0.5, 2.0), "P2": (1.0, 3.0), "P3": (0.0, 2.0)}
+    ((light, text),) = about_the_search(campaign(best=best), Search([(5.0, None), (6.0, None)], ranges))
+    assert light == "green"
+    assert [name for name in (*ranges, "mode") if f"{name} (" in text] == ["P1", "P2"]
+    assert about_the_search(campaign(best=best), Search([], {"P3": (0.0, 2.0)})) == []

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 
 import pytest
+from tests.support.tree import PROJECT
 from tests.support.web import WEB, hook
 
 
@@ -17,3 +19,18 @@ def test_the_pure_parts_of_the_page_do_what_their_tests_say() -> None:
     command = [*npm, "run", "--silent", "test"]
     ran = subprocess.run(command, cwd=WEB, env=module._environment(node), capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def test_every_word_that_the_page_explains_is_in_the_glossary() -> None:
+    headings = re.findall(r"^## (.+)$", (PROJECT / "docs/pages/concepts/glossary.md").read_text(), re.MULTILINE)
+    anchors = {heading.lower().replace(" ", "-") for heading in headings}
+    sources = [path.read_text() for path in (WEB / "src").rglob("*.svelte")]
+    words = {
+        word
+        for text in sources
+        for found in re.findall(r'<Term word="([^"]+)"|glossary\("([^"]+)"\)', text)
+        for word in found
+        if word
+    }
+    assert len(words) > 5
+    assert words - anchors == set()

@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import APIRouter
 from sqlalchemy import Connection
 
-from drivecal.analysis.trust import Driven, Validated, trust
+from drivecal.analysis.trust import Driven, Search, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery
@@ -27,7 +27,7 @@ from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup
-from drivecal.storage import campaigns, studies
+from drivecal.storage import campaigns, generations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
@@ -80,6 +80,7 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
         first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
         made = [study for study in _about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
         documents = [(study, studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}) for study in made]
+        search = _search(connection, campaign)
     validated = [
         Validated(study.campaign, [ValidationRow.model_validate(item) for item in document["items"]])
         for study, document in documents
@@ -93,7 +94,7 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
     ]
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)
-    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier)
+    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search)
 
 
 @router.get("/failures")
@@ -103,6 +104,18 @@ def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
         campaign = campaigns.get(connection, campaign_id)
         refuse_comparison(campaign)
         return FailurePage(items=causes_of(connection, campaign))
+
+
+def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
+    """Returns the course of an ended search; None before its end, and with several objectives."""
+    if campaign.state != CampaignState.SUCCEEDED or campaign.resolution is None:
+        return None
+    begun_with = resolved_spec(campaign)
+    if begun_with.goals is not None and len(begun_with.goals.objectives) > 1:
+        return None
+    searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
+    ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
+    return Search(generations.course(connection, campaign.sequence), ranges)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { ago, duration, number, percent, scored, tolerated } from "./format";
+import { ago, duration, measured, number, percent, scored, tolerated } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0)).toBe("0.0 %");
@@ -8,6 +8,13 @@ test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0.99999)).toBe("> 99.9 %");
   expect(percent(1)).toBe("100.0 %");
   expect(percent(null)).toBe("–");
+});
+
+test("a measure's unit is apart from its name, declared or at its end", () => {
+  expect(measured("peak_lateral_jerk_mps3")).toEqual({ words: "peak lateral jerk", unit: "m/s³" });
+  expect(measured("energy_kwh", "kWh")).toEqual({ words: "energy kwh", unit: "kWh" });
+  expect(measured("heave", "1")).toEqual({ words: "heave", unit: "" });
+  expect([measured("s"), measured("lane_changes")]).toEqual([{ words: "s", unit: "" }, { words: "lane changes", unit: "" }]);
 });
 
 test("numbers have the decimals that they need", () => {

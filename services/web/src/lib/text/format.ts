@@ -55,6 +55,17 @@ export function unitText(unit: unknown): string {
   return typeof unit === "string" && unit !== "1" ? unit.replaceAll("^2", "²").replaceAll("^3", "³") : "";
 }
 
+/** Units at the end of names, as the built-in problem writes them. */
+const SUFFIXES: Readonly<Record<string, string>> = { m: "m", s: "s", mps: "m/s", mps2: "m/s²", mps3: "m/s³", rad: "rad", radps: "rad/s", deg: "°" };
+
+/** The words of a measure's name, and its unit: the declared one, else the one that its name ends with. */
+export function measured(name: string, declared?: unknown): { words: string; unit: string } {
+  const parts = name.split("_");
+  const suffix = parts.length > 1 ? SUFFIXES[parts.at(-1) ?? ""] : undefined;
+  if (unitText(declared) !== "" || suffix === undefined) return { words: parts.join(" "), unit: unitText(declared) };
+  return { words: parts.slice(0, -1).join(" "), unit: suffix };
+}
+
 /** A score with its unit; of points the unit goes without saying. */
 export function scored(value: number | null | undefined, scale: { unit: string }, digits = 3): string {
   const unit = value === null || value === undefined || scale.unit === "1" || scale.unit === "points" ? "" : ` ${unitText(scale.unit)}`;

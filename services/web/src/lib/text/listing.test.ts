@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { arranged, countedCells, savedShare, subjectOf } from "./listing";
+import { arranged, countedCells, savedShare, subjectOf, weighted } from "./listing";
 import type { Campaign } from "../server/types";
 
 const NONE = { proposed: 0, requested: 0, simulated: 0, repeated: 0, reused: 0, predicted: 0, certified: 0 };
@@ -39,4 +39,10 @@ test("a study counts the cells of its stages", () => {
   expect(countedCells(made)).toMatchObject({ requested: 10, simulated: 4 });
   expect(savedShare(made)).toBeCloseTo(0.6);
   expect(savedShare(campaign("new"))).toBeNull();
+});
+
+test("weights of a rerun are told in few words, the heaviest first, without those that go without saying", () => {
+  expect(weighted({ S1: 1, S2: 4, S3: 0.5, S4: 0 })).toBe("weights S2 4, S3 0.5, S4 0");
+  expect(weighted({ a: 2, b: 3, c: 4, d: 5, e: 6 })).toBe("weights e 6, d 5, c 4, b 3, …");
+  expect([weighted({ S1: 1 }), weighted({}), weighted(null), weighted(undefined)]).toEqual(["", "", "", ""]);
 });

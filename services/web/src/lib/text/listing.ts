@@ -1,6 +1,7 @@
 /** Campaigns as rows of a table: filtered, sorted, studies below what they examine. */
 
 import { withoutSimulation } from "./words";
+import { number } from "./format";
 import { calibrates } from "./studies";
 import type { Campaign, CellCounts } from "../server/types";
 
@@ -27,6 +28,13 @@ export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<Ce
 export function savedShare(campaign: Pick<Known, "cells" | "stages">): number | null {
   const cells = countedCells(campaign);
   return cells.requested > 0 ? withoutSimulation(cells) / cells.requested : null;
+}
+
+/** Weights in few words, the heaviest first; those of weight 1 go without saying. Empty if all have it. */
+export function weighted(weights: Readonly<Record<string, number>> | null | undefined, most = 4): string {
+  const told = Object.entries(weights ?? {}).filter(([, weight]) => weight !== 1).sort(([, a], [, b]) => b - a);
+  if (told.length === 0) return "";
+  return `weights ${told.slice(0, most).map(([name, weight]) => `${name} ${number(weight)}`).join(", ")}${told.length > most ? ", …" : ""}`;
 }
 
 /** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, a tag or its comment. */

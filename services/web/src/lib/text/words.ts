@@ -1,4 +1,4 @@
-/** Meanings of the terms, shown as tooltips. */
+/** Meanings of the terms: as tooltips, and in the glossary of the documentation. */
 
 import type { CellCounts, Moving } from "../server/types";
 
@@ -16,6 +16,9 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
+
+/** The address of a word's meaning; `word` is the anchor of a heading. */
+export const glossary = (word: string): string => `/help/concepts/glossary.html#${word}`;
 
 export const STAGES: Record<string, string> = {
   sensitivity: "Sensitivity",

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { nodesOf, storedRuns } from "./workers";
+import { areStarting, nodesOf, storedRuns } from "./workers";
 
 test("workers are listed by node, with the speed of all of them", () => {
   const workers = [
@@ -16,4 +16,10 @@ test("setups that differ in the vehicle's parameters alone share a row of stored
     { scenario: "S2", simulator: "libsumo", drivenBy: "frenet, hybrid", setups: 1, runs: 9 },
     { scenario: "S1", simulator: "libsumo", drivenBy: "frenet, hybrid", setups: 2, runs: 5 },
   ]);
+});
+
+test("workers are starting while there are some and none is ready", () => {
+  const page = (fresh: boolean, ...states: string[]) => ({ fresh, items: states.map((state) => ({ state })) });
+  expect(areStarting(page(true, "starting", "starting"))).toBe(true);
+  expect([page(true, "starting", "idle"), page(true), page(false, "starting")].map(areStarting)).toEqual([false, false, false]);
 });

@@ -1,6 +1,6 @@
 /** Workers by the machine that they run on. */
 
-import type { ReferenceAnswer, WorkerAnswer } from "../server/types";
+import type { ReferenceAnswer, WorkerAnswer, WorkerPage } from "../server/types";
 
 type Known = Pick<WorkerAnswer, "id" | "node" | "cells_per_second">;
 
@@ -18,6 +18,11 @@ export function nodesOf<T extends Known>(workers: readonly T[]): Node<T>[] {
     const own = workers.filter((worker) => (worker.node ?? "this machine") === name).sort((a, b) => a.id.localeCompare(b.id, "en", { numeric: true }));
     return { name, workers: own, speed: own.reduce((sum, worker) => sum + (worker.cells_per_second ?? 0), 0) };
   });
+}
+
+/** Whether there are workers and none of them can simulate yet. */
+export function areStarting({ fresh, items }: Pick<WorkerPage, "fresh"> & { items: readonly Pick<WorkerAnswer, "state">[] }): boolean {
+  return fresh && items.length > 0 && items.every(({ state }) => state === "starting");
 }
 
 export interface StoredRuns {
