@@ -3,9 +3,9 @@
 ZDT1 and DTLZ2 on grids of 1,001 values, pymoo on continuous ones. With `--highway` also campaigns on the built-in problem, on a database
 of their own each: comfort on straight roads against comfort in curves with predictions and certificates, and comfort against the largest
 lateral jerk with certificates. Per seed: the hypervolume of all sets that were asked for, relative to pymoo's; on `highway` also the
-simulations as a share of pymoo's, those of the confirmation included: up to the iteration in which the mean over the seeds reaches the
-mean of pymoo's (at most 0.6 wanted), up to pymoo's hypervolume of the same seed in those that reach it, and in all. Intervals are t
-intervals of the mean (95 %).
+simulations as a share of pymoo's, those of the confirmation included: until the mean over the seeds reaches a hypervolume that both
+searches reach, the smaller one of the two last means (at most 0.6 wanted), up to pymoo's last hypervolume of the same seed in those that
+reach it, and in all. Intervals are t intervals of the mean (95 %).
 
 `--weightings 10` compares, for each weighting of the objectives, the best set that the first seed's search already has with that of a
 fresh search of one objective and as many requested sets: at most one tolerance worse in at least nine of ten is wanted. The tolerance is
@@ -83,8 +83,8 @@ Costs = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Compared:
-    """Hypervolumes by seed, ours and pymoo's; on the built-in problem also ours and the share of pymoo's simulations after each iteration,
-    that share at pymoo's hypervolume, null where it was not reached, and in all."""
+    """Hypervolumes by seed, ours and pymoo's; on the built-in problem also both after each iteration, and our share of pymoo's simulations:
+    at pymoo's hypervolume, null where it was not reached, in all, and after each iteration."""
 
     problem: str
     seed: int
@@ -95,6 +95,7 @@ class Compared:
     until: float | None = None
     simulated: float | None = None
     grown: Sequence[float] = ()
+    grown_by_pymoo: Sequence[float] = ()
     spent: Sequence[float] = ()
 
     @property
@@ -199,9 +200,10 @@ def remembered(key: Sequence[object], make: Callable[[], Any]) -> Any:
     return value
 
 
-def pymoo_on_highway(pool: ProcessPoolExecutor, form: str, population: int, iterations: int, seed: int) -> float:
-    """The hypervolume of all sets that pymoo asked for."""
-    return volume(by_pymoo(driven(pool, form), len(space()), population, iterations, seed), REFERENCES[form])
+def pymoo_on_highway(pool: ProcessPoolExecutor, form: str, population: int, iterations: int, seed: int) -> list[float]:
+    """The hypervolume of all sets that pymoo asked for up to each iteration."""
+    gains = by_pymoo(driven(pool, form), len(space()), population, iterations, seed)
+    return [volume(gains[: population * number], REFERENCES[form]) for number in range(1, iterations + 1)]
 
 
 def drivecal_on_highway(form: str, population: int, iterations: int, seed: int) -> dict[str, Any]:
@@ -221,15 +223,15 @@ def drivecal_on_highway(form: str, population: int, iterations: int, seed: int) 
 def on_highway(pool: ProcessPoolExecutor, form: str, population: int, iterations: int, seed: int) -> Compared:
     """A campaign, and pymoo on the same problem."""
     size = population, iterations
-    theirs = remembered(["pymoo", form, *size, seed], lambda: pymoo_on_highway(pool, form, *size, seed))
+    theirs = remembered(["pymoo, by iteration", form, *size, seed], lambda: pymoo_on_highway(pool, form, *size, seed))
     ours = remembered(["drivecal", form, *size, seed], lambda: drivecal_on_highway(form, *size, seed))
     cells = population * iterations * len(SCENARIOS)
     known = dict(zip(ours["iterations"], ours["hypervolumes"], strict=True))
     grown = list(accumulate((known.get(iteration, 0.0) for iteration in range(iterations)), max))
     confirmed = ours["in all"] - ours["simulated"][-1]
     spent = [(simulated + confirmed) / cells for simulated in ours["simulated"]]
-    until = next((share for share, reaches in zip(spent, grown, strict=True) if reaches >= SAME * theirs), None)
-    return Compared(f"highway {form}", seed, *size, grown[-1], theirs, until, ours["in all"] / cells, grown, spent)
+    until = next((share for share, reaches in zip(spent, grown, strict=True) if reaches >= SAME * theirs[-1]), None)
+    return Compared(f"highway {form}", seed, *size, grown[-1], theirs[-1], until, ours["in all"] / cells, grown, theirs, spent)
 
 
 def weightings_on_highway(population: int, iterations: int, count: int) -> list[Weighted]:
@@ -253,18 +255,19 @@ def with_interval(values: Sequence[float]) -> str:
     return f"{float(np.mean(values)):.3f} [{lower:.3f}, {upper:.3f}]"
 
 
-def until_the_means_are_equal(rows: Sequence[Compared]) -> float | None:
-    """The mean share of pymoo's simulations after the iteration in which our mean hypervolume reaches pymoo's; None if it does not."""
-    reached = np.mean([row.grown for row in rows], axis=0) >= SAME * np.mean([row.theirs for row in rows])
-    return float(np.mean([row.spent for row in rows], axis=0)[np.argmax(reached)]) if reached.any() else None
+def until_both_means_are_reached(rows: Sequence[Compared]) -> float:
+    """Our mean simulations until our mean hypervolume is at least the smaller one of the two last means, as a share of pymoo's until its
+    mean is."""
+    grown, by_pymoo = (np.mean([getattr(row, name) for row in rows], axis=0) for name in ("grown", "grown_by_pymoo"))
+    level = SAME * min(grown[-1], by_pymoo[-1])
+    theirs = (int(np.argmax(by_pymoo >= level)) + 1) / rows[0].iterations
+    return float(np.mean([row.spent for row in rows], axis=0)[np.argmax(grown >= level)]) / theirs
 
 
 def print_compared(rows: Sequence[Compared]) -> tuple[bool, list[dict[str, Any]]]:
     """Prints a line per problem. Returns whether something is not as wanted, and the figures."""
     worse, figures = False, []
-    print(
-        "problem           hypervolume / pymoo's    simulated / pymoo's: at its mean hypervolume, at its own of each seed; in all"
-    )
+    print("problem           hypervolume / pymoo's    simulated / pymoo's: at equal means, at pymoo's of each seed; in all")
     for problem in dict.fromkeys(row.problem for row in rows):
         own = [row for row in rows if row.problem == problem]
         lower, upper = interval([row.relative for row in own])
@@ -272,12 +275,11 @@ def print_compared(rows: Sequence[Compared]) -> tuple[bool, list[dict[str, Any]]
         line = f"{problem:16}  {np.mean([row.relative for row in own]):.4f} [{lower:.4f}, {upper:.4f}]"
         until = [row.until for row in own if row.until is not None]
         if own[0].simulated is not None:
-            mean = until_the_means_are_equal(own)
-            worse |= mean is None or mean > MOST_SIMULATIONS
-            reached = "not reached" if mean is None else f"{mean:.3f}"
+            mean = until_both_means_are_reached(own)
+            worse |= mean > MOST_SIMULATIONS
             ends = with_interval(until) if until else "none"
             whole = with_interval([row.simulated or 0.0 for row in own])
-            line += f"  {reached:13} {ends} in {len(until)} of {len(own)}; {whole}"
+            line += f"  {mean:.3f}  {ends} in {len(until)} of {len(own)}; {whole}"
         print(line)
         figures.append({"problem": problem, "interval": [lower, upper], "rows": [asdict(row) for row in own]})
     return worse, figures
