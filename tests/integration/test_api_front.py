@@ -172,9 +172,12 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         baseline, own = client.front_summary(ended.first).baseline, client.campaign(ended.first).baseline
         listed = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front/evaluated", params={"limit": 1000}).json()["items"]
         assert client.front_summary(ended.plain).baseline is None
+        trust = client.trust(ended.first)
     assert baseline is not None
     assert own is not None
     assert baseline.objectives["comfort"] == own.objective
+    own_light = next(reason.light for reason in trust.reasons if reason.about == "baseline")
+    assert (own_light == "amber") is (baseline.rank is not None)
     [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]
     assert (first["objectives"], first["on_front"]) == (baseline.objectives, baseline.rank is not None)
 
@@ -206,6 +209,11 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     shown = command("front", ended.first, "--url", ended.api.url)
     assert shown.exit_code == 0, shown.stderr
     assert f"best {JERK}" in shown.stdout
+    with Client(ended.api.url) as client:
+        baseline = client.front_summary(ended.first).baseline
+    assert baseline is not None
+    (line,) = (line for line in shown.stdout.splitlines() if line.startswith("baseline:"))
+    assert all(f"{name} {amount:.6g}" in line for name, amount in baseline.objectives.items())
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])
     between = command("front", ended.first, "--between", "1,2", "--url", ended.api.url, "--json")

@@ -7,7 +7,7 @@ from typing import Literal
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale, unit_text
 
@@ -37,6 +37,11 @@ def percent(share: float | None, digits: int = 2) -> Number | None:
     return None if share is None else Number(f"{share:.{digits}%}")
 
 
+def bound(upper_95: float | None) -> Number | str | None:
+    """Returns a 95 % bound of a share in percent; `none` for one of 100 %, which excludes nothing, and None for an unknown one."""
+    return "none" if upper_95 is not None and upper_95 >= 1.0 else percent(upper_95)
+
+
 def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
     """Returns the sum of each of the named fields over all items."""
     listed = list(items)
@@ -63,6 +68,11 @@ def interval_text(rows: Sequence[ValidationRow]) -> str:
     over = {row.interval_over for row in rows if row.compared}
     if not over:
         return ""
+    if all(row.released is not None for row in rows):
+        return (
+            "Each 95 % interval is that of a binomial share (Clopper-Pearson): each simulated prediction is a draw of its own from the "
+            "released ones."
+        )
     if over == {"bases"}:
         return (
             "Each 95 % interval is one of the mean over base sets (by betting, for any distribution), because variants of one base set are "
@@ -115,7 +125,7 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
         [
             *(name, rate.audited, rate.different, rate.wrong),
             percent(rate.wrong / rate.audited if rate.audited else None),
-            *(percent(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
+            *(bound(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
             Emphasized("stopped") if rate.stopped else "on",
         ]
         for name, rate in rates.items()
@@ -163,7 +173,7 @@ def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
     return [
         [
             *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(percent(lots.limit, 1), percent(lots.upper_95)),
+            *(percent(lots.limit, 1), bound(lots.upper_95)),
         ]
         for name, lots in released.items()
         if lots.lots
@@ -214,7 +224,7 @@ def segment(row: InfluenceRow) -> tuple[float, float] | None:
 
 
 def front_lines(summary: FrontSummary) -> list[str]:
-    """Returns what is known of a whole front: a line for each objective and constraint, and the numbers of sets."""
+    """Returns what is known of a whole front: a line for each objective and constraint, for the baseline, and the numbers of sets."""
     lines = []
     for objective in summary.objectives:
         ends = (
@@ -224,9 +234,18 @@ def front_lines(summary: FrontSummary) -> list[str]:
         )
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
+    lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
     volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"
     sets = f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}"
     return [*lines, sets]
+
+
+def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
+    units = {objective.name: unit_text(objective.unit) for objective in summary.objectives}
+    amounts = ", ".join(f"{name} {amount:.6g}{units[name]}" for name, amount in baseline.objectives.items())
+    broken = f"; it breaks constraints by {baseline.violation:.3g}" if baseline.violation > 0 else ""
+    place = "sets of the front beat it" if baseline.rank is None else f"on the front, rank {baseline.rank}"
+    return f"baseline: {amounts} ({place}){broken}"
 
 
 def first_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:

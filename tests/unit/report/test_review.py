@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.unit.report.rows import SETUP, findings
 
 from drivecal.contracts.campaign import Baseline, Released, Study
-from drivecal.contracts.results import FrontObjective, FrontSummary, Reason, TrustAnswer
+from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Reason, TrustAnswer
 from drivecal.contracts.tables import BoxTrial, FrontRow, RobustnessRow, Solution
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import Studied
@@ -146,6 +146,29 @@ def test_two_sets_stand_beside_each_other() -> None:
     assert "comfort 4.75 6 5 -1" in text
     assert BOTH.count("<svg") == 2
     assert "1 6 5 – chosen" in text
+
+
+def test_the_baseline_of_every_objective_is_shown() -> None:
+    judged = FrontBaseline(objectives={"comfort": 4.75, "jerk": 4.5}, violation=0.0, rank=None)
+    subject = compromise()
+    known = replace(subject, summary=subject.summary.model_copy(update={"baseline": judged}))
+    text = text_of(sheet(review(known)))
+    assert "comfort 4.75 6 +1.25" in text
+    assert "jerk 4.5 5 +0.5" in text
+
+
+def test_each_set_has_its_own_light() -> None:
+    green = TrustAnswer(light="green", reasons=[Reason(light="green", about="baseline", text="Better by 1.")])
+    text = text_of(sheet(review(compromise(), compromise(rank=2, trust=green))))
+    assert "Trust of A Light: amber." in text
+    assert "Trust of B Light: green. green: Better by 1." in text
+
+
+def test_a_bound_that_excludes_nothing_is_no_number() -> None:
+    released = {"S2": Released(lots=4, rejected=0, predicted=9, sampled=1, different=0, limit=0.05, upper_95=1.0)}
+    known = reviewed()
+    text = text_of(sheet(review(replace(known, campaign=known.campaign.model_copy(update={"released": released})))))
+    assert "S2 4 0 9 1 0 5.0% none" in text
 
 
 def test_the_sheet_needs_nothing_else() -> None:

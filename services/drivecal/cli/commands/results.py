@@ -201,8 +201,8 @@ def _calibration_file(
     campaign, robustness = client.campaign(identifier), client.robustness(identifier)
     chosen = _chosen(client, identifier, table, row, query)
     if isinstance(chosen, FrontRow):
-        objectives = client.front_summary(identifier, everything="everything" in query).objectives
-        figures = front_figures(campaign, chosen, objectives, robustness, given)
+        summary = client.front_summary(identifier, everything="everything" in query)
+        figures = front_figures(campaign, chosen, summary, robustness, given)
     else:
         own = weights is None and score is None
         ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))

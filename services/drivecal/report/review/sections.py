@@ -119,7 +119,7 @@ def result(review: Review) -> list[str]:
     """Returns the chosen sets against the baseline, by objective and by scenario, with the origin of each score."""
     goals = list(dict.fromkeys(goal.name for each in review.sets.values() for goal in each.summary.objectives))
     rows = [
-        _compared(review, name, _first_baseline(review, name), {k: v.objectives.get(name) for k, v in review.sets.items()})
+        _compared(review, name, _baseline_of(review.first, name), {k: v.objectives.get(name) for k, v in review.sets.items()})
         for name in goals
     ]
     parts = [
@@ -153,10 +153,12 @@ def result(review: Review) -> list[str]:
     ]
 
 
-def _first_baseline(review: Review, name: str) -> float | None:
-    """Returns the baseline's value of the first objective; others are not stored."""
-    baseline = review.first.campaign.baseline
-    return None if baseline is None or name != review.first.summary.objectives[0].name else baseline.objective
+def _baseline_of(reviewed: ReviewedSet, name: str) -> float | None:
+    """Returns the baseline's value of an objective; of others than the first only if the baseline has a value of each."""
+    judged, baseline = reviewed.summary.baseline, reviewed.campaign.baseline
+    if judged is not None:
+        return judged.objectives.get(name)
+    return None if baseline is None or name != reviewed.summary.objectives[0].name else baseline.objective
 
 
 def _compared(
