@@ -13,12 +13,13 @@ from typing import Any
 import pytest
 from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
 from tests.support.command import command
-from tests.support.runs import SMALL, run_posted
+from tests.support.runs import SMALL, run, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
+from drivecal.storage import campaigns
 
 MAPPINGS = {"objectives", "scores", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
@@ -246,3 +247,21 @@ def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: En
     assert (lights["constraints"], lights["all"]) == ("red", "red")
     assert [note for note in campaign["notes"] if "constraints" in note]
     assert "breaks the constraints" in command("show", campaign["id"], "--url", ended.api.url).stdout
+
+
+def test_a_rerun_that_ends_below_a_stored_set_is_amber(ended: Ended) -> None:
+    weights = {"S1": 4, "S2": 1, "S3": 1}
+    small = {"weights": weights, "optimizer": {"iterations": 1, "population": 4, "seed": 5}}
+    answer = ended.api.http.post(f"/api/v1/campaigns/{ended.first}/rerun", json=small)
+    assert answer.status_code == 202, answer.text
+    with ended.api.database.read() as connection:
+        stored = campaigns.get(connection, answer.json()["id"])
+    run(ended.api.database, stored, backend())
+    with Client(ended.api.url) as client:
+        known = client.solutions(ended.first, weights, limit=1).items[0].objective
+        best, trust = client.campaign(stored.id).best, client.trust(stored.id)
+    assert best is not None
+    assert known > best.objective
+    [earlier] = [reason for reason in trust.reasons if reason.about == "earlier"]
+    assert earlier.light == trust.light == "amber"
+    assert f"{known:.6g}" in earlier.text

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
 from drivecal.analysis.chosen import Chosen, at_ends, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
-from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
@@ -23,8 +23,6 @@ FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
 LONG = 3
 """Iterations from which on a search had time to improve what its first one found."""
-SHORT = 8
-"""Characters of a campaign's id in a sentence."""
 _ORDER: tuple[Light, ...] = ("red", "amber", "green")
 _DEFAULT = ReductionSpecification()
 
@@ -64,20 +62,6 @@ class Compromises:
     copied: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Earlier:
-    """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
-
-    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
-    """
-
-    campaign: str
-    objective: float
-    weights: Mapping[str, float]
-    reused: Sequence[str] = ()
-    score: str | None = None
-
-
 def trust(
     campaign: Campaign,
     validated: Sequence[Validated] = (),
@@ -86,6 +70,7 @@ def trust(
     search: Search | None = None,
     front: Compromises | None = None,
     chosen: Chosen | None = None,
+    later: Later | None = None,
 ) -> TrustAnswer:
     """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
     reruns, if both have the same problem. `front`: of several objectives, in the place of a best set. With a `chosen` set, the reasons
@@ -95,7 +80,8 @@ def trust(
     reasons = [
         *_end(campaign),
         *_result(campaign, search, front, chosen),
-        *_earlier(campaign, earlier),
+        *of_later(campaign, later, chosen),
+        *of_earlier(campaign, earlier),
         *_map(campaign, _newest(validated, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(validated, of_predictions=True)),
@@ -191,8 +177,7 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
 def _baseline(campaign: Campaign) -> Iterator[Reason]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
-    minimised = campaign.scale.sign < 0 if campaign.objective is None else campaign.objective.direction == "minimise"
-    gain = (campaign.best.objective - campaign.baseline.objective) * (-1 if minimised else 1)
+    gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     if campaign.best.violation < campaign.baseline.violation:
         text = "The baseline breaks the constraints more than the best set."
         yield Reason(light="green", about="baseline", text=text)
@@ -228,22 +213,6 @@ def _is_the_highest(campaign: Campaign) -> bool:
     if campaign.objective is not None or scale.step is None or campaign.best is None:
         return False
     return not scale.is_better(scale.upper if scale.sign > 0 else scale.lower, campaign.best.objective)
-
-
-def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
-    if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
-        return
-    if (earlier.objective - campaign.best.objective) * campaign.scale.sign <= EQUAL:
-        return
-    copied = f" (a reference's score in {', '.join(earlier.reused)})" if earlier.reused else ""
-    weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
-    score = "" if earlier.score is None else f" --score {earlier.score}"
-    text = (
-        f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: "
-        f"{earlier.objective:.4f}{copied} beside {campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} "
-        f"--weights {weights}{score}` lists it, and a rerun with it in `optimizer.start_sets` searches from there."
-    )
-    yield Reason(light="amber", about="earlier", text=text)
 
 
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:

@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 from tests.support.scales import COST
 
+from drivecal.analysis.better_sets import Earlier, Later
 from drivecal.analysis.chosen import BesideBaseline, Chosen
 from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
-from drivecal.analysis.trust import Compromises, Driven, Earlier, Search, Validated, trust
+from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
@@ -213,6 +214,29 @@ def test_a_better_set_of_the_campaign_that_is_rerun_is_told(objective: float, gi
     assert all("solutions eeeeeeee --weights S1=4,S2=1" in reason.text for reason in reasons)
 
 
+@pytest.mark.parametrize(
+    ("objective", "direction", "is_told"), [(6.5, "maximise", True), (6.5, "minimise", False), (5.5, "minimise", True)]
+)
+def test_a_better_set_under_objectives_of_the_rerun_is_told(objective: float, direction: Any, is_told: bool) -> None:
+    first = FirstObjective(name="energy", unit="1", direction=direction)
+    judged = trust(campaign(objective=first), earlier=Earlier("e" * 32, objective, {"S1": 1.0}))
+    assert [reason.light for reason in judged.reasons if reason.about == "earlier"] == ["amber"] * is_told
+
+
+@pytest.mark.parametrize(("gain", "words"), [(0.5, "a better set"), (-0.5, "the best set is worse"), (0.0, None)])
+def test_later_simulations_that_change_the_best_set_are_amber(gain: float, words: str | None) -> None:
+    later = Later(6.0 + gain, gain, {"P1": 0.7}, ["f" * 32])
+    told = [reason for reason in trust(campaign(), later=later).reasons if reason.about == "later"]
+    assert [reason.light for reason in told] == ["amber"] * (words is not None)
+    assert all(words in reason.text and "campaign ffffffff" in reason.text for reason in told if words is not None)
+
+
+def test_a_chosen_set_that_became_the_best_is_named_as_such() -> None:
+    later = Later(6.5, 0.5, {"P1": 0.7})
+    assert "the chosen set is the best" in about_the_set(Chosen({"P1": 0.7}), later=later)["later"][1]
+    assert "a better set" in about_the_set(Chosen({"P1": 0.9}), later=later)["later"][1]
+
+
 def about_the_search(subject: Campaign, search: Search) -> list[tuple[str, str]]:
     return [(reason.light, reason.text) for reason in trust(subject, search=search).reasons if reason.about == "search"]
 
@@ -257,10 +281,10 @@ ENERGY = BesideBaseline("energy", 153.8, 153.2, -1)
 COMFORT = BesideBaseline("comfort", 6.0, 4.0, 1)
 
 
-def about_the_set(chosen: Chosen, **given: Any) -> dict[str, tuple[str, str]]:
+def about_the_set(chosen: Chosen, later: Later | None = None, **given: Any) -> dict[str, tuple[str, str]]:
     """Light and text by subject, with a search whose best set is better than its baseline in the first objective."""
     before = Baseline(objective=4.0, parameters={}, scores={})
-    judged = trust(campaign("exact", baseline=before, cells={"reused": 0}, **given), chosen=chosen)
+    judged = trust(campaign("exact", baseline=before, cells={"reused": 0}, **given), chosen=chosen, later=later)
     return {reason.about: (reason.light, reason.text) for reason in judged.reasons}
 
 

@@ -171,6 +171,23 @@ def test_a_bound_that_excludes_nothing_is_no_number() -> None:
     assert "S2 4 0 9 1 0 5.0% none" in text
 
 
+def test_a_score_that_another_campaign_simulated_later_names_its_cell() -> None:
+    cells = {"S1": ScoreOrigin(11, "simulated"), "S2": ScoreOrigin(2031, "later", "d" * 32)}
+    page = text_of(sheet(review(reviewed(cells=cells))))
+    assert "S2 4 5 +1 simulated later (2031 of campaign dddddddd)" in page
+    assert f"for cell in 11; do drivecal explain {'a' * 32} $cell; done" in page
+    assert f"for cell in 2031; do drivecal explain {'d' * 32} $cell; done" in page
+
+
+def test_a_robustness_study_is_advised_only_where_there_are_vehicle_parameters() -> None:
+    advice = f"drivecal robustness {'a' * 32}"
+    assert advice in text_of(sheet(review(reviewed(robustness=[]))))
+    scenarios = [scenario.model_copy(update={"vehicle": None}) for scenario in SETUP.scenarios]
+    pushed = text_of(sheet(review(reviewed(robustness=[], setup=SETUP.model_copy(update={"scenarios": scenarios})))))
+    assert advice not in pushed
+    assert "no vehicle parameters" in pushed
+
+
 def test_the_sheet_needs_nothing_else() -> None:
     for page in (PAGE, BOTH):
         assert "<script" not in page

@@ -17,12 +17,14 @@ from drivecal.contracts.campaign import Study, StudyName
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import Outcome
 from drivecal.report.data import Row, Studied
 from drivecal.report.review.data import RankedIn, Review, ReviewedSet, ScoreOrigin
 from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.references import runs
 
 LARGEST_RANK = 10**6
 _AGAINST = re.compile(r"(?:(?P<campaign>[0-9A-Za-z-]{8,64})(?::(?P<rank>[1-9][0-9]{0,5}))?|(?P<own>[1-9][0-9]{0,5}))")
@@ -118,15 +120,24 @@ def _in_question(
 
 
 def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontRow) -> dict[str, ScoreOrigin]:
-    """Returns the cells that the scores of a set are taken from, by scenario."""
+    """Returns the cells that the scores of a set are taken from, by scenario: that of another campaign if it simulated the cell later."""
     cells: dict[str, ScoreOrigin] = {}
     if chosen.iteration is None or chosen.individual is None:
         return cells
     with database.read() as connection:
+        later = runs.simulated_later(connection, stored.sequence, resolved_spec(stored).evaluator)
+        corrected = {(run.parameter_set, run.scenario): run for run in later}
         for scenario in chosen.scores:
             number = results.number_at(connection, stored.sequence, chosen.iteration, chosen.individual, scenario)
-            outcome = results.by_id(connection, number).outcome
-            cells[scenario] = ScoreOrigin(number, "failed" if outcome is None else outcome.value)
+            cell = results.by_id(connection, number)
+            outcome = "failed" if cell.outcome is None else cell.outcome.value
+            run = corrected.get((cell.parameter_set_id, scenario))
+            if cell.outcome not in {Outcome.REUSED, Outcome.PREDICTED} or scenario in chosen.reused:
+                cells[scenario] = ScoreOrigin(number, outcome)
+            elif run is not None:
+                cells[scenario] = ScoreOrigin(run.evaluation, "later", run.campaign)
+            else:  # a certificate says which run it repeats
+                cells[scenario] = ScoreOrigin(number, "certified")
     return cells
 
 

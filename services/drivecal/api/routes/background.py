@@ -15,7 +15,7 @@ from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
 from drivecal.api.tables.importance import importance
-from drivecal.api.tables.ranking import earlier_best
+from drivecal.api.tables.ranking import earlier_best, later_best
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_document, stored_scale
@@ -105,7 +105,8 @@ def trust_in(
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)
     compromises = _compromises(database, campaign, front)
-    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search, compromises, chosen)
+    later = None if compromises is not None else later_best(database, campaign)
+    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search, compromises, chosen, later)
 
 
 def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFront | None) -> Compromises | None:

@@ -12,6 +12,10 @@ def robustness(review: Review) -> list[str]:
     parts: list[str] = []
     for label, reviewed in review.labelled().items():
         examined = reviewed.robust
+        if examined is None and not any(scenario.vehicle for scenario in reviewed.setup.scenarios):
+            reason = "the problem has no vehicle parameters to vary; scenarios can hold the conditions to be robust against"
+            parts.append(paragraph(f"Not examined{label}: {reason}."))
+            continue
         if examined is None:
             studied = "no robustness study examined this set" if reviewed.robustness else "no robustness study was made"
             parts.append(paragraph(f"Not known{label}: {studied}."))

@@ -15,12 +15,15 @@ from drivecal.report.sections.commands import evaluation
 
 MOST_SHOWN = 30
 """Sets of the front in its table: the first ones, the marked ones, and the chosen ones."""
+SHORT = 8
+"""Characters of another campaign's id in the table of scores."""
 ORIGINS = {
     "simulated": "simulated",
     "repeated": "repeats a simulation",
     "certified": "certified",
     "reused": "copied",
     "predicted": "predicted",
+    "later": "simulated later",
     "failed": "no result",
 }
 MEANINGS = {
@@ -29,6 +32,7 @@ MEANINGS = {
     "certified": "a stored run of another set; a proof says that this set's run has the same bits",
     "reused": "a stored run of another set; an influence map says that the difference does not matter",
     "predicted": "a prediction from other runs, released with its lot",
+    "later": "a run of this very set by another campaign, in the place of a copied or predicted score",
     "failed": "no result after all attempts",
 }
 
@@ -182,13 +186,20 @@ def _differences(review: Review) -> list[str]:
 
 def _origin(reviewed: ReviewedSet, scenario: str) -> str | None:
     cell = reviewed.cells.get(scenario)
-    return None if cell is None else f"{ORIGINS.get(cell.outcome, cell.outcome)} ({cell.number})"
+    if cell is None:
+        return None
+    place = "" if cell.campaign is None else f" of campaign {cell.campaign[:SHORT]}"
+    return f"{ORIGINS.get(cell.outcome, cell.outcome)} ({cell.number}{place})"
 
 
 def _drives(reviewed: ReviewedSet) -> str:
-    numbers = " ".join(str(cell.number) for cell in reviewed.cells.values())
+    numbers: dict[str, list[str]] = {}
+    for cell in reviewed.cells.values():
+        numbers.setdefault(cell.campaign or reviewed.campaign.id, []).append(str(cell.number))
     lines = [_evaluation(reviewed, reviewed.chosen.parameters)]
-    lines += [f"for cell in {numbers}; do drivecal explain {reviewed.campaign.id} $cell; done"] if numbers else []
+    lines += [
+        f"for cell in {' '.join(cells)}; do drivecal explain {campaign} $cell; done" for campaign, cells in numbers.items()
+    ]
     return "\n".join(lines)
 
 
