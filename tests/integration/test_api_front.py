@@ -140,6 +140,9 @@ def test_files_hold_the_same_rows(ended: Ended) -> None:
         assert rows.to_arrow() == downloaded.to_arrow()
         judged = client.evaluated_sets(ended.first).to_arrow()
         assert judged == client.frame(ended.first, "front/evaluated").to_arrow()
+        ranked = client.solutions(ended.first, limit=1000)
+        assert ranked.to_arrow() == client.frame(ended.first, "solutions").to_arrow()
+    assert list(ranked.to_pandas()["objective"]) == [each.objective for each in ranked.items]
     frame = rows.to_pandas()
     assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
     assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]

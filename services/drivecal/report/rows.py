@@ -1,8 +1,10 @@
 """Rows and sentences that the page of a report and the command line share."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Literal
+
+import numpy as np
 
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
@@ -248,12 +250,42 @@ def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
     return f"baseline: {amounts} ({place}){broken}"
 
 
-def first_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order: the first ones, and in place of the last of them the knee and the best of each
-    objective, which are kept even beyond the limit."""
-    marked = {place for place, row in enumerate(rows) if row.knee or row.best_in}
-    others = [place for place in range(len(rows)) if place not in marked]
-    return [rows[place] for place in sorted({*marked, *others[: max(0, limit - len(marked))]})]
+def shown_of_front(rows: Sequence[FrontRow], limit: int, chosen: Collection[int] = ()) -> list[FrontRow]:
+    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit. The
+    others are the first ones under weights, else spread over the front: each is the farthest from all that are kept."""
+    kept = [place for place, row in enumerate(rows) if row.knee or row.best_in or row.rank in chosen]
+    others = [place for place in range(len(rows)) if place not in kept]
+    if rows and rows[0].weighted is not None:
+        kept += others[: max(0, limit - len(kept))]
+    elif rows:
+        kept += _spread(rows, kept or others[:1], min(limit, len(rows)) - len(kept))
+    return [rows[place] for place in sorted(set(kept))]
+
+
+def _spread(rows: Sequence[FrontRow], kept: Sequence[int], count: int) -> list[int]:
+    """Returns `count` further places, by distances of the objectives, scaled to their ranges (Gonzalez 1985, Theoretical Computer Science
+    38, Section 2)."""
+    points = np.array([list(row.objectives.values()) for row in rows])
+    ranges = np.ptp(points, axis=0)
+    points = points / np.where(ranges > 0, ranges, 1.0)
+    nearest = np.full(len(rows), np.inf)
+    for place in kept:
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[place], axis=1))
+    nearest[list(kept)] = -1.0
+    places: list[int] = []
+    for _ in range(count):
+        places.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[places[-1]], axis=1))
+        nearest[places] = -1.0
+    return places
+
+
+def left_out_of_front(kept: Sequence[FrontRow], rows: Sequence[FrontRow]) -> str:
+    """Returns how many sets of a front are shown, and which; empty if all are."""
+    if len(kept) == len(rows):
+        return ""
+    others = "the first ones" if rows[0].weighted is not None else "sets spread over the front"
+    return f"{len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, and {others}"
 
 
 def front_marks(row: FrontRow) -> str:

@@ -78,7 +78,10 @@ def front(
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
     ] = None,
     limit: Annotated[
-        int, typer.Option(min=1, help="How many to print, with the knee and the best of each objective; --json lists all.")
+        int,
+        typer.Option(
+            min=1, help="How many to print: knee, best of each objective, others spread over the front; --json lists all."
+        ),
     ] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,

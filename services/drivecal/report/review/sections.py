@@ -10,11 +10,11 @@ from drivecal.domain.scales import plain, told, unit_text
 from drivecal.report.markup import bullets, command, paragraph, table
 from drivecal.report.review.data import Review, ReviewedSet
 from drivecal.report.review.scatter import drawings
-from drivecal.report.rows import Number, front_marks
+from drivecal.report.rows import Number, front_marks, shown_of_front
 from drivecal.report.sections.commands import evaluation
 
 MOST_SHOWN = 30
-"""Sets of the front in its table: the first ones, the marked ones, and the chosen ones."""
+"""Sets of the front in its table, if no more are marked or chosen."""
 SHORT = 8
 """Characters of another campaign's id in the table of scores."""
 ORIGINS = {
@@ -257,7 +257,7 @@ def _value(value: float | str | None) -> object:
 
 
 def front(review: Review) -> list[str]:
-    """Returns the drawing and the first sets of the front; nothing for a single objective."""
+    """Returns the drawing and sets of the front; nothing for a single objective."""
     parts: list[str] = []
     for label, reviewed in review.labelled().items():
         if len(reviewed.summary.objectives) < 2 or not reviewed.front:
@@ -270,15 +270,19 @@ def front(review: Review) -> list[str]:
         }
         marked = {name: list(each.objectives.values()) for name, each in same.items()}
         chosen = {each.chosen.rank for each in same.values()}
-        rows = [row for row in reviewed.front if row.rank in chosen or row.knee or row.best_in]
-        rows += [row for row in reviewed.front if row not in rows][: max(0, MOST_SHOWN - len(rows))]
+        rows = shown_of_front(reviewed.front, MOST_SHOWN, chosen)
         lines = [
             [row.rank, *(Number(f"{amount:.6g}") for amount in row.objectives.values()), row.degree, _marks(row, chosen)]
-            for row in sorted(rows, key=lambda row: row.rank)
+            for row in rows
         ]
         volume = reviewed.summary.hypervolume
         caption = (
             f"Front{label}: {len(lines)} of {reviewed.summary.size:,} sets that no other evaluated set beats in every objective"
+        )
+        caption += (
+            ""
+            if len(rows) == len(reviewed.front)
+            else ": the chosen, the knee, the best of each objective, others spread over it"
         )
         caption += "" if volume is None else f"; hypervolume {volume:.6g}"
         parts += [
@@ -299,7 +303,7 @@ def _show_json(reviewed: ReviewedSet) -> str:
 
 def _ranking(reviewed: ReviewedSet) -> str:
     if reviewed.table == "front":
-        return f"drivecal front {reviewed.campaign.id} --limit {max(reviewed.chosen.rank, 1)}"
+        return f"drivecal front {reviewed.campaign.id} --limit {reviewed.summary.size}"
     return f"drivecal solutions {reviewed.campaign.id} --limit {reviewed.chosen.rank}"
 
 
