@@ -158,3 +158,7 @@ def test_a_better_set_that_a_study_shows_later_is_told_with_the_origin_of_its_sc
             scenario in predicted
         )
     assert "chosen set is the best" in page
+    cell = next(row for row in ended.rows if (row["iteration"], row["individual"], row["scenario"]) == (*place, min(predicted)))
+    simulated = re.findall(r"\d+", origins[min(predicted)])[0]
+    explained = command("explain", ended.campaign.id, cell["id"], "--url", ended.api.url)
+    assert f"Evaluation {simulated} of campaign {submitted} simulated this very cell later: score 7" in explained.stdout
