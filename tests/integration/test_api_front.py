@@ -13,12 +13,13 @@ from typing import Any
 import pytest
 from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
 from tests.support.command import command
-from tests.support.runs import SMALL, run_posted
+from tests.support.runs import SMALL, run, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
+from drivecal.storage import campaigns
 
 MAPPINGS = {"objectives", "scores", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
@@ -139,6 +140,9 @@ def test_files_hold_the_same_rows(ended: Ended) -> None:
         assert rows.to_arrow() == downloaded.to_arrow()
         judged = client.evaluated_sets(ended.first).to_arrow()
         assert judged == client.frame(ended.first, "front/evaluated").to_arrow()
+        ranked = client.solutions(ended.first, limit=1000)
+        assert ranked.to_arrow() == client.frame(ended.first, "solutions").to_arrow()
+    assert list(ranked.to_pandas()["objective"]) == [each.objective for each in ranked.items]
     frame = rows.to_pandas()
     assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
     assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]
@@ -172,9 +176,12 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         baseline, own = client.front_summary(ended.first).baseline, client.campaign(ended.first).baseline
         listed = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front/evaluated", params={"limit": 1000}).json()["items"]
         assert client.front_summary(ended.plain).baseline is None
+        trust = client.trust(ended.first)
     assert baseline is not None
     assert own is not None
     assert baseline.objectives["comfort"] == own.objective
+    own_light = next(reason.light for reason in trust.reasons if reason.about == "baseline")
+    assert (own_light == "amber") is (baseline.rank is not None)
     [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]
     assert (first["objectives"], first["on_front"]) == (baseline.objectives, baseline.rank is not None)
 
@@ -206,6 +213,11 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     shown = command("front", ended.first, "--url", ended.api.url)
     assert shown.exit_code == 0, shown.stderr
     assert f"best {JERK}" in shown.stdout
+    with Client(ended.api.url) as client:
+        baseline = client.front_summary(ended.first).baseline
+    assert baseline is not None
+    (line,) = (line for line in shown.stdout.splitlines() if line.startswith("baseline:"))
+    assert all(f"{name} {amount:.6g}" in line for name, amount in baseline.objectives.items())
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])
     between = command("front", ended.first, "--between", "1,2", "--url", ended.api.url, "--json")
@@ -238,3 +250,21 @@ def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: En
     assert (lights["constraints"], lights["all"]) == ("red", "red")
     assert [note for note in campaign["notes"] if "constraints" in note]
     assert "breaks the constraints" in command("show", campaign["id"], "--url", ended.api.url).stdout
+
+
+def test_a_rerun_that_ends_below_a_stored_set_is_amber(ended: Ended) -> None:
+    weights = {"S1": 4, "S2": 1, "S3": 1}
+    small = {"weights": weights, "optimizer": {"iterations": 1, "population": 4, "seed": 5}}
+    answer = ended.api.http.post(f"/api/v1/campaigns/{ended.first}/rerun", json=small)
+    assert answer.status_code == 202, answer.text
+    with ended.api.database.read() as connection:
+        stored = campaigns.get(connection, answer.json()["id"])
+    run(ended.api.database, stored, backend())
+    with Client(ended.api.url) as client:
+        known = client.solutions(ended.first, weights, limit=1).items[0].objective
+        best, trust = client.campaign(stored.id).best, client.trust(stored.id)
+    assert best is not None
+    assert known > best.objective
+    [earlier] = [reason for reason in trust.reasons if reason.about == "earlier"]
+    assert earlier.light == trust.light == "amber"
+    assert f"{known:.6g}" in earlier.text

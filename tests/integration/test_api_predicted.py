@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -117,3 +118,47 @@ def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytes
     assert command("report", ended.campaign.id, "-o", str(tmp_path / "report")).exit_code == 0
     balance = dict(row[:2] for row in csv.reader((tmp_path / "report/tables/balance.csv").read_text().splitlines()))
     assert float(balance["saved by predicted cells"]) > 0
+
+
+def test_a_better_set_that_a_study_shows_later_is_told_with_the_origin_of_its_scores(ended: Ended) -> None:
+    """The study simulates every released prediction, and each has the highest score."""
+    best = ended.campaign.best
+    assert best is not None
+    study = {
+        "parameters": SPACE,
+        "catalogue": ["S1", "S2"],
+        "optimizer": None,
+        "validation": {"of": ended.campaign.id, "samples": 10**6},
+    }
+    submitted = ended.api.http.post("/api/v1/campaigns", json=study).raise_for_status().json()["id"]
+    assert "later" not in {reason["about"] for reason in ended.api.http.get(ended.campaign.links["trust"]).json()["reasons"]}
+    with ended.api.database.read() as connection:
+        stored = campaigns.get(connection, submitted)
+    highest = ComputedBackend(answer=lambda scenario, cell: replace(slowly(scenario, cell), score=7.0, rating=7.0))
+    run(ended.api.database, stored, highest)
+    trust = ended.api.http.get(ended.campaign.links["trust"]).json()
+    [later] = [reason for reason in trust["reasons"] if reason["about"] == "later"]
+    first = ended.api.http.get(ended.campaign.links["solutions"]).json()["items"][0]
+    assert later["light"] == "amber"
+    assert first["objective"] > best.objective == ended.api.http.get(ended.campaign.links["self"]).json()["best"]["objective"]
+    assert f"{first['objective']:.4f}" in later["text"]
+    assert submitted[:8] in later["text"]
+
+    place = (str(first["iteration"]), str(first["individual"]))
+    answered = {row["scenario"]: row["outcome"] for row in ended.rows if (row["iteration"], row["individual"]) == place}
+    page = ended.api.http.get(f"{ended.campaign.links['self']}/review?set=1").text
+    page = page[page.index("<h2>Result</h2>") :]
+    scores = page[: page.index("<h2>Parameters</h2>")]
+    origins = dict(re.findall(r"<td>(S\d)</td>(?:<td[^>]*>[^<]*</td>){3}<td[^>]*>([^<]*)</td>", scores))
+    assert origins.keys() == {"S1", "S2"}
+    predicted = {scenario for scenario, outcome in answered.items() if outcome == Outcome.PREDICTED}
+    assert predicted
+    for scenario, origin in origins.items():
+        assert (re.fullmatch(rf"simulated later \(\d+ of campaign {submitted[:8]}\)", origin) is not None) == (
+            scenario in predicted
+        )
+    assert "chosen set is the best" in page
+    cell = next(row for row in ended.rows if (row["iteration"], row["individual"], row["scenario"]) == (*place, min(predicted)))
+    simulated = re.findall(r"\d+", origins[min(predicted)])[0]
+    explained = command("explain", ended.campaign.id, cell["id"], "--url", ended.api.url)
+    assert f"Evaluation {simulated} of campaign {submitted} simulated this very cell later: score 7" in explained.stdout

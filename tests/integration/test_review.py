@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.domain.errors import InvalidInputError, NotFoundError
+from drivecal.domain.scales import unit_text
 from drivecal.report.review.content import read_sheet
 
 SPEC = SMALL | {"optimizer": NSGA2 | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
@@ -66,8 +68,39 @@ def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
     result = answer.text[answer.text.index("<h2>Result</h2>") :]
     for name, amount in chosen.objectives.items():
         assert f"{amount:.6g}" in row(result, name, 4)
-    assert all(reason.text in answer.text for reason in trust.reasons)
+    about_the_set = {"baseline", "confirmation", "constraints"}
+    assert all(reason.text in answer.text for reason in trust.reasons if reason.about not in about_the_set)
     assert answer.text == ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?front=1").text
+
+
+def test_each_set_of_a_sheet_is_compared_with_the_baseline_in_every_objective(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        rows, summary, trust = client.front(ended.several), client.front_summary(ended.several), client.trust(ended.several)
+        page = html.unescape(client.review(ended.several, front=1, against=str(len(rows))))
+    assert summary.baseline is not None
+    before = summary.baseline.objectives
+    for chosen in (rows[0], rows[-1]):
+        units = {goal.name: unit_text(goal.unit) for goal in summary.objectives}
+        changes = [
+            f"{name} {chosen.objectives[name]:.6g}{unit}, baseline {before[name]:.6g}{unit}:" for name, unit in units.items()
+        ]
+        [about_the_baseline] = [line for line in re.findall(r"<li>([^<]*)</li>", page) if all(each in line for each in changes)]
+        signs = [1 if goal.direction == "maximise" else -1 for goal in summary.objectives]
+        gains = [sign * (chosen.objectives[name] - before[name]) for sign, name in zip(signs, before, strict=True)]
+        assert about_the_baseline.startswith("green" if min(gains) >= 0 < max(gains) else "amber")
+    result = page[page.index("<h2>Result</h2>") :]
+    for name, amount in before.items():
+        assert row(result, name, 2)[1] == f"{amount:.6g}"
+    assert "The best set" not in page
+    beaten = [
+        each
+        for each in rows
+        if all(sign * (each.objectives[name] - before[name]) >= 0 for sign, name in zip(signs, before, strict=True))
+        and each.objectives != before
+    ]
+    [light] = [reason for reason in trust.reasons if reason.about == "baseline"]
+    assert light.light == ("green" if beaten else "amber")
+    assert light.text.startswith(f"{len(beaten)} of {len(rows)} sets" if beaten else "No set")
 
 
 def test_two_sets_and_two_campaigns_are_compared(ended: Ended) -> None:

@@ -9,9 +9,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
+from drivecal.analysis.chosen import Chosen, at_ends, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
-from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
@@ -22,8 +23,6 @@ FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
 LONG = 3
 """Iterations from which on a search had time to improve what its first one found."""
-SHORT = 8
-"""Characters of a campaign's id in a sentence."""
 _ORDER: tuple[Light, ...] = ("red", "amber", "green")
 _DEFAULT = ReductionSpecification()
 
@@ -46,25 +45,21 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The course of a search for one objective. `course`: objective and rating of the best set so far, by finished iteration.
-    `ranges`: lower and upper value of the searched parameters with an order."""
+    """The course of an ended search. `course`: objective and rating of the best set so far, by finished iteration; empty with several
+    objectives, which have no single course. `ranges`: lower and upper value of the searched parameters with an order."""
 
     course: Sequence[tuple[float | None, float | None]]
     ranges: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Earlier:
-    """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
+class Compromises:
+    """The front of several objectives. `dominating`: sets that are better than the baseline in an objective and worse in none; None
+    without an evaluated baseline. `copied`: sets with a score of a reference."""
 
-    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
-    """
-
-    campaign: str
-    objective: float
-    weights: Mapping[str, float]
-    reused: Sequence[str] = ()
-    score: str | None = None
+    size: int
+    dominating: int | None
+    copied: int = 0
 
 
 def trust(
@@ -73,18 +68,20 @@ def trust(
     driven: Sequence[Driven] = (),
     earlier: Earlier | None = None,
     search: Search | None = None,
+    front: Compromises | None = None,
+    chosen: Chosen | None = None,
+    later: Later | None = None,
 ) -> TrustAnswer:
     """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
-    reruns, if both have the same problem. `search`: None with several objectives, which have no single course."""
+    reruns, if both have the same problem. `front`: of several objectives, in the place of a best set. With a `chosen` set, the reasons
+    about a set are about this one."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
         return TrustAnswer(light=None, reasons=[])
     reasons = [
         *_end(campaign),
-        *_constraints(campaign),
-        *_confirmation(campaign),
-        *_baseline(campaign),
-        *_search(campaign, search),
-        *_earlier(campaign, earlier),
+        *_result(campaign, search, front, chosen),
+        *of_later(campaign, later, chosen),
+        *of_earlier(campaign, earlier),
         *_map(campaign, _newest(validated, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(validated, of_predictions=True)),
@@ -105,6 +102,53 @@ def _end(campaign: Campaign) -> Iterator[Reason]:
         yield Reason(light="red", about="end", text="No parameter set has a score in every scenario.")
     elif state is CampaignState.CANCELLED:
         yield Reason(light="amber", about="end", text="The campaign was cancelled before its search was complete.")
+
+
+def _result(campaign: Campaign, search: Search | None, front: Compromises | None, chosen: Chosen | None) -> Iterator[Reason]:
+    """Yields the reasons about the chosen set, else about the front of several objectives, else about the best set."""
+    if chosen is not None:
+        if chosen.is_best and front is None:
+            verdict = list(_confirmation(campaign))
+            about_it = [
+                reason for reason in reasons_for(chosen, _ranges(search)) if not verdict or reason.about != "confirmation"
+            ]
+            yield from (*verdict, *about_it)
+        else:
+            yield from reasons_for(chosen, _ranges(search))
+        yield from _course(campaign, search)
+    elif front is not None:
+        yield from (*_constraints(campaign), *_front(campaign, front))
+    else:
+        yield from (*_constraints(campaign), *_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
+        if campaign.best is not None:
+            yield from at_ends("the best set", campaign.best.parameters, _ranges(search))
+
+
+def _ranges(search: Search | None) -> Mapping[str, tuple[float, float]]:
+    return {} if search is None else search.ranges
+
+
+def _front(campaign: Campaign, front: Compromises) -> Iterator[Reason]:
+    if campaign.best is None or not front.size:
+        return
+    verdict = verdict_in(campaign.notes)
+    if verdict is not None:
+        yield from _confirmation(campaign)
+    elif front.copied:
+        text = f"{front.copied:,} of {front.size:,} sets of the front have a reference's score."
+        yield Reason(light="amber", about="confirmation", text=text)
+    else:
+        text = "Every score of the sets of the front was simulated, repeats a simulation or provably equals one."
+        yield Reason(light="green", about="confirmation", text=text)
+    if campaign.baseline is not None and campaign.best.violation < campaign.baseline.violation:
+        text = "The baseline breaks the constraints more than the sets of the front."
+        yield Reason(light="green", about="baseline", text=text)
+    elif front.dominating:
+        text = f"{front.dominating:,} of {front.size:,} sets of the front are better than the baseline in an objective and worse in none."
+        yield Reason(light="green", about="baseline", text=text)
+    elif front.dominating is not None:
+        text = "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal."
+        yield Reason(light="amber", about="baseline", text=text)
 
 
 def _constraints(campaign: Campaign) -> Iterator[Reason]:
@@ -133,8 +177,7 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
 def _baseline(campaign: Campaign) -> Iterator[Reason]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
-    minimised = campaign.scale.sign < 0 if campaign.objective is None else campaign.objective.direction == "minimise"
-    gain = (campaign.best.objective - campaign.baseline.objective) * (-1 if minimised else 1)
+    gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     if campaign.best.violation < campaign.baseline.violation:
         text = "The baseline breaks the constraints more than the best set."
         yield Reason(light="green", about="baseline", text=text)
@@ -144,7 +187,7 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
 
 
-def _search(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
+def _course(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
     if search is None or campaign.best is None or CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
     if len(search.course) >= LONG and _stood_still(search.course, campaign.best) and not _is_the_highest(campaign):
@@ -153,12 +196,6 @@ def _search(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
             "optimizer may find one."
         )
         yield Reason(light="amber", about="search", text=text)
-    values = campaign.best.parameters
-    at_end = [f"{name} ({value_text(values[name])})" for name, ends in search.ranges.items() if values.get(name) in ends]
-    if at_end:
-        lie = "lies at an end of its range" if len(at_end) == 1 else "lie at an end of their ranges"
-        text = f"In the best set {', '.join(at_end)} {lie}; a wider range may hold better sets."
-        yield Reason(light="green", about="search", text=text)
 
 
 def _stood_still(course: Sequence[tuple[float | None, float | None]], best: Best) -> bool:
@@ -176,22 +213,6 @@ def _is_the_highest(campaign: Campaign) -> bool:
     if campaign.objective is not None or scale.step is None or campaign.best is None:
         return False
     return not scale.is_better(scale.upper if scale.sign > 0 else scale.lower, campaign.best.objective)
-
-
-def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
-    if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
-        return
-    if (earlier.objective - campaign.best.objective) * campaign.scale.sign <= EQUAL:
-        return
-    copied = f" (a reference's score in {', '.join(earlier.reused)})" if earlier.reused else ""
-    weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
-    score = "" if earlier.score is None else f" --score {earlier.score}"
-    text = (
-        f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: "
-        f"{earlier.objective:.4f}{copied} beside {campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} "
-        f"--weights {weights}{score}` lists it, and a rerun with it in `optimizer.start_sets` searches from there."
-    )
-    yield Reason(light="amber", about="earlier", text=text)
 
 
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:

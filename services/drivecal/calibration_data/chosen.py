@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.results import FrontObjective
+from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.setup import CampaignSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import unit_text
@@ -87,16 +87,17 @@ def solution_figures(
 def front_figures(
     campaign: Campaign,
     chosen: FrontRow,
-    objectives: Sequence[FrontObjective],
+    summary: FrontSummary,
     robustness: Sequence[RobustnessRow],
     weights: Mapping[str, float] | None,
 ) -> Iterator[tuple[str, str]]:
     """Yields what is known of a set of the front. `weights`: those of the objectives that rank, None if the first objective does."""
     for name, amount in chosen.objectives.items():
         yield f"objective {name}", _number(amount)
-    if campaign.baseline is not None and campaign.baseline.objective is not None and campaign.objective is not None:
-        yield f"objective {campaign.objective.name} of the baseline", _number(campaign.baseline.objective)
-    for objective in objectives:
+    baseline = {} if summary.baseline is None else summary.baseline.objectives
+    for name, amount in baseline.items():
+        yield f"objective {name} of the baseline", _number(amount)
+    for objective in summary.objectives:
         unit = unit_text(objective.unit, ", ")
         yield f"scale of objective {objective.name}", f"{objective.direction}, {objective.aggregate}{unit}"
     if weights is not None and chosen.weighted is not None:
@@ -131,10 +132,10 @@ def _bounds(campaign: Campaign, chosen: Solution | FrontRow, robustness: Sequenc
         yield "degree of robustness", f"{'at least ' if row.at_least else ''}{row.degree}"
     for scenario, released in campaign.released.items():
         if released.upper_95 is not None:
-            yield f"share of wrong predictions {scenario}", f"at most {released.upper_95:.3g} (95 %)"
+            yield f"share of wrong predictions {scenario}", f"at most {100 * released.upper_95:.3g} % (95 %)"
     for scenario, checked in campaign.error_rate.items():
         if checked.upper_95 is not None:
-            yield f"share of wrong reused scores {scenario}", f"at most {checked.upper_95:.3g} (95 %)"
+            yield f"share of wrong reused scores {scenario}", f"at most {100 * checked.upper_95:.3g} % (95 %)"
 
 
 def _number(value: float) -> str:

@@ -15,7 +15,7 @@ from drivecal.client.answers import harmless, raise_for, unreachable
 from drivecal.client.documents import Document, plain, weights_text
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
-from drivecal.client.frames import DownloadedTable, Rows
+from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.identifiers import completed, ids_on, is_abbreviated, with_full_ids
 from drivecal.client.notebooks import displayed
 from drivecal.client.organising import CampaignLists
@@ -44,7 +44,6 @@ from drivecal.contracts.tables import (
     JudgedSet,
     OptimumRow,
     RobustnessRow,
-    SolutionPage,
     TableName,
     ValidationRow,
 )
@@ -194,11 +193,11 @@ class Client(CampaignLists):
         weights: Mapping[str, float] | str | None = None,
         limit: int | None = None,
         score: str | None = None,
-    ) -> SolutionPage:
+    ) -> RankedSets:
         """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its
-        score, another of its problem, or `NAME@PUSH`: one that another push declares."""
+        score, another of its problem, or `NAME@PUSH`: one that another push declares. The `items` of the answer are its rows."""
         return self._get(
-            SolutionPage, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
+            RankedSets, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
         )
 
     def evaluations(self, identifier: str, **query: Any) -> DownloadedTable:

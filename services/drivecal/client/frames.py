@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from drivecal.client.arrow import arrow_schema, arrow_table
 from drivecal.contracts.campaign import MOST_ROWS, html_table
-from drivecal.contracts.tables import Kind, columns_of, file_row
+from drivecal.contracts.tables import Kind, Solution, SolutionPage, columns_of, file_row
 
 RowModel = TypeVar("RowModel", bound=BaseModel)
 
@@ -88,6 +88,14 @@ class Rows(list[RowModel], Frames):
     def _repr_html_(self) -> str:
         """Returns the first rows as a table."""
         return html_table([row.model_dump(mode="json") for row in self])
+
+
+class RankedSets(SolutionPage, Frames):
+    """The solutions of a campaign, best first; in other forms with the columns of the table's files."""
+
+    def to_arrow(self) -> Any:
+        """Returns a `pyarrow.Table` of the `items`."""
+        return Rows(Solution, self.items).to_arrow()
 
 
 def _package(name: str) -> Any:

@@ -1,13 +1,15 @@
 """Rows and sentences that the page of a report and the command line share."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Literal
+
+import numpy as np
 
 from drivecal.contracts.campaign import ErrorRate, Released
 from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale, unit_text
 
@@ -37,6 +39,11 @@ def percent(share: float | None, digits: int = 2) -> Number | None:
     return None if share is None else Number(f"{share:.{digits}%}")
 
 
+def bound(upper_95: float | None) -> Number | str | None:
+    """Returns a 95 % bound of a share in percent; `none` for one of 100 %, which excludes nothing, and None for an unknown one."""
+    return "none" if upper_95 is not None and upper_95 >= 1.0 else percent(upper_95)
+
+
 def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
     """Returns the sum of each of the named fields over all items."""
     listed = list(items)
@@ -63,6 +70,11 @@ def interval_text(rows: Sequence[ValidationRow]) -> str:
     over = {row.interval_over for row in rows if row.compared}
     if not over:
         return ""
+    if all(row.released is not None for row in rows):
+        return (
+            "Each 95 % interval is that of a binomial share (Clopper-Pearson): each simulated prediction is a draw of its own from the "
+            "released ones."
+        )
     if over == {"bases"}:
         return (
             "Each 95 % interval is one of the mean over base sets (by betting, for any distribution), because variants of one base set are "
@@ -115,7 +127,7 @@ def error_rates(rates: Mapping[str, ErrorRate]) -> list[list[object]]:
         [
             *(name, rate.audited, rate.different, rate.wrong),
             percent(rate.wrong / rate.audited if rate.audited else None),
-            *(percent(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
+            *(bound(rate.upper_95), rate.contradictions, rate.lots, rate.rejected),
             Emphasized("stopped") if rate.stopped else "on",
         ]
         for name, rate in rates.items()
@@ -163,7 +175,7 @@ def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
     return [
         [
             *(name, lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(percent(lots.limit, 1), percent(lots.upper_95)),
+            *(percent(lots.limit, 1), bound(lots.upper_95)),
         ]
         for name, lots in released.items()
         if lots.lots
@@ -214,7 +226,7 @@ def segment(row: InfluenceRow) -> tuple[float, float] | None:
 
 
 def front_lines(summary: FrontSummary) -> list[str]:
-    """Returns what is known of a whole front: a line for each objective and constraint, and the numbers of sets."""
+    """Returns what is known of a whole front: a line for each objective and constraint, for the baseline, and the numbers of sets."""
     lines = []
     for objective in summary.objectives:
         ends = (
@@ -224,17 +236,56 @@ def front_lines(summary: FrontSummary) -> list[str]:
         )
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
+    lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
     volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"
     sets = f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}"
     return [*lines, sets]
 
 
-def first_of_front(rows: Sequence[FrontRow], limit: int) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order: the first ones, and in place of the last of them the knee and the best of each
-    objective, which are kept even beyond the limit."""
-    marked = {place for place, row in enumerate(rows) if row.knee or row.best_in}
-    others = [place for place in range(len(rows)) if place not in marked]
-    return [rows[place] for place in sorted({*marked, *others[: max(0, limit - len(marked))]})]
+def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
+    units = {objective.name: unit_text(objective.unit) for objective in summary.objectives}
+    amounts = ", ".join(f"{name} {amount:.6g}{units[name]}" for name, amount in baseline.objectives.items())
+    broken = f"; it breaks constraints by {baseline.violation:.3g}" if baseline.violation > 0 else ""
+    place = "sets of the front beat it" if baseline.rank is None else f"on the front, rank {baseline.rank}"
+    return f"baseline: {amounts} ({place}){broken}"
+
+
+def shown_of_front(rows: Sequence[FrontRow], limit: int, chosen: Collection[int] = ()) -> list[FrontRow]:
+    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit. The
+    others are the first ones under weights, else spread over the front: each is the farthest from all that are kept."""
+    kept = [place for place, row in enumerate(rows) if row.knee or row.best_in or row.rank in chosen]
+    others = [place for place in range(len(rows)) if place not in kept]
+    if rows and rows[0].weighted is not None:
+        kept += others[: max(0, limit - len(kept))]
+    elif rows:
+        kept += _spread(rows, kept or others[:1], min(limit, len(rows)) - len(kept))
+    return [rows[place] for place in sorted(set(kept))]
+
+
+def _spread(rows: Sequence[FrontRow], kept: Sequence[int], count: int) -> list[int]:
+    """Returns `count` further places, by distances of the objectives, scaled to their ranges (Gonzalez 1985, Theoretical Computer Science
+    38, Section 2)."""
+    points = np.array([list(row.objectives.values()) for row in rows])
+    ranges = np.ptp(points, axis=0)
+    points = points / np.where(ranges > 0, ranges, 1.0)
+    nearest = np.full(len(rows), np.inf)
+    for place in kept:
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[place], axis=1))
+    nearest[list(kept)] = -1.0
+    places: list[int] = []
+    for _ in range(count):
+        places.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[places[-1]], axis=1))
+        nearest[places] = -1.0
+    return places
+
+
+def left_out_of_front(kept: Sequence[FrontRow], rows: Sequence[FrontRow]) -> str:
+    """Returns how many sets of a front are shown, and which; empty if all are."""
+    if len(kept) == len(rows):
+        return ""
+    others = "the first ones" if rows[0].weighted is not None else "sets spread over the front"
+    return f"{len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, and {others}"
 
 
 def front_marks(row: FrontRow) -> str:

@@ -10,8 +10,8 @@ Light = Literal["green", "amber", "red"]
 
 
 class Reason(Answer):
-    """A reason for a light. `about`: end, constraints, confirmation, baseline, search, earlier, map, references, predictions, noise,
-    failures or robustness."""
+    """A reason for a light. `about`: end, constraints, confirmation, baseline, search, later, earlier, map, references, predictions,
+    noise, failures or robustness."""
 
     light: Light
     about: str

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 from tests.support.scales import COST
 
+from drivecal.analysis.better_sets import Earlier, Later
+from drivecal.analysis.chosen import BesideBaseline, Chosen
 from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
-from drivecal.analysis.trust import Driven, Earlier, Search, Validated, trust
+from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
@@ -212,6 +214,29 @@ def test_a_better_set_of_the_campaign_that_is_rerun_is_told(objective: float, gi
     assert all("solutions eeeeeeee --weights S1=4,S2=1" in reason.text for reason in reasons)
 
 
+@pytest.mark.parametrize(
+    ("objective", "direction", "is_told"), [(6.5, "maximise", True), (6.5, "minimise", False), (5.5, "minimise", True)]
+)
+def test_a_better_set_under_objectives_of_the_rerun_is_told(objective: float, direction: Any, is_told: bool) -> None:
+    first = FirstObjective(name="energy", unit="1", direction=direction)
+    judged = trust(campaign(objective=first), earlier=Earlier("e" * 32, objective, {"S1": 1.0}))
+    assert [reason.light for reason in judged.reasons if reason.about == "earlier"] == ["amber"] * is_told
+
+
+@pytest.mark.parametrize(("gain", "words"), [(0.5, "a better set"), (-0.5, "the best set is worse"), (0.0, None)])
+def test_later_simulations_that_change_the_best_set_are_amber(gain: float, words: str | None) -> None:
+    later = Later(6.0 + gain, gain, {"P1": 0.7}, ["f" * 32])
+    told = [reason for reason in trust(campaign(), later=later).reasons if reason.about == "later"]
+    assert [reason.light for reason in told] == ["amber"] * (words is not None)
+    assert all(words in reason.text and "campaign ffffffff" in reason.text for reason in told if words is not None)
+
+
+def test_a_chosen_set_that_became_the_best_is_named_as_such() -> None:
+    later = Later(6.5, 0.5, {"P1": 0.7})
+    assert "the chosen set is the best" in about_the_set(Chosen({"P1": 0.7}), later=later)["later"][1]
+    assert "a better set" in about_the_set(Chosen({"P1": 0.9}), later=later)["later"][1]
+
+
 def about_the_search(subject: Campaign, search: Search) -> list[tuple[str, str]]:
     return [(reason.light, reason.text) for reason in trust(subject, search=search).reasons if reason.about == "search"]
 
@@ -250,3 +275,68 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     assert light == "green"
     assert [name for name in (*ranges, "mode") if f"{name} (" in text] == ["P1", "P2"]
     assert about_the_search(campaign(best=best), Search([], {"P3": (0.0, 2.0)})) == []
+
+
+ENERGY = BesideBaseline("energy", 153.8, 153.2, -1)
+COMFORT = BesideBaseline("comfort", 6.0, 4.0, 1)
+
+
+def about_the_set(chosen: Chosen, later: Later | None = None, **given: Any) -> dict[str, tuple[str, str]]:
+    """Light and text by subject, with a search whose best set is better than its baseline in the first objective."""
+    before = Baseline(objective=4.0, parameters={}, scores={})
+    judged = trust(campaign("exact", baseline=before, cells={"reused": 0}, **given), chosen=chosen, later=later)
+    return {reason.about: (reason.light, reason.text) for reason in judged.reasons}
+
+
+@pytest.mark.parametrize(
+    ("compared", "light"),
+    [([COMFORT, ENERGY], "amber"), ([COMFORT], "green"), ([ENERGY], "amber"), ([BesideBaseline("a", 1.0, 1.0, 1)], "amber")],
+)
+def test_a_chosen_set_is_compared_with_the_baseline_in_each_objective(compared: list[BesideBaseline], light: str) -> None:
+    about = about_the_set(Chosen({}, compared))
+    assert about["baseline"][0] == light
+    assert all(each.text in about["baseline"][1] for each in compared)
+    assert not any("best set" in text for _, text in about.values())
+    assert "baseline" not in about_the_set(Chosen({}))
+
+
+def test_words_of_a_comparison_follow_the_direction() -> None:
+    assert ENERGY.text == "energy 153.8, baseline 153.2: worse by 0.6"
+    assert COMFORT.text.endswith("better by 2")
+
+
+def test_copied_scores_and_broken_constraints_of_a_chosen_set_are_named() -> None:
+    about = about_the_set(Chosen({}, [COMFORT], copied=["S2"], violation=0.2), notes=[f"{CONFIRMED}: 1 set tried"])
+    assert about["constraints"][0] == "red"
+    assert about["confirmation"][0] == "amber"
+    assert "S2" in about["confirmation"][1]
+
+
+def test_the_verdict_on_the_best_set_is_that_of_a_chosen_set_if_it_is_the_same() -> None:
+    notes = [f"{NOT_CONFIRMED}: the score in S4 is a reference's"]
+    assert about_the_set(Chosen({}, is_best=True), notes=notes)["confirmation"][0] == "red"
+    assert about_the_set(Chosen({}), notes=notes)["confirmation"][0] == "green"
+
+
+def test_values_of_a_chosen_set_at_an_end_of_their_range_are_named() -> None:
+    search = Search([], {"P1": (0.5, 2.0), "P2": (0.0, 1.0)})
+    judged = trust(campaign(), search=search, chosen=Chosen({"P1": 0.7, "P2": 1.0}))
+    (ends,) = (reason.text for reason in judged.reasons if reason.about == "search")
+    assert "P2 (1)" in ends
+    assert "P1" not in ends
+
+
+@pytest.mark.parametrize(("dominating", "light"), [(3, "green"), (0, "amber"), (None, None)])
+def test_several_objectives_count_the_sets_that_beat_the_baseline(dominating: int | None, light: str | None) -> None:
+    before = Baseline(objective=4.0, parameters={}, scores={})
+    search = Search([], {"P1": (0.5, 2.0)})
+    judged = trust(campaign("exact", baseline=before), search=search, front=Compromises(7, dominating))
+    about = {reason.about: reason for reason in judged.reasons}
+    assert (about["baseline"].light if "baseline" in about else None) == light
+    assert not any("best set" in reason.text for reason in judged.reasons)
+
+
+@pytest.mark.parametrize(("copied", "light"), [(0, "green"), (2, "amber")])
+def test_copied_scores_on_a_front_are_amber(copied: int, light: str) -> None:
+    judged = trust(campaign("exact"), front=Compromises(7, None, copied))
+    assert [reason.light for reason in judged.reasons if reason.about == "confirmation"] == [light]

@@ -12,7 +12,7 @@ from drivecal.calibration_data import cdfx, dcm
 from drivecal.cli.commands import results
 from drivecal.cli.main import app
 from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page
-from drivecal.contracts.results import FrontObjective, FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import Direction, Scale
@@ -138,6 +138,7 @@ class Campaigns:
             feasible=2,
             size=1,
             copied=0,
+            baseline=FrontBaseline(objectives={"discomfort": 8.5, "jerk": 0.75}, violation=0.0, rank=None),
             knee=1,
             hypervolume=None,
             growth=[],
@@ -176,7 +177,7 @@ def test_the_campaigns_own_ranking_is_named(monkeypatch: pytest.MonkeyPatch) -> 
         "score follow": "2",
         "score brake": "4",
         "degree of robustness": "7",
-        "share of wrong reused scores brake": "at most 0.01 (95 %)",
+        "share of wrong reused scores brake": "at most 1 % (95 %)",
     }
 
 
@@ -221,6 +222,7 @@ def test_a_set_of_the_front_has_all_its_objectives(monkeypatch: pytest.MonkeyPat
     assert figures["scale of objective jerk"] == "minimise, max, m/s3"
     assert figures["scale of objective discomfort"] == "minimise, mean"
     assert (figures["objective discomfort of the baseline"], figures["rank on the front"]) == ("8.5", "1")
+    assert figures["objective jerk of the baseline"] == "0.75"
     assert (figures["score follow"], figures["degree of robustness"]) == ("2", "7")
     assert "weights of the objectives" not in figures
     weighted = exported(monkeypatch, client, "--weights", "jerk=2", table="front")

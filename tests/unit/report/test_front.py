@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from tests.unit.report.rows import findings
 
 from drivecal.cli.views.front import print_front
@@ -11,7 +13,7 @@ from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.results import FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow
 from drivecal.report.page import page
-from drivecal.report.rows import first_of_front
+from drivecal.report.rows import shown_of_front
 from drivecal.report.sections import front, influence
 
 SIZE, KNEE = 30, 25
@@ -38,15 +40,40 @@ SUMMARY = FrontSummary(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("limit", "ranks"), [(5, [1, 2, 3, KNEE, SIZE]), (1, [1, KNEE, SIZE]), (99, list(range(1, SIZE + 1)))])
-def test_knee_and_extremes_are_among_the_first_sets(limit: int, ranks: list[int]) -> None:
-    assert [kept.rank for kept in first_of_front(ROWS, limit)] == ranks
+@pytest.mark.parametrize(("limit", "ranks"), [(4, [1, 13, KNEE, SIZE]), (1, [1, KNEE, SIZE]), (99, list(range(1, SIZE + 1)))])
+def test_knee_extremes_and_sets_spread_over_the_front_are_shown(limit: int, ranks: list[int]) -> None:
+    assert [kept.rank for kept in shown_of_front(ROWS, limit)] == ranks
+
+
+def test_a_chosen_set_is_shown_beyond_the_limit() -> None:
+    assert [kept.rank for kept in shown_of_front(ROWS, 1, {4})] == [1, 4, KNEE, SIZE]
+
+
+def test_under_weights_the_first_sets_are_shown() -> None:
+    weighted = [each.model_copy(update={"weighted": 1 - each.rank / 100}) for each in ROWS]
+    assert [kept.rank for kept in shown_of_front(weighted, 5)] == [1, 2, 3, KNEE, SIZE]
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=25),
+    st.integers(1, 30),
+)
+def test_as_many_different_sets_as_asked_for_are_shown(points: list[tuple[float, float]], limit: int) -> None:
+    rows = [
+        row(rank).model_copy(update={"objectives": {"a": a, "b": b}, "knee": False, "best_in": []})
+        for rank, (a, b) in enumerate(points, 1)
+    ]
+    ranks = [kept.rank for kept in shown_of_front(rows, limit)]
+    assert ranks == sorted(set(ranks))
+    assert len(ranks) == min(limit, len(rows))
 
 
 def test_the_command_line_prints_as_many_sets_as_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    print_front(ROWS, SUMMARY, 5)
-    printed = capsys.readouterr().out.splitlines()
-    assert [int(line.split()[0]) for line in printed[-5:]] == [1, 2, 3, KNEE, SIZE]
+    print_front(ROWS, SUMMARY, 4)
+    printed = capsys.readouterr()
+    assert [int(line.split()[0]) for line in printed.out.splitlines()[-4:]] == [1, 13, KNEE, SIZE]
+    assert f"4 of {SIZE}" in printed.err
+    assert f"--limit {SIZE}" in printed.err
 
 
 def test_a_report_with_objectives_has_a_section_about_the_front() -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.unit.report.rows import SETUP, findings
 
 from drivecal.contracts.campaign import Baseline, Released, Study
-from drivecal.contracts.results import FrontObjective, FrontSummary, Reason, TrustAnswer
+from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Reason, TrustAnswer
 from drivecal.contracts.tables import BoxTrial, FrontRow, RobustnessRow, Solution
 from drivecal.domain.errors import InvalidInputError
 from drivecal.report.data import Studied
@@ -146,6 +146,46 @@ def test_two_sets_stand_beside_each_other() -> None:
     assert "comfort 4.75 6 5 -1" in text
     assert BOTH.count("<svg") == 2
     assert "1 6 5 – chosen" in text
+
+
+def test_the_baseline_of_every_objective_is_shown() -> None:
+    judged = FrontBaseline(objectives={"comfort": 4.75, "jerk": 4.5}, violation=0.0, rank=None)
+    subject = compromise()
+    known = replace(subject, summary=subject.summary.model_copy(update={"baseline": judged}))
+    text = text_of(sheet(review(known)))
+    assert "comfort 4.75 6 +1.25" in text
+    assert "jerk 4.5 5 +0.5" in text
+
+
+def test_each_set_has_its_own_light() -> None:
+    green = TrustAnswer(light="green", reasons=[Reason(light="green", about="baseline", text="Better by 1.")])
+    text = text_of(sheet(review(compromise(), compromise(rank=2, trust=green))))
+    assert "Trust of A Light: amber." in text
+    assert "Trust of B Light: green. green: Better by 1." in text
+
+
+def test_a_bound_that_excludes_nothing_is_no_number() -> None:
+    released = {"S2": Released(lots=4, rejected=0, predicted=9, sampled=1, different=0, limit=0.05, upper_95=1.0)}
+    known = reviewed()
+    text = text_of(sheet(review(replace(known, campaign=known.campaign.model_copy(update={"released": released})))))
+    assert "S2 4 0 9 1 0 5.0% none" in text
+
+
+def test_a_score_that_another_campaign_simulated_later_names_its_cell() -> None:
+    cells = {"S1": ScoreOrigin(11, "simulated"), "S2": ScoreOrigin(2031, "later", "d" * 32)}
+    page = text_of(sheet(review(reviewed(cells=cells))))
+    assert "S2 4 5 +1 simulated later (2031 of campaign dddddddd)" in page
+    assert f"for cell in 11; do drivecal explain {'a' * 32} $cell; done" in page
+    assert f"for cell in 2031; do drivecal explain {'d' * 32} $cell; done" in page
+
+
+def test_a_robustness_study_is_advised_only_where_there_are_vehicle_parameters() -> None:
+    advice = f"drivecal robustness {'a' * 32}"
+    assert advice in text_of(sheet(review(reviewed(robustness=[]))))
+    scenarios = [scenario.model_copy(update={"vehicle": None}) for scenario in SETUP.scenarios]
+    pushed = text_of(sheet(review(reviewed(robustness=[], setup=SETUP.model_copy(update={"scenarios": scenarios})))))
+    assert advice not in pushed
+    assert "no vehicle parameters" in pushed
 
 
 def test_the_sheet_needs_nothing_else() -> None:

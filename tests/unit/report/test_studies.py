@@ -33,6 +33,7 @@ from drivecal.contracts.tables import ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures import optima_coordinates, robustness_degrees
 from drivecal.report.figures.drawing import KINDS, svg
+from drivecal.report.rows import interval_text
 from drivecal.report.sections import optima, robustness, validation
 
 
@@ -160,6 +161,12 @@ def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() 
     assert "90 of 100 unchanged, 6 wrong" in drawn.alt
     assert len(drawn.figure.axes) == 1, "where nothing was compared there is nothing to draw"
     assert list(validation.drawn(VALIDATED[1:])) == []
+
+
+def test_intervals_of_validated_predictions_name_their_own_method() -> None:
+    predicted = VALIDATED[0].model_copy(update={"released": 300})
+    assert "Clopper-Pearson" in interval_text([predicted])
+    assert "betting" in interval_text(VALIDATED)
 
 
 def test_intervals_over_variants_are_called_too_narrow() -> None:

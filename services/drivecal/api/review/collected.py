@@ -5,22 +5,26 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from urllib.parse import urlencode
 
+from drivecal.analysis.chosen import BesideBaseline, Chosen
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.responses import ROOT, calibration, campaign_answer
 from drivecal.api.routes import background
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import front_of
+from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.contracts.campaign import Study, StudyName
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import Outcome
 from drivecal.report.data import Row, Studied
 from drivecal.report.review.data import RankedIn, Review, ReviewedSet, ScoreOrigin
 from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.references import runs
 
 LARGEST_RANK = 10**6
 _AGAINST = re.compile(r"(?:(?P<campaign>[0-9A-Za-z-]{8,64})(?::(?P<rank>[1-9][0-9]{0,5}))?|(?P<own>[1-9][0-9]{0,5}))")
@@ -80,30 +84,60 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
         remedy = f"drivecal {table} {stored.id} lists those that it has"
         raise InvalidInputError(Problem(choice.field, f"campaign {stored.id} has no set of rank {choice.rank}", remedy))
     made = background.list_studies(stored.id, database).items
+    baseline = baseline_of(database, stored, front)
     return ReviewedSet(
         campaign=campaign_answer(stored, now(), silent=None),
         setup=background.setup(stored.id, database),
         table=table,
         chosen=chosen,
         cells=_cells(database, stored, chosen),
-        summary=summary(front),
-        trust=background.read_trust(stored.id, database),
+        summary=summary(front, baseline),
+        trust=background.trust_in(database, stored.id, front, _in_question(stored, front, chosen, baseline)),
         front=rows if several else (),
         robustness=_studied(database, made, "robustness", RobustnessRow),
         validation=_studied(database, made, "validation", ValidationRow),
     )
 
 
+def _in_question(
+    stored: StoredCampaign, front: CampaignFront, chosen: Solution | FrontRow, baseline: EvaluatedSet | None
+) -> Chosen:
+    """Returns a set with its objectives beside the baseline's, for the light of its sheet."""
+    place = (chosen.iteration, chosen.individual)
+    judged = next((each for each in front.ranked if (each.iteration, each.individual) == place), None)
+    compared: list[BesideBaseline] = []
+    if judged and judged.judgement and baseline and baseline.judgement:
+        amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
+        compared = [BesideBaseline(goal.name, value, before, goal.sign, goal.unit) for goal, value, before in amounts]
+    return Chosen(
+        parameters=chosen.parameters,
+        compared=compared,
+        copied=chosen.reused,
+        violation=0.0 if judged is None else judged.shares_violated,
+        baseline_violation=0.0 if baseline is None else baseline.shares_violated,
+        is_best=stored.best is not None and stored.best.parameters == chosen.parameters,
+    )
+
+
 def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontRow) -> dict[str, ScoreOrigin]:
-    """Returns the cells that the scores of a set are taken from, by scenario."""
+    """Returns the cells that the scores of a set are taken from, by scenario: that of another campaign if it simulated the cell later."""
     cells: dict[str, ScoreOrigin] = {}
     if chosen.iteration is None or chosen.individual is None:
         return cells
     with database.read() as connection:
+        later = runs.simulated_later(connection, stored.sequence, resolved_spec(stored).evaluator)
+        corrected = {(run.parameter_set, run.scenario): run for run in later}
         for scenario in chosen.scores:
             number = results.number_at(connection, stored.sequence, chosen.iteration, chosen.individual, scenario)
-            outcome = results.by_id(connection, number).outcome
-            cells[scenario] = ScoreOrigin(number, "failed" if outcome is None else outcome.value)
+            cell = results.by_id(connection, number)
+            outcome = "failed" if cell.outcome is None else cell.outcome.value
+            run = corrected.get((cell.parameter_set_id, scenario))
+            if cell.outcome not in {Outcome.REUSED, Outcome.PREDICTED} or scenario in chosen.reused:
+                cells[scenario] = ScoreOrigin(number, outcome)
+            elif run is not None:
+                cells[scenario] = ScoreOrigin(run.evaluation, "later", run.campaign)
+            else:  # a certificate says which run it repeats
+                cells[scenario] = ScoreOrigin(number, "certified")
     return cells
 
 

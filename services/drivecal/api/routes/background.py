@@ -8,17 +8,19 @@ from typing import Any
 from fastapi import APIRouter
 from sqlalchemy import Connection
 
-from drivecal.analysis.trust import Driven, Search, Validated, trust
+from drivecal.analysis.chosen import Chosen
+from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
 from drivecal.api.tables.importance import importance
-from drivecal.api.tables.ranking import earlier_best
+from drivecal.api.tables.ranking import earlier_best, later_best
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_document, stored_scale
 from drivecal.campaigns.results.failures import causes_of
+from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.contracts.campaign import Study, StudyPage
 from drivecal.contracts.evaluation import FailurePage
 from drivecal.contracts.results import ImportanceAnswer, TrustAnswer
@@ -29,6 +31,7 @@ from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.storage import campaigns, generations, studies
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
 from drivecal.storage.studies import StoredStudy
@@ -75,6 +78,13 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 @router.get("/trust")
 def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
     """A light for the campaign's result, green, amber or red, and the reasons in words, the gravest first."""
+    return trust_in(database, campaign_id)
+
+
+def trust_in(
+    database: Database, campaign_id: str, front: CampaignFront | None = None, chosen: Chosen | None = None
+) -> TrustAnswer:
+    """Returns the light of a campaign's result, or of a `chosen` set. `front`: the campaign's, if it is known already."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which needs no light")
         first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
@@ -94,7 +104,21 @@ def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
     ]
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)
-    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search)
+    compromises = _compromises(database, campaign, front)
+    later = None if compromises is not None else later_best(database, campaign)
+    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search, compromises, chosen, later)
+
+
+def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFront | None) -> Compromises | None:
+    """Returns the front of several objectives in numbers, without sets before the end; None with a single objective."""
+    if campaign.resolution is None or not has_several_objectives(campaign):
+        return None
+    if not campaign.state.ended:
+        return Compromises(0, None)
+    front = front or front_of(database, campaign, resolved_spec(campaign))
+    baseline = baseline_of(database, campaign, front)
+    copied = sum(bool(member.solution.reused) for member in front.members)
+    return Compromises(len(front.members), None if baseline is None else front.dominating(baseline), copied)
 
 
 @router.get("/failures")
@@ -106,16 +130,21 @@ def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
         return FailurePage(items=causes_of(connection, campaign))
 
 
+def has_several_objectives(campaign: StoredCampaign) -> bool:
+    """Returns whether a campaign has a front in the place of a best set."""
+    goals = resolved_spec(campaign).goals
+    return goals is not None and len(goals.objectives) > 1
+
+
 def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
-    """Returns the course of an ended search; None before its end, and with several objectives."""
+    """Returns the course of an ended search; None before its end."""
     if campaign.state != CampaignState.SUCCEEDED or campaign.resolution is None:
         return None
     begun_with = resolved_spec(campaign)
-    if begun_with.goals is not None and len(begun_with.goals.objectives) > 1:
-        return None
     searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
     ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
-    return Search(generations.course(connection, campaign.sequence), ranges)
+    course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
+    return Search(course, ranges)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:

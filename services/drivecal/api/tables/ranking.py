@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.better_sets import Earlier, Later
 from drivecal.analysis.goals import SCORE, CellValue
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
-from drivecal.analysis.trust import Earlier
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
@@ -29,7 +29,7 @@ from drivecal.domain.scales import Scale, plain
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets
+from drivecal.storage.references import parameter_sets, runs
 
 LARGEST_WEIGHT = 1e6
 
@@ -90,24 +90,46 @@ def ranking(
 
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
-    """Returns the best set of the `earlier` campaign under the weights and the score of its rerun; None if there is none, before the
-    end of the rerun, with objectives or constraints, and if setups, space or constraints differ, or the evaluator of the built-in problem.
-    Reads all answers of the earlier campaign."""
+    """Returns the best set of the `earlier` campaign under the weights, the score and the objectives of its rerun; None if there is none,
+    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluator of the built-in problem. Reads all
+    answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
     driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())
-    if ours.space != theirs.space or not driven or ours.goals is not None or theirs.goals is not None:
+    if ours.space != theirs.space or not driven:
         return None
     score = None
     if (ours.evaluator, ours.scale) != (theirs.evaluator, theirs.scale):
-        if campaign.spec.get("problem", HIGHWAY) == HIGHWAY or not _constrained_alike(database, campaign, earlier):
+        if ours.goals is not None or campaign.spec.get("problem", HIGHWAY) == HIGHWAY:
+            return None
+        if not _constrained_alike(database, campaign, earlier):
             return None
         score = f"{campaign.spec['evaluator']}@{campaign.spec['problem']}"
     given: Mapping[str, float] = campaign.spec["weights"]
     weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
-    ranked = ranking(database, earlier, replace(theirs, weights=weights), None, score).ranked
-    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score) if ranked else None
+    ranked = ranking(database, earlier, replace(theirs, weights=weights, goals=ours.goals), None, score).ranked
+    if not ranked or ranked[0].shares_violated > campaign.best.violation:
+        return None
+    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score)
+
+
+def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
+    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted; None if they
+    simulated none."""
+    copied = campaign.cells.reused + campaign.cells.predicted
+    if not campaign.state.ended or campaign.best is None or campaign.resolution is None or not copied:
+        return None
+    resolved = resolved_spec(campaign)
+    with database.read() as connection:
+        later = runs.simulated_later(connection, campaign.sequence, resolved.evaluator)
+    ranked = ranking(database, campaign, resolved, None) if later else None
+    if ranked is None or not ranked.ranked or ranked.ranked[0].shares_violated > campaign.best.violation:
+        return None
+    first, (shown,) = ranked.ranked[0], ranked.solutions(0, 1)
+    by = dict.fromkeys(run.campaign for run in later if run.parameter_set == first.parameter_set)
+    gain = first.sign * (first.objective - campaign.best.objective)
+    return Later(first.objective, gain, shown.parameters, list(by))
 
 
 def _constrained_alike(database: Database, campaign: StoredCampaign, other: StoredCampaign) -> bool:

@@ -16,7 +16,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
-from drivecal.domain.scales import Scale
+from drivecal.domain.scales import Scale, told
 from drivecal.reduction import explanation
 from drivecal.reduction.audit import stopped_after
 from drivecal.reduction.explanation import CellComparison, Nearest
@@ -294,4 +294,16 @@ def _explanation(
         distance=distance,
         stored=stored,
     )
-    return answer.model_copy(update={"sentence": sentence(answer, stop, case.scale)})
+    return answer.model_copy(update={"sentence": f"{sentence(answer, stop, case.scale)}{_later(case)}"})
+
+
+def _later(case: _Case) -> str:
+    """Returns the sentence that another campaign simulated this copied or predicted cell later; empty if it did not."""
+    if case.cell.outcome not in {Outcome.REUSED, Outcome.PREDICTED}:
+        return ""
+    later = runs.simulated_later(case.connection, case.campaign.sequence, case.evaluator, case.cell.id)
+    return "".join(
+        f" Evaluation {run.evaluation} of campaign {run.campaign} simulated this very cell later: score "
+        f"{told(_reference(case, run.evaluation)[0].score)}, which counts in rankings."
+        for run in later
+    )

@@ -103,6 +103,15 @@ class CampaignFront:
             return False
         return self.goals.compared(solution.judgement) in self._vectors
 
+    def dominating(self, solution: EvaluatedSet) -> int:
+        """Returns the number of members that are better than a set in an objective and worse in none, or break constraints less."""
+        if solution.judgement is None or not self.members:
+            return 0
+        if self.members[0].solution.violation < solution.violation:
+            return len(self.members)
+        gains = self.points - np.array(self.goals.compared(solution.judgement))
+        return int(((gains >= 0).all(axis=1) & (gains > 0).any(axis=1)).sum())
+
     def by_weights(self, weights: Mapping[str, float]) -> tuple["CampaignFront", Floats]:
         """The same front, best first by the weighted sum of the objectives scaled to it, with the sums, shape (n,)."""
         shares = np.array([weights[goal.name] for goal in self.goals.objectives])

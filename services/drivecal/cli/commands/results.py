@@ -78,7 +78,10 @@ def front(
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
     ] = None,
     limit: Annotated[
-        int, typer.Option(min=1, help="How many to print, with the knee and the best of each objective; --json lists all.")
+        int,
+        typer.Option(
+            min=1, help="How many to print: knee, best of each objective, others spread over the front; --json lists all."
+        ),
     ] = 20,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -201,8 +204,8 @@ def _calibration_file(
     campaign, robustness = client.campaign(identifier), client.robustness(identifier)
     chosen = _chosen(client, identifier, table, row, query)
     if isinstance(chosen, FrontRow):
-        objectives = client.front_summary(identifier, everything="everything" in query).objectives
-        figures = front_figures(campaign, chosen, objectives, robustness, given)
+        summary = client.front_summary(identifier, everything="everything" in query)
+        figures = front_figures(campaign, chosen, summary, robustness, given)
     else:
         own = weights is None and score is None
         ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))

@@ -9,16 +9,16 @@ from drivecal.cli.views.output import print_columns
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.results import FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow
-from drivecal.report.rows import first_of_front, front_lines, front_marks
+from drivecal.report.rows import front_lines, front_marks, left_out_of_front, shown_of_front
 
 
 def print_front(rows: Sequence[FrontRow], summary: FrontSummary, limit: int) -> None:
-    """Prints the first sets of a front, knee and extremes among them, under what is known of the whole."""
+    """Prints sets of a front, knee and extremes among them, under what is known of the whole."""
     for line in front_lines(summary):
         typer.echo(line)
     if not rows:
         return
-    first, kept = rows[0], first_of_front(rows, limit)
+    first, kept = rows[0], shown_of_front(rows, limit)
     weighted = ["weighted"] if first.weighted is not None else []
     typer.echo()
     print_columns(
@@ -39,7 +39,7 @@ def print_front(rows: Sequence[FrontRow], summary: FrontSummary, limit: int) -> 
     if any(row.reused for row in kept):
         typer.echo("* has a score of a reference")
     if len(kept) < len(rows):
-        tell(f"{len(kept):,} of {len(rows):,} sets, with the knee and the best of each objective; see more with --limit")
+        tell(f"{left_out_of_front(kept, rows)}; --limit {len(rows)} prints all")
 
 
 def print_trade_off(answer: TradeOff) -> None:

@@ -4,7 +4,7 @@ import json
 
 from drivecal.report.markup import bullets, command, paragraph, subheading, table
 from drivecal.report.review.data import Review, ReviewedSet
-from drivecal.report.rows import LOTS_NOTE, PREDICTIONS, exceeds_limit, interval_text, percent, predictions
+from drivecal.report.rows import LOTS_NOTE, PREDICTIONS, bound, exceeds_limit, interval_text, percent, predictions
 
 
 def robustness(review: Review) -> list[str]:
@@ -12,6 +12,10 @@ def robustness(review: Review) -> list[str]:
     parts: list[str] = []
     for label, reviewed in review.labelled().items():
         examined = reviewed.robust
+        if examined is None and not any(scenario.vehicle for scenario in reviewed.setup.scenarios):
+            reason = "the problem has no vehicle parameters to vary; scenarios can hold the conditions to be robust against"
+            parts.append(paragraph(f"Not examined{label}: {reason}."))
+            continue
         if examined is None:
             studied = "no robustness study examined this set" if reviewed.robustness else "no robustness study was made"
             parts.append(paragraph(f"Not known{label}: {studied}."))
@@ -51,14 +55,15 @@ def origin(review: Review) -> list[str]:
 
 
 def sureness(review: Review) -> list[str]:
-    """Returns the trust light with its reasons, inspected lots, audits and validations."""
+    """Returns the trust light of each set with its reasons, inspected lots, audits and validations."""
     parts: list[str] = []
-    for label, reviewed in review.campaigns().items():
+    for label, reviewed in review.labelled().items():
         trust = reviewed.trust
         parts.append(subheading(f"Trust{label}"))
         parts.append(paragraph(f"Light: {trust.light or 'open until the end'}.", "light"))
         parts.append(bullets(f"{reason.light}: {reason.text}" for reason in trust.reasons))
         parts.append(command(f"drivecal show {reviewed.campaign.id}"))
+    for label, reviewed in review.campaigns().items():
         parts += [*_lots(reviewed, label), *_audits(reviewed, label), *_validations(reviewed, label)]
     return parts
 
@@ -68,7 +73,7 @@ def _lots(reviewed: ReviewedSet, label: str) -> list[str]:
     rows = [
         [
             *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(percent(lots.limit, 1), percent(lots.upper_95)),
+            *(percent(lots.limit, 1), bound(lots.upper_95)),
         ]
         for name, lots in campaign.released.items()
         if lots.lots
@@ -78,7 +83,7 @@ def _lots(reviewed: ReviewedSet, label: str) -> list[str]:
     header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
     caption = (
         f"Lots of predicted answers{label}; limit: of the expected errors released for each prediction in a lot; bound: of the share of "
-        "errors among released answers. A set with a predicted score is not ranked"
+        "errors among released answers, none if too few were compared. A set with a predicted score is not ranked"
     )
     note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []
     return [table(header, rows, caption), *note, command(f"drivecal show {campaign.id}")]
@@ -87,7 +92,7 @@ def _lots(reviewed: ReviewedSet, label: str) -> list[str]:
 def _audits(reviewed: ReviewedSet, label: str) -> list[str]:
     rows = [
         [
-            *(name, rate.audited, rate.different, rate.wrong, percent(rate.upper_95), rate.lots, rate.rejected),
+            *(name, rate.audited, rate.different, rate.wrong, bound(rate.upper_95), rate.lots, rate.rejected),
             "stopped" if rate.stopped else "on",
         ]
         for name, rate in reviewed.campaign.error_rate.items()
@@ -96,7 +101,10 @@ def _audits(reviewed: ReviewedSet, label: str) -> list[str]:
     if not rows:
         return []
     header = ["scenario", "audited", "different", "wrong", "95 % bound", "lots", "rejected", "reuse"]
-    caption = f"Audits of copied scores{label}: copies that were simulated all the same; bound: of the share of wrong ones"
+    caption = (
+        f"Audits of copied scores{label}: copies that were simulated all the same; bound: of the share of wrong ones, none if too few were "
+        "compared"
+    )
     return [table(header, rows, caption), command(f"drivecal show {reviewed.campaign.id}")]
 
 

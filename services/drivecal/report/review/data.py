@@ -15,10 +15,12 @@ RankedIn = Literal["solutions", "front"]
 
 @dataclass(frozen=True, slots=True)
 class ScoreOrigin:
-    """The cell that a score is taken from: its number, and what answered it."""
+    """The cell that a score is taken from: its number, what answered it, and its campaign's id, if it is another campaign's. `outcome`:
+    as in tables of cells, or `later` if the cell was copied or predicted, and simulated later."""
 
     number: int
     outcome: str
+    campaign: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

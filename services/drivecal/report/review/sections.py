@@ -10,17 +10,20 @@ from drivecal.domain.scales import plain, told, unit_text
 from drivecal.report.markup import bullets, command, paragraph, table
 from drivecal.report.review.data import Review, ReviewedSet
 from drivecal.report.review.scatter import drawings
-from drivecal.report.rows import Number, front_marks
+from drivecal.report.rows import Number, front_marks, shown_of_front
 from drivecal.report.sections.commands import evaluation
 
 MOST_SHOWN = 30
-"""Sets of the front in its table: the first ones, the marked ones, and the chosen ones."""
+"""Sets of the front in its table, if no more are marked or chosen."""
+SHORT = 8
+"""Characters of another campaign's id in the table of scores."""
 ORIGINS = {
     "simulated": "simulated",
     "repeated": "repeats a simulation",
     "certified": "certified",
     "reused": "copied",
     "predicted": "predicted",
+    "later": "simulated later",
     "failed": "no result",
 }
 MEANINGS = {
@@ -29,6 +32,7 @@ MEANINGS = {
     "certified": "a stored run of another set; a proof says that this set's run has the same bits",
     "reused": "a stored run of another set; an influence map says that the difference does not matter",
     "predicted": "a prediction from other runs, released with its lot",
+    "later": "a run of this very set by another campaign, in the place of a copied or predicted score",
     "failed": "no result after all attempts",
 }
 
@@ -119,7 +123,7 @@ def result(review: Review) -> list[str]:
     """Returns the chosen sets against the baseline, by objective and by scenario, with the origin of each score."""
     goals = list(dict.fromkeys(goal.name for each in review.sets.values() for goal in each.summary.objectives))
     rows = [
-        _compared(review, name, _first_baseline(review, name), {k: v.objectives.get(name) for k, v in review.sets.items()})
+        _compared(review, name, _baseline_of(review.first, name), {k: v.objectives.get(name) for k, v in review.sets.items()})
         for name in goals
     ]
     parts = [
@@ -153,10 +157,12 @@ def result(review: Review) -> list[str]:
     ]
 
 
-def _first_baseline(review: Review, name: str) -> float | None:
-    """Returns the baseline's value of the first objective; others are not stored."""
-    baseline = review.first.campaign.baseline
-    return None if baseline is None or name != review.first.summary.objectives[0].name else baseline.objective
+def _baseline_of(reviewed: ReviewedSet, name: str) -> float | None:
+    """Returns the baseline's value of an objective; of others than the first only if the baseline has a value of each."""
+    judged, baseline = reviewed.summary.baseline, reviewed.campaign.baseline
+    if judged is not None:
+        return judged.objectives.get(name)
+    return None if baseline is None or name != reviewed.summary.objectives[0].name else baseline.objective
 
 
 def _compared(
@@ -180,13 +186,20 @@ def _differences(review: Review) -> list[str]:
 
 def _origin(reviewed: ReviewedSet, scenario: str) -> str | None:
     cell = reviewed.cells.get(scenario)
-    return None if cell is None else f"{ORIGINS.get(cell.outcome, cell.outcome)} ({cell.number})"
+    if cell is None:
+        return None
+    place = "" if cell.campaign is None else f" of campaign {cell.campaign[:SHORT]}"
+    return f"{ORIGINS.get(cell.outcome, cell.outcome)} ({cell.number}{place})"
 
 
 def _drives(reviewed: ReviewedSet) -> str:
-    numbers = " ".join(str(cell.number) for cell in reviewed.cells.values())
+    numbers: dict[str, list[str]] = {}
+    for cell in reviewed.cells.values():
+        numbers.setdefault(cell.campaign or reviewed.campaign.id, []).append(str(cell.number))
     lines = [_evaluation(reviewed, reviewed.chosen.parameters)]
-    lines += [f"for cell in {numbers}; do drivecal explain {reviewed.campaign.id} $cell; done"] if numbers else []
+    lines += [
+        f"for cell in {' '.join(cells)}; do drivecal explain {campaign} $cell; done" for campaign, cells in numbers.items()
+    ]
     return "\n".join(lines)
 
 
@@ -244,7 +257,7 @@ def _value(value: float | str | None) -> object:
 
 
 def front(review: Review) -> list[str]:
-    """Returns the drawing and the first sets of the front; nothing for a single objective."""
+    """Returns the drawing and sets of the front; nothing for a single objective."""
     parts: list[str] = []
     for label, reviewed in review.labelled().items():
         if len(reviewed.summary.objectives) < 2 or not reviewed.front:
@@ -257,15 +270,19 @@ def front(review: Review) -> list[str]:
         }
         marked = {name: list(each.objectives.values()) for name, each in same.items()}
         chosen = {each.chosen.rank for each in same.values()}
-        rows = [row for row in reviewed.front if row.rank in chosen or row.knee or row.best_in]
-        rows += [row for row in reviewed.front if row not in rows][: max(0, MOST_SHOWN - len(rows))]
+        rows = shown_of_front(reviewed.front, MOST_SHOWN, chosen)
         lines = [
             [row.rank, *(Number(f"{amount:.6g}") for amount in row.objectives.values()), row.degree, _marks(row, chosen)]
-            for row in sorted(rows, key=lambda row: row.rank)
+            for row in rows
         ]
         volume = reviewed.summary.hypervolume
         caption = (
             f"Front{label}: {len(lines)} of {reviewed.summary.size:,} sets that no other evaluated set beats in every objective"
+        )
+        caption += (
+            ""
+            if len(rows) == len(reviewed.front)
+            else ": the chosen, the knee, the best of each objective, others spread over it"
         )
         caption += "" if volume is None else f"; hypervolume {volume:.6g}"
         parts += [
@@ -286,7 +303,7 @@ def _show_json(reviewed: ReviewedSet) -> str:
 
 def _ranking(reviewed: ReviewedSet) -> str:
     if reviewed.table == "front":
-        return f"drivecal front {reviewed.campaign.id} --limit {max(reviewed.chosen.rank, 1)}"
+        return f"drivecal front {reviewed.campaign.id} --limit {reviewed.summary.size}"
     return f"drivecal solutions {reviewed.campaign.id} --limit {reviewed.chosen.rank}"
 
 

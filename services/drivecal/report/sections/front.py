@@ -1,11 +1,11 @@
-"""The front of a campaign with objectives: its summary and its first sets."""
+"""The front of a campaign with objectives: its summary and some of its sets."""
 
 from collections.abc import Sequence
 
 from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import FrontRow
 from drivecal.report.markup import bullets, paragraph, table, verbatim
-from drivecal.report.rows import Number, first_of_front, front_lines, front_marks
+from drivecal.report.rows import Number, front_lines, front_marks, left_out_of_front, shown_of_front
 
 SHOWN = 20
 """Sets that the page shows, if no more are marked."""
@@ -18,10 +18,9 @@ def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: st
     lines = [f"{line[0].upper()}{line[1:]}." for line in front_lines(summary)]
     if not rows:
         return [bullets(lines)]
-    kept = first_of_front(rows, SHOWN)
+    kept = shown_of_front(rows, SHOWN)
     caption = "The front: no other set is better in one objective without being worse in another"
-    if len(kept) < len(rows):
-        caption += f"; {len(kept)} of {len(rows):,} sets, with the knee and the best of each objective"
+    caption += f"; {left_out}" if (left_out := left_out_of_front(kept, rows)) else ""
     if any(row.reused for row in kept):
         caption += ". A star: a score is that of a reference"
     header = ["rank", *rows[0].objectives, "", *rows[0].parameters]
@@ -33,5 +32,5 @@ def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: st
         bullets(lines),
         table(header, cells, caption),
         paragraph("All sets, and what one gains and costs against another:"),
-        verbatim(f"drivecal front {identifier}"),
+        verbatim(f"drivecal front {identifier} --limit {len(rows)}"),
     ]

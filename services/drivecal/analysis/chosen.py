@@ -1,0 +1,82 @@
+"""Reasons for trust in a set that was chosen for review, in the place of those for the best set of its search. Pure."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from drivecal.analysis.solutions import EQUAL
+from drivecal.contracts.assignments import value_text
+from drivecal.contracts.results import Light, Reason
+from drivecal.domain.scales import unit_text
+
+
+@dataclass(frozen=True, slots=True)
+class BesideBaseline:
+    """The value of an objective beside the baseline's. `sign`: 1 if more is better, else -1."""
+
+    name: str
+    value: float
+    baseline: float
+    sign: int
+    unit: str = "1"
+
+    @property
+    def gain(self) -> float:
+        """By how much the value is better; below 0 if it is worse."""
+        return self.sign * (self.value - self.baseline)
+
+    @property
+    def text(self) -> str:
+        """Returns the comparison in words."""
+        unit = unit_text(self.unit)
+        change = (
+            "equal" if abs(self.gain) <= EQUAL else f"{'better' if self.gain > 0 else 'worse'} by {abs(self.gain):.4g}{unit}"
+        )
+        return f"{self.name} {self.value:.6g}{unit}, baseline {self.baseline:.6g}{unit}: {change}"
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A set that was chosen for review. `compared`: the objectives that the baseline has as well; `copied`: scenarios whose score is a
+    reference's; violations in shares. `is_best`: whether the search ended with it."""
+
+    parameters: Mapping[str, float | str]
+    compared: Sequence[BesideBaseline] = ()
+    copied: Sequence[str] = ()
+    violation: float = 0.0
+    baseline_violation: float = 0.0
+    is_best: bool = False
+
+
+def reasons_for(chosen: Chosen, ranges: Mapping[str, tuple[float, float]]) -> Iterator[Reason]:
+    """Yields the reasons of a chosen set: constraints, origin of its scores, baseline, values at an end of their `ranges`."""
+    if chosen.violation > 0:
+        text = f"The chosen set breaks the constraints by {chosen.violation:.1%}."
+        yield Reason(light="red", about="constraints", text=text)
+    if chosen.copied:
+        text = f"This very set was not simulated in {', '.join(chosen.copied)}: its scores there are copied."
+        yield Reason(light="amber", about="confirmation", text=text)
+    else:
+        text = "Every score of the chosen set was simulated, repeats a simulation or provably equals one."
+        yield Reason(light="green", about="confirmation", text=text)
+    yield from _baseline(chosen)
+    yield from at_ends("the chosen set", chosen.parameters, ranges)
+
+
+def _baseline(chosen: Chosen) -> Iterator[Reason]:
+    if chosen.violation < chosen.baseline_violation:
+        text = "The baseline breaks the constraints more than the chosen set."
+        yield Reason(light="green", about="baseline", text=text)
+    elif chosen.compared:
+        gains = [each.gain for each in chosen.compared]
+        light: Light = "green" if min(gains) >= -EQUAL and max(gains) > EQUAL else "amber"
+        text = f"The chosen set beside the baseline: {'; '.join(each.text for each in chosen.compared)}."
+        yield Reason(light=light, about="baseline", text=text)
+
+
+def at_ends(subject: str, values: Mapping[str, float | str], ranges: Mapping[str, tuple[float, float]]) -> Iterator[Reason]:
+    """Yields the reason that names the values of a set at an end of their ranges."""
+    at_end = [f"{name} ({value_text(values[name])})" for name, ends in ranges.items() if values.get(name) in ends]
+    if at_end:
+        lie = "lies at an end of its range" if len(at_end) == 1 else "lie at an end of their ranges"
+        text = f"In {subject} {', '.join(at_end)} {lie}; a wider range may hold better sets."
+        yield Reason(light="green", about="search", text=text)
