@@ -145,6 +145,20 @@ def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> N
     assert [cause.kind for cause in causes(database, again)] == ["unscored"], "the causes are those of all cells"
 
 
+def test_scores_that_are_cut_off_are_counted_noted_and_told_once(database: Database) -> None:
+    score = {"formula": "y", "direction": "minimise", "range": [0, 1.5]}
+    store(database, MANIFEST | {"scores": {"cost": score}})
+    ended = run(database, submit(database), Simulated())
+    assert 0 < ended.cells.cut < ended.cells.simulated
+    assert any(f"{ended.cells.cut}" in note and "`failed`" in note for note in ended.notes)
+    with database.read() as connection:
+        told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "1.5, the worth" in str(event.data)]
+        assert list(check_counters(connection)) == []
+    assert [event.data["text"].split(": ")[1] in {"city", "road"} for event in told] == [True]
+    store(database, MANIFEST | {"scores": {"cost": score | {"failed": 2.5}}})
+    assert run(database, submit(database), Simulated()).cells.cut == 0
+
+
 def test_a_campaign_without_failures_has_no_cause(database: Database) -> None:
     assert causes(database, run(database, submit(database), Simulated())) == []
 

@@ -11,7 +11,7 @@ Light = Literal["green", "amber", "red"]
 
 class Reason(Answer):
     """A reason for a light. `about`: end, constraints, confirmation, baseline, search, earlier, map, references, predictions, noise,
-    failures or robustness."""
+    failures, cut or robustness."""
 
     light: Light
     about: str

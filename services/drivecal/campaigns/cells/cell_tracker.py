@@ -12,6 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.scoring import cut_text
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
@@ -59,6 +60,8 @@ class CellTracker:
         self.simulating_seconds = simulating_seconds
         self.undefined: str | None = None
         """Why a score has no value, of the first such result; None before."""
+        self.cut: str | None = None
+        """Scenario and true value of the first score that was cut off; None before."""
         self.broken: str | None = None
         """Scenario and cause of the first cell without a result; None before."""
 
@@ -250,6 +253,9 @@ class CellTracker:
             score, rating = rated.score, rated.rating
             self._counts["unscored"] += rated.undefined is not None
             self.undefined = self.undefined or rated.undefined
+            if rated.cut is not None:
+                self._counts["cut"] += 1
+                self.cut = self.cut or cut_text(cell.scenario, bench.scale.name, rated.cut, bench.scale.failed)
         if score is None or rating is None:
             raise ValueError(f"evaluation {cell.id} has no score, or lacks a measure that its score needs")
         score, rating = (bench.scale.worth(value, failed=result.failure is not None) for value in (score, rating))
