@@ -144,6 +144,7 @@ def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
     code, report = check(write("def evaluate(p, s):\n    raise ValueError('no licence')\n"))
     assert code == 1
     assert "no licence" in report["scenarios"][0]["error"]
+    assert report["other_parameters"] is None, "it was not run"
 
 
 def test_a_hang_is_named_with_its_limit_while_it_lasts_and_at_its_end(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.failures import broken_down
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.eta import EtaEstimate, worked
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
@@ -55,7 +55,7 @@ class Stage(Job):
         self._campaign = campaign
         self._view = view
         self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
-        self._eta = EtaEstimate(time.monotonic, counts.requested)
+        self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
         self._resumed = False
         self._round: Round | None = None
         self._told = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
@@ -126,7 +126,7 @@ class Stage(Job):
         ]
 
     def _progress(self, requested: int, proposed: int) -> Progress:
-        return self._eta.progress(requested, max(self._at_most, proposed))
+        return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
 
     def work(self) -> list[Work]:
         """Returns what to simulate next; empty while answers are awaited, and when the stage is `finished`."""

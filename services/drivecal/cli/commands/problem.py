@@ -91,6 +91,8 @@ def check(
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
+        if not any(result.other for result in checked):
+            report["other_parameters"] = None  # no scenario came to it
         report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked), *_doubts_elsewhere(checked)]
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
