@@ -296,8 +296,8 @@ def _cut(campaign: Campaign) -> Iterator[Reason]:
     best, failed = {} if campaign.best is None else campaign.best.scores, campaign.scale.failed
     share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
     light: Light = "amber" if at_end or share > FEW else "green"
-    where = f", such as the best set's in {', '.join(at_end)}," if at_end else ""
-    text = f"{cut:,} simulated scores ({share:.1%} of the cells) are worse than {failed:g}{where} and count as it: {REMEDY}."
+    where = f", as the best set does in {', '.join(at_end)}" if at_end else ""
+    text = f"{cut:,} simulated scores ({share:.1%} of the cells) are worse than {failed:g} and count as it{where}: {REMEDY}."
     yield Reason(light=light, about="cut", text=text)
 
 
