@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +23,7 @@ from drivecal.execution.backend import Finished, Lost, Slot
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.storage import campaigns, evaluations, events
+from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
@@ -128,7 +129,12 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
     with database.read() as connection:
         assert list(check_counters(connection)) == []
         told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "no licence" in str(event.data)]
-    assert [("crash" in event.data["text"], event.kind) for event in told] == [(True, EventKind.NOTE)]
+        assert [("crash" in event.data["text"], event.kind) for event in told] == [(True, EventKind.NOTE)]
+        named = re.search(r"\(evaluation (\d+), x=([0-9.e-]+)\)$", told[0].data["text"])
+        assert named is not None
+        cell = results.by_id(connection, int(named[1]))
+    assert cell.outcome is Outcome.FAILED
+    assert cell.parameters.floats["x"] == pytest.approx(float(named[2]), rel=1e-5)
 
 
 def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:
@@ -143,6 +149,20 @@ def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> N
     again = run(database, submit(database), Simulated())
     assert (again.cells.unscored, again.cells.simulated) == (0, 0), "only simulations count"
     assert [cause.kind for cause in causes(database, again)] == ["unscored"], "the causes are those of all cells"
+
+
+def test_scores_that_are_cut_off_are_counted_noted_and_told_once(database: Database) -> None:
+    score = {"formula": "y", "direction": "minimise", "range": [0, 1.5]}
+    store(database, MANIFEST | {"scores": {"cost": score}})
+    ended = run(database, submit(database), Simulated())
+    assert 0 < ended.cells.cut < ended.cells.simulated
+    assert any(f"{ended.cells.cut}" in note and "`failed`" in note for note in ended.notes)
+    with database.read() as connection:
+        told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "1.5, the worth" in str(event.data)]
+        assert list(check_counters(connection)) == []
+    assert [event.data["text"].split(": ")[1] in {"city", "road"} for event in told] == [True]
+    store(database, MANIFEST | {"scores": {"cost": score | {"failed": 2.5}}})
+    assert run(database, submit(database), Simulated()).cells.cut == 0
 
 
 def test_a_campaign_without_failures_has_no_cause(database: Database) -> None:

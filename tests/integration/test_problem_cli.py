@@ -69,6 +69,8 @@ def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp
         assert [item.digest for item in client.problems().items] == [pushed[0].digest]
         with pytest.raises(NotFoundError, check=lambda error: error.kind == "problem"):
             client.problem("nothing")
+        with pytest.raises(NotFoundError, match="did you mean python-function"):
+            client.problem("pyton-function")
 
 
 def test_without_the_servers_home_folder_a_push_is_refused(

@@ -13,6 +13,7 @@ from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_
 from drivecal.analysis.chosen import Chosen, at_ends, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
+from drivecal.bundles.scoring import REMEDY
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
@@ -87,6 +88,7 @@ def trust(
         *_predictions(campaign, _newest(validated, of_predictions=True)),
         *_noise(campaign),
         *_failures(campaign),
+        *_cut(campaign),
         *_robustness(driven),
     ]
     reasons.sort(key=lambda reason: _ORDER.index(reason.light))
@@ -305,6 +307,19 @@ def _failures(campaign: Campaign) -> Iterator[Reason]:
             light: Light = "amber" if share > FEW else "green"
             text = f"{count:,} of {cells.requested:,} requested cells {what} ({share:.1%})."
             yield Reason(light=light, about="failures", text=text)
+
+
+def _cut(campaign: Campaign) -> Iterator[Reason]:
+    """Scores that were cut off at the worth of a failed run."""
+    cut, requested = (sum(getattr(cells, name) for cells in campaign.stages.values()) for name in ("cut", "requested"))
+    if not cut:
+        return
+    best, failed = {} if campaign.best is None else campaign.best.scores, campaign.scale.failed
+    share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
+    light: Light = "amber" if at_end or share > FEW else "green"
+    where = f", as the best set does in {', '.join(at_end)}" if at_end else ""
+    text = f"{cut:,} simulated scores ({share:.1%} of the cells) are worse than {failed:g} and count as it{where}: {REMEDY}."
+    yield Reason(light=light, about="cut", text=text)
 
 
 def _robustness(driven: Sequence[Driven]) -> Iterator[Reason]:

@@ -49,9 +49,10 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
     if response.is_success or response.status_code == HTTPStatus.NOT_MODIFIED:
         return
     document = _document(response)
-    if response.status_code == HTTPStatus.NOT_FOUND and kind:
-        raise NotFoundError(kind, identifier)
     detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
+    if response.status_code == HTTPStatus.NOT_FOUND and kind:
+        missing = f"{NotFoundError(kind, identifier)}; "
+        raise NotFoundError(kind, identifier, detail.removeprefix(missing) if detail.startswith(missing) else "")
     if response.status_code == HTTPStatus.CONFLICT:
         raise ConflictError(detail)
     if response.status_code == HTTPStatus.UNAUTHORIZED:

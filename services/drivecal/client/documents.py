@@ -159,12 +159,33 @@ def located_yaml(content: bytes) -> tuple[object, dict[str, int]]:
     except UnicodeDecodeError as error:
         raise InvalidInputError(Problem("", f"byte {error.start} is not valid UTF-8", "save the file as UTF-8")) from error
     except yaml.MarkedYAMLError as error:
-        raise _refusal(str(error.problem or error.context), error.problem_mark or error.context_mark) from error
+        raise _unreadable(content.decode("utf-8-sig"), error) from error
     except yaml.YAMLError as error:
         raise InvalidInputError(Problem("", f"no valid YAML: {' '.join(str(error).split())}", "correct the file")) from error
     except RecursionError as error:
         raise InvalidInputError(Problem("", "it is nested too deeply", "write a flatter document")) from error
     return document, {} if node is None else _lines(node)
+
+
+def _unreadable(text: str, error: yaml.MarkedYAMLError) -> InvalidInputError:
+    """Returns the refusal of a text that is no YAML; of a line that fits no block, in words about its indentation."""
+    message, mark = str(error.problem or error.context), error.problem_mark or error.context_mark
+    if message.startswith("mapping values"):
+        remedy = "put a text that holds `: ` into quotes; a field of its own begins where its neighbours begin"
+        return _refusal("a second `: ` begins a field where none can be", mark, remedy)
+    if mark is None or not message.startswith("expected <block end>"):
+        return _refusal(message, mark)
+    *before, line = text.splitlines()[: mark.line + 1]
+    earlier = next((other for other in reversed(before) if other.strip() and not other.lstrip().startswith("#")), line)
+    here, there = (len(other) - len(other.lstrip(" ")) for other in (line, earlier))
+    if here == there:
+        return _refusal("what begins here does not belong to what is before it", mark, "check the indentation of this line")
+    message = f"this line is indented by {_spaces(here)}, the line before it by {there}"
+    return _refusal(message, mark, "indent the fields of one object equally")
+
+
+def _spaces(count: int) -> str:
+    return f"{count} space{'' if count == 1 else 's'}"
 
 
 def _lines(root: yaml.Node) -> dict[str, int]:

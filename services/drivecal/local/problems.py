@@ -17,7 +17,7 @@ from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
 from drivecal.bundles.manifest import Manifest, ParameterEntry
-from drivecal.bundles.scoring import rate
+from drivecal.bundles.scoring import cut_text, rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
@@ -39,6 +39,7 @@ class OtherRun:
     failure: str | None = None
     scores: Mapping[str, float] = field(default_factory=dict)
     undefined: Mapping[str, str] = field(default_factory=dict)
+    cut: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
 
 
@@ -47,7 +48,8 @@ class CheckedScenario:
     """Result of a scenario's two runs, and of another set.
 
     `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
-    has the worth of a failed run. `values`: what the formulas give, before anything is cut off. `seconds`: of each run, wall-clock;
+    has the worth of a failed run. `cut`: true values of the scores that are worse than a failed run's worth, and count as it. `values`:
+    what the formulas give, before anything is cut off. `seconds`: of each run, wall-clock;
     `start_seconds`: until the simulator was ready. `other`: None if no other set was tried.
     """
 
@@ -56,6 +58,7 @@ class CheckedScenario:
     failure: str | None = None
     scores: Mapping[str, float] = field(default_factory=dict)
     undefined: Mapping[str, str] = field(default_factory=dict)
+    cut: Mapping[str, float] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     repeats: bool | None = None
     start_seconds: float = 0.0
@@ -173,13 +176,14 @@ def _checked(
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
         session.close()
-    scores, undefined = _rated(manifest, first)
+    scores, undefined, cut = _rated(manifest, first)
     return CheckedScenario(
         scenario=scenario,
         measures=dict(first.measures),
         failure=first.failure,
         scores=scores,
         undefined=undefined,
+        cut=cut,
         values=_values(manifest, first),
         repeats=_bits(first) == _bits(second),
         start_seconds=started,
@@ -194,8 +198,7 @@ def _tried(manifest: Manifest, session: SimulatorSession, parameters: Mapping[st
         outcome = session.evaluate(parameters)
     except NoMeasuresError as error:
         return OtherRun(error=str(error))
-    scores, undefined = _rated(manifest, outcome)
-    return OtherRun(dict(outcome.measures), outcome.failure, scores, undefined)
+    return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome))
 
 
 def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
@@ -204,8 +207,8 @@ def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series
     return outcome, time.perf_counter() - began
 
 
-def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str]]:
-    """Returns the scores by name, and why some have no value."""
+def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str], dict[str, float]]:
+    """Returns the scores by name, why some have no value, and the true values of those that are cut off."""
     rated = {
         name: rate(Formula(entry.formula, manifest.measures), entry.scale(name), outcome.measures, outcome.failure)
         for name, entry in manifest.scores.items()
@@ -214,6 +217,7 @@ def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], d
     return (
         {name: scored.value for name, scored in known.items()},
         {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
+        {name: scored.cut for name, scored in known.items() if scored.cut is not None},
     )
 
 
@@ -226,6 +230,19 @@ def _values(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
             with suppress(UndefinedError):
                 values[name] = formula(outcome.measures)
     return values
+
+
+def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
+    """Returns a warning for each score that is cut off, with its true value."""
+    runs = [
+        (run, f"{result.scenario}{where}") for result in checked for run, where in ((result, ""), (result.other, ", set 2"))
+    ]
+    return [
+        cut_text(where, name, value, manifest.scores[name].failed_worth)
+        for run, where in runs
+        if run is not None
+        for name, value in run.cut.items()
+    ]
 
 
 FAR = 0.5
@@ -247,7 +264,7 @@ def doubtful_ranges(manifest: Manifest, checked: Sequence[CheckedScenario]) -> l
         if most < lower - FAR * width or least > upper + FAR * width:
             warnings.append(
                 f"scores.{name}.range is [{lower:g}, {upper:g}], and the measured scores are {measured}: thresholds and tolerances are"
-                " shares of the range, and scores beyond `failed` count as failed runs"
+                " shares of the range"
             )
         elif 0 < most - least < NARROW * width:
             share = f"{(most - least) / width:.2g} of it ({measured})"

@@ -80,7 +80,10 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
     except InvalidInputError as error:
         problems = [_cut_formula(problem) for problem in error.problems]
         faulty = {re.split(r"[.\[]", problem.field)[0] for problem in problems}
-        if not isinstance(document, dict) or not faulty <= _PLACEHOLDERS.keys() | document.keys():
+        if not isinstance(document, dict):
+            raise
+        faulty |= {name for name, field in Manifest.model_fields.items() if field.is_required()} - document.keys()
+        if not faulty <= _PLACEHOLDERS.keys() | document.keys():
             raise
         sound = {name: section for name, section in document.items() if name in _PLACEHOLDERS}
         manifest = Manifest.model_validate(sound | {name: _PLACEHOLDERS[name] for name in faulty & _PLACEHOLDERS.keys()})

@@ -89,7 +89,8 @@ AnySimulator = Annotated[
 class ScoreEntry(Model):
     """A score: arithmetic over measures.
 
-    `range`: its usual values; `failed`: the worth of a failed run, by default the worst end of the range.
+    `range`: its usual values; `failed`: the worth of a failed run, by default the worst end of the range. A failed run never beats another:
+    a score that is worse than `failed` counts as `failed`. If scores may lie beyond the range, give `failed` a value worse than any run's.
     """
 
     formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
@@ -97,11 +98,11 @@ class ScoreEntry(Model):
     direction: Literal["maximise", "minimise"]
     """Which scores are better."""
     range: Annotated[tuple[Number, Number], Field(strict=False)]
-    """Usual values, no bounds."""
+    """Usual values; scores may lie beyond, but none counts worse than `failed`."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     """Smaller differences are no error of a reused or predicted score."""
     failed: Number | None = None
-    """Worth of a failed run; null: the worst end of the range. No run is worth less."""
+    """Worth of a failed run, worse than any run's score; null: the worst end of the range. Worse scores count as it, with a warning."""
     unit: Unit = "1"
     """For readers; 1 is none."""
 

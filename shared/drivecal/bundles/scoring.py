@@ -9,13 +9,18 @@ from drivecal.domain.scales import Scale
 LARGEST = 1e15
 """Largest size of a score. Sums and ranks of larger ones could overflow; only a formula near a division by zero gives them."""
 
+REMEDY = "widen `range` or give `failed`, a value worse than any run's"
+"""What keeps scores from being cut off."""
+
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """A score. `undefined`: why the formula has no value, so that the run has the worth of a failed one."""
+    """A score. `undefined`: why the formula has no value, so that the run has the worth of a failed one. `cut`: the formula's value if it
+    is worse than that worth."""
 
     value: float
     undefined: str | None = None
+    cut: float | None = None
 
 
 def rate(formula: Formula, scale: Scale, measures: Mapping[str, float], failure: str | None) -> Scored | None:
@@ -33,4 +38,9 @@ def rate(formula: Formula, scale: Scale, measures: Mapping[str, float], failure:
         return Scored(scale.failed, str(error))
     if abs(value) > LARGEST:
         return Scored(scale.failed, f"{formula.text} is {value:g}, beyond {LARGEST:g}")
-    return Scored(scale.worth(value))
+    return Scored(scale.worth(value), cut=value if scale.cuts(value) else None)
+
+
+def cut_text(scenario: str, score: str, value: float, failed: float) -> str:
+    """Returns a sentence on a score of this true value that counts as a failed run's."""
+    return f"{scenario}: {score} is {value:g} and counts as {failed:g}, the worth of a failed run; {REMEDY}"

@@ -65,6 +65,8 @@ class CellCounts(Answer):
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
     """Simulations for whose measures the score's formula has no value, which are worth a failed run; among `simulated`."""
+    cut: int = 0
+    """Simulations whose score is worse than the worth of a failed run, which they count as; among `simulated`."""
 
 
 class StageCellCounts(Answer):
@@ -80,6 +82,7 @@ class StageCellCounts(Answer):
     checked: int = 0
     unrepeatable: int = 0
     unscored: int = 0
+    cut: int = 0
 
 
 EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}

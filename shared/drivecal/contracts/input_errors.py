@@ -143,7 +143,15 @@ def _beginning(value: object) -> object:
 def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:
     """Returns a problem per field and cause. `details` as from `ValidationError.errors()`, of `model` read from `document`."""
     located = [(_path(detail, document), detail) for detail in details]
+    meant = {_meant(path, model) for path, detail in located if detail["type"] == "extra_forbidden"}
+    located = [(path, detail) for path, detail in located if detail["type"] != "missing" or path not in meant]
     return list(dict.fromkeys(_merged(located, model)))
+
+
+def _meant(path: tuple[int | str, ...], model: type[BaseModel]) -> tuple[int | str, ...] | None:
+    """Returns the path of the field that a misspelt one at `path` seems to mean: it is missing for this reason alone."""
+    close = get_close_matches(str(path[-1]), _known(model, path[:-1]), n=1)
+    return (*path[:-1], close[0]) if close else None
 
 
 def _path(detail: Detail, document: object) -> tuple[int | str, ...]:

@@ -47,12 +47,14 @@ class Rating:
     """A run in units of the campaign's scale: `score` is what counts, `rating` a finer number that orders equal scores.
 
     On a scale with steps, `score` is the rating rounded to a step; on others both are the same. `undefined`: why the formula of the score
-    has no value, so that the run has the worth of a failed one.
+    has no value, so that the run has the worth of a failed one. `cut`: the formula's value if it is worse than a failed run's worth, which
+    the run then counts as.
     """
 
     rating: float
     score: float
     undefined: str | None = None
+    cut: float | None = None
 
 
 FAILED_RATING = Rating(rating=0.0, score=0)

@@ -76,7 +76,8 @@ def _check_bounds(name: str, lower: Decimal, upper: Decimal, **others: Decimal) 
             raise _refused(name, attribute, str(error), "round it") from error
     if upper <= lower:
         message = f"the grid is empty: upper {upper} is not above lower {lower}"
-        raise _refused(name, "upper", message, "to hold a parameter, name it in `fixed`")
+        remedy = "swap them" if upper < lower else "to hold a parameter, name it in `fixed`"
+        raise _refused(name, "upper", message, remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +141,12 @@ class Parameter:
         _check_bounds(name, lower, upper, step=step)
         if step < 0:
             raise _refused(name, "step", f"{step} is negative", "give a positive step")
+        if step > upper - lower:
+            message = f"step {step} is wider than the range from {lower} to {upper}"
+            raise _refused(name, "step", message, f"give a step of at most {text(upper - lower)}")
         if (upper - lower) % step != 0:
             below = lower + (upper - lower) // step * step
-            fitting = [text(below)] if below > lower else []
-            remedy = f"give e.g. upper {' or '.join([*fitting, text(below + step)])}"
+            remedy = f"give e.g. upper {text(below)} or {text(below + step)}"
             raise _refused(name, "step", f"upper {upper} is not lower {lower} plus a multiple of step {step}", remedy)
         n_values = int((upper - lower) / step) + 1
         if n_values > LARGEST_GRID:

@@ -63,7 +63,11 @@ class Scale:
 
     def worth(self, score: float, *, failed: bool = False) -> float:
         """Returns what a run counts: a failed run is worth `failed`, and no run is worth less."""
-        return self.failed if failed or self.is_better(self.failed, score) else score
+        return self.failed if failed or self.cuts(score) else score
+
+    def cuts(self, score: float) -> bool:
+        """Whether a score is worse than `failed`, so that it counts as a failed run's."""
+        return self.is_better(self.failed, score)
 
     @property
     def rounding(self) -> float:

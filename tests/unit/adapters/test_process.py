@@ -277,6 +277,29 @@ def test_the_tail_is_the_end_of_the_messages(tmp_path: Path) -> None:
         assert len(lost(session, {"x": 1.0}, Breakdown.CRASH)) < pipes.LONGEST_TAIL
 
 
+def test_a_traceback_is_shown_with_its_location_and_its_error(tmp_path: Path) -> None:
+    body = "def gain(p):\n    return p['Kp'] + 1\nif x == 2.0:\n    raise ValueError('one\\ntwo\\nthree\\nfour')\ngain({})"
+    with served(tmp_path, body) as session:
+        shown, of_many_lines = (lost(session, {"x": x}, Breakdown.CRASH) for x in (1.0, 2.0))
+    lines = (tmp_path / "sim.py").read_text().splitlines()
+    line, raised = (next(at for at, text in enumerate(lines, 1) if words in text) for words in ("p['Kp']", "raise"))
+    assert f'sim.py", line {line}' in shown
+    assert of_many_lines.endswith(f'sim.py", line {raised} | three | four')
+    assert shown.endswith("return p['Kp'] + 1 | KeyError: 'Kp'")
+    assert "^" not in shown
+
+
+@pytest.mark.parametrize("ready", [True, False])
+def test_an_answer_that_is_not_flushed_is_named_as_a_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, ready: bool
+) -> None:
+    if not ready:
+        monkeypatch.setattr(process, "START_SECONDS", 0.5)
+    held = "sys.stdout.write('{\"ready\": true}\\n'); time.sleep(600)"
+    with served(tmp_path, held if ready else "", start="pass" if ready else held, timeout=0.5) as session:
+        assert process.UNFLUSHED in lost(session, {"x": 1.0}, Breakdown.HANG)
+
+
 def test_a_program_on_the_path_can_be_used(tmp_path: Path) -> None:
     write_server(tmp_path)
     with opened("process", tmp_path, DECLARED, command=["env", PYTHON, "sim.py"]) as session:

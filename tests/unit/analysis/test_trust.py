@@ -140,6 +140,15 @@ def test_noise_and_failures_are_told() -> None:
     assert lights(campaign(cells={"failed": 1}))["failures", None] == "green"
 
 
+def test_scores_that_were_cut_off_are_told_if_they_matter() -> None:
+    assert ("cut", None) not in lights(campaign())
+    assert lights(campaign(cells={"cut": 1}))["cut", None] == "green"
+    assert lights(campaign(cells={"cut": 2}))["cut", None] == "amber"
+    worst = BEST.model_copy(update={"scores": {"S1": COST.failed, "S2": 3.0}})
+    [reason] = [reason for reason in trust(campaign(cells={"cut": 1}, best=worst, scale=COST)).reasons if reason.about == "cut"]
+    assert (reason.light, "S1" in reason.text, "`failed`" in reason.text) == ("amber", True, True)
+
+
 @pytest.mark.parametrize(("objective", "light"), [(4.0, "green"), (6.0, "amber"), (7.0, "amber")])
 def test_the_best_set_is_held_against_the_baseline(objective: float, light: str) -> None:
     before = Baseline(objective=objective, parameters={}, scores={})

@@ -70,6 +70,13 @@ def faults(given: object, files: dict[str, bool] | None = None) -> set[str]:
     return {problem.field for problem in refusal.value.problems}
 
 
+@pytest.mark.parametrize(("section", "slip"), [("measures", "mesures"), ("scores", "score"), ("scenarios", "scenario")])
+def test_a_misspelt_section_is_not_missing_too(section: str, slip: str) -> None:
+    given = document()
+    given[slip] = given.pop(section)
+    assert faults(given) == {slip}
+
+
 def changed(path: str, value: Any) -> dict[str, Any]:
     """A valid manifest with one value changed, or removed if it is None."""
     given = document()

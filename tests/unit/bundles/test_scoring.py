@@ -13,7 +13,7 @@ FORMULA = Formula("1 / gap")
 
 def test_a_score_is_the_formula_s_value_and_never_worse_than_a_failed_run() -> None:
     assert rate(FORMULA, COST, {"gap": 0.25, "other": 3.0}, None) == Scored(4.0)
-    assert rate(FORMULA, COST, {"gap": 0.001}, None) == Scored(100.0)
+    assert rate(FORMULA, COST, {"gap": 0.001}, None) == Scored(100.0, cut=1000.0)
     assert rate(FORMULA, COST, {"gap": 0.25}, "collision") == Scored(100.0)
     assert rate(FORMULA, COST, {}, "collision") == Scored(100.0)
 

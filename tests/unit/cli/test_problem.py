@@ -125,6 +125,15 @@ def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
     assert [scenario["failure"] for scenario in report["scenarios"]] == [None, None]
 
 
+def test_a_score_that_is_cut_off_is_a_warning_with_its_true_value(write: Write) -> None:
+    model = "def evaluate(p, s):\n    return {'energy': 10 / (14.5 if p['x'] == 0.5 else 4.5)}\n"
+    code, report = check(write(model))
+    assert (code, [scenario["scores"]["cost"] for scenario in report["scenarios"]]) == (0, [10.0, 10.0])
+    cut = [warning for warning in report["warnings"] if "`failed`" in warning]
+    assert [(warning.split(":")[0], "14.5" in warning) for warning in cut] == [("city", True), ("road", True)]
+    assert check(write(model, MANIFEST.replace("[0, 10]", "[0, 10], failed: 20")))[1]["warnings"] == []
+
+
 def test_a_failure_and_a_score_without_a_value_are_worth_the_worst(write: Write) -> None:
     code, report = check(write("def evaluate(p, s):\n    return {'energy': 0.0}\n"))
     assert (code, report["scenarios"][0]["scores"]) == (0, {"cost": 10.0})
@@ -135,6 +144,7 @@ def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
     code, report = check(write("def evaluate(p, s):\n    raise ValueError('no licence')\n"))
     assert code == 1
     assert "no licence" in report["scenarios"][0]["error"]
+    assert report["other_parameters"] is None, "it was not run"
 
 
 def test_a_hang_is_named_with_its_limit_while_it_lasts_and_at_its_end(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,7 +204,7 @@ def test_a_range_far_from_the_measured_scores_is_told_with_their_values(
 ) -> None:
     manifest = MANIFEST.replace('"10/energy"', f'"{formula}"').replace("range: [0, 10]", f"range: {span}")
     code, report = check(write(manifest=manifest))
-    assert (code, len(report["warnings"])) == (0, int(warned))
+    assert (code, sum(".range is " in warning for warning in report["warnings"])) == (0, int(warned))
     if warned:
         assert "scores.cost.range" in report["warnings"][0]
         assert "32.5 to 62.5" in report["warnings"][0]

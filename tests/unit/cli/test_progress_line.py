@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from io import StringIO
+from typing import Any
 
 import pytest
 from rich.console import Console
 
-from drivecal.cli.views.progress import Bar, progress_line
+from drivecal.cli.views.progress import Bar, progress_line, show_until_ended
+from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts, Progress
+from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
+from drivecal.domain.errors import UnavailableError
 
 
 @pytest.mark.parametrize("width", [80, 120, 200])
@@ -33,3 +38,38 @@ def test_the_progress_is_one_line_with_its_stage_and_count_in_any_width(width: i
     assert "calibration" in line
     assert "60000/120000" in line
     assert len(line) <= width
+
+
+class Watched(Client):
+    """A client of a campaign that is queued, runs and ends, while workers have these states; None: the server is silent."""
+
+    def __init__(self, *workers: list[str] | None) -> None:
+        self.answers = list(workers)
+
+    def watch(self, *_: Any, **__: Any) -> Iterator[Campaign]:
+        for state in ("queued", "running", "running", "succeeded"):
+            yield Campaign(id="1" * 32, name="mine", state=state)
+
+    def workers(self) -> WorkerPage:
+        states = self.answers.pop(0)
+        if states is None:
+            raise UnavailableError("silent")
+        return WorkerPage(items=[WorkerAnswer(id=str(place), state=state) for place, state in enumerate(states)], fresh=True)
+
+
+@pytest.mark.parametrize(
+    ("workers", "told", "asked"),
+    [
+        ([["starting", "starting"]], 1, 1),
+        ([["starting", "idle"]], 0, 1),
+        ([[], ["starting"]], 1, 2),
+        ([None, [], ["busy"]], 0, 3),
+    ],
+)
+def test_why_nothing_is_simulated_is_told_once_if_workers_are_starting(
+    capsys: pytest.CaptureFixture[str], workers: list[list[str] | None], told: int, asked: int
+) -> None:
+    client = Watched(*workers, *[["starting"]] * 9)
+    assert show_until_ended(client, "1" * 32).state == "succeeded"
+    assert capsys.readouterr().err.count("waiting for workers") == told
+    assert len(client.answers) == len(workers) + 9 - asked

@@ -104,6 +104,11 @@ def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path)
             assert 0 < Formula(score.formula, manifest.measures)(answer["measures"]) < 100
 
 
+def test_a_new_highway_problem_records_the_time_of_its_series(tmp_path: Path) -> None:
+    write_problem("highway", "my-acc", tmp_path / "folder")
+    assert read_bundle(tmp_path / "folder")[0].series["time_s"] == "s"
+
+
 @pytest.mark.slow
 def test_a_new_highway_problem_runs_on_a_motorway_of_its_own(tmp_path: Path) -> None:
     written = write_problem("highway", "my-acc", tmp_path / "folder")

@@ -44,6 +44,10 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
             "reduction.mode: x is not one of the choices; give off, exact, influence, predicted or both",
         ),
         ({"reduction": {"audt": 1}}, "reduction.audt: there is no such field; did you mean audit?"),
+        (
+            {"parameters": [{"nmae": "P1", "lower": 0, "upper": 1}]},
+            "parameters[0].nmae: there is no such field; did you mean name?",
+        ),
         ({"name": "a\0"}, "name: 'a\\x00' is not a valid name; leave out control characters"),
         ({"parameters": [{"lower": 0, "upper": 1}]}, "parameters[0].name: the value is missing; give it"),
         ([], "a list does not fit; give an object"),

@@ -152,9 +152,9 @@ def test_an_index_off_the_grid_is_refused(index: int) -> None:
     [
         ("0", "1", "-0.1", "P.step", "-0.1"),
         ("1", "1", "0.1", "P.upper", "`fixed`"),
-        ("2", "1", "0.1", "P.upper", "upper 1 .* lower 2"),
+        ("2", "1", "0.1", "P.upper", "upper 1 .* lower 2; swap"),
         ("0", "1", "0.3", "P.step", "step 0.3.* 0.9 or 1.2"),
-        ("0", "1", "3", "P.step", "step 3.* upper 3$"),
+        ("0", "1", "3", "P.step", "step 3.* at most 1$"),
         ("0", "100", "0.00001", "P.step", "10000001.* 1,000,000"),
         ("NaN", "1", "0.1", "P.lower", "NaN"),
         ("0", "Infinity", "0.1", "P.upper", "Infinity.* ±1000000"),

@@ -36,6 +36,7 @@ def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:
 def test_no_run_is_worth_less_than_a_failed_one() -> None:
     assert [COMFORT.worth(score) for score in (6, 0, -3)] == [6, 0, 0]
     assert [COST.worth(score) for score in (6.5, 100, 170.25)] == [6.5, 100, 100]
+    assert [COST.cuts(score) for score in (6.5, 100, 170.25)] == [False, False, True]
     assert (COMFORT.worth(7, failed=True), COST.worth(0.0, failed=True)) == (0, 100)
 
 

@@ -27,3 +27,4 @@ def test_no_shown_score_is_worse_than_that_of_a_failed_run() -> None:
     assert result.error is None
     assert result.scores == {"plain": 5.0, "beyond": 10.0, "undefined": 0.0}
     assert set(result.undefined) == {"undefined"}
+    assert result.cut == {"beyond": 50.0}

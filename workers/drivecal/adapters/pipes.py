@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import select
 import signal
 import time
@@ -20,6 +21,13 @@ TICK_SECONDS = 0.5
 """Longest time between two looks at the clock and at the child's processes."""
 CLOSED_SECONDS = 1.0
 """Time for a child that has closed its standard output to end."""
+LONGEST_SHOWN = 300
+"""Characters of messages in an error."""
+LONGEST_PATH = 100
+"""Characters kept of the end of a file's path in a traceback."""
+LONGEST_END = 10
+"""Last lines of the messages among which the location of a traceback is searched."""
+_PLACE = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>\d+)')
 _CHUNK = 1 << 18
 _OUT_OF_MEMORY = (b"MemoryError", b"bad_alloc", b"annot allocate memory", b"ut of memory", b"OutOfMemory")
 
@@ -116,8 +124,7 @@ class Pipes:
 
     def tail(self) -> str:
         """Returns the last lines of standard error, printable, for an error message: control characters could steer a terminal."""
-        lines = [line.strip() for line in self._tail.decode(errors="replace").splitlines() if line.strip()]
-        shown = " | ".join(lines[-3:])[-300:]
+        shown = _last_lines(self._tail.decode(errors="replace"))
         return "".join(character if character.isprintable() else "?" for character in shown)
 
     def stop(self, farewell: bytes = b"", seconds: float = 0.0) -> None:
@@ -242,6 +249,18 @@ def _read(descriptor: int) -> bytes | None:
         return os.read(descriptor, _CHUNK)
     except BlockingIOError:
         return None
+
+
+def _last_lines(messages: str) -> str:
+    """Returns the last three lines; of a traceback of Python at the end, the last location and the last lines. Marks under code are left
+    out."""
+    lines = [line.strip() for line in messages.splitlines() if line.strip(" \t^~")]
+    places = (_PLACE.match(line) for line in lines[-LONGEST_END:-3])
+    place = next((match for match in reversed(list(places)) if match is not None), None)
+    if place is None or any(map(_PLACE.match, lines[-3:])):
+        return " | ".join(lines[-3:])[-LONGEST_SHOWN:]
+    where = f'File "{place["file"][-LONGEST_PATH:]}", line {place["line"]}'
+    return f"{where} | {' | '.join(lines[-2:])[-LONGEST_SHOWN + len(where) :]}"
 
 
 def _signal_name(number: int) -> str:

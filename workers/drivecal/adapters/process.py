@@ -8,7 +8,7 @@ from typing import Any
 
 from drivecal.adapters import answers
 from drivecal.adapters.children import Children, Launch, check_command
-from drivecal.adapters.pipes import Pipes
+from drivecal.adapters.pipes import RUN_LIMIT, Pipes
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -21,6 +21,8 @@ START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
 )
 """Origin of that limit, for the message of a hang."""
+UNFLUSHED = ", or let the program flush its standard output after each answer, if it does not"
+"""Another cause of a run without an answer, of programs that users wrote: drivecal's own drivers flush."""
 QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
 SEED = 1
@@ -46,12 +48,14 @@ class ProcessSession:
         scenario: str,
         data: Mapping[str, Any],
         most_runs: float = math.inf,
+        advice: str = "",
     ) -> None:
         """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready.
 
-        `most_runs`: number of runs after which another child is started.
+        `most_runs`: number of runs after which another child is started. `advice`: what else may help if an answer is late.
         """
         self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
+        self._advice = advice
         self._children = Children(launch, scratch)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
@@ -92,7 +96,7 @@ class ProcessSession:
         request = f'{{"id": {self._number}, {self._head[1:]}, "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
         request += ', "series": true}\n' if series else "}\n"
         try:
-            answer = answers.document(pipes.ask(request.encode(), self._timeout), "the answer")
+            answer = answers.document(pipes.ask(request.encode(), self._timeout, RUN_LIMIT + self._advice), "the answer")
             if answer.get("id") != self._number or answer["id"] is True:
                 raise NoMeasuresError(
                     Breakdown.ERROR, f"the answer's id is {answer.get('id')!r:.100}, the request's {self._number}"
@@ -108,7 +112,9 @@ class ProcessSession:
         self._pipes, self._runs = Pipes(self._children), 0
         greeting = json.dumps({"drivecal": 1, "problem": self._declared.problem}).encode() + b"\n"
         try:
-            answer = answers.document(self._pipes.ask(greeting, start_seconds(self._timeout), START_LIMIT), "the answer")
+            answer = answers.document(
+                self._pipes.ask(greeting, start_seconds(self._timeout), START_LIMIT + self._advice), "the answer"
+            )
             if "error" in answer:
                 raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
@@ -145,4 +151,6 @@ class ProcessAdapter:
             scratch.remove()
             raise
         launch = Launch.of(command, section)
-        return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)
+        return ProcessSession(
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data, advice=UNFLUSHED
+        )

@@ -12,9 +12,11 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.scoring import cut_text
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, Probe, SetupRequest
 from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome, Rating
@@ -32,6 +34,9 @@ from drivecal.storage.results import StoredEvaluation
 
 LONGEST_DETAIL = 2_000
 """Characters kept of a cell's failure message."""
+
+MOST_NAMED = 12
+"""Parameters whose values are named in a note."""
 
 log = logging.getLogger(__name__)
 
@@ -59,8 +64,10 @@ class CellTracker:
         self.simulating_seconds = simulating_seconds
         self.undefined: str | None = None
         """Why a score has no value, of the first such result; None before."""
+        self.cut: str | None = None
+        """Scenario and true value of the first score that was cut off; None before."""
         self.broken: str | None = None
-        """Scenario and cause of the first cell without a result; None before."""
+        """Scenario, cause, number and parameter set of the first cell without a result; None before."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -250,6 +257,9 @@ class CellTracker:
             score, rating = rated.score, rated.rating
             self._counts["unscored"] += rated.undefined is not None
             self.undefined = self.undefined or rated.undefined
+            if rated.cut is not None:
+                self._counts["cut"] += 1
+                self.cut = self.cut or cut_text(cell.scenario, bench.scale.name, rated.cut, bench.scale.failed)
         if score is None or rating is None:
             raise ValueError(f"evaluation {cell.id} has no score, or lacks a measure that its score needs")
         score, rating = (bench.scale.worth(value, failed=result.failure is not None) for value in (score, rating))
@@ -293,7 +303,8 @@ class CellTracker:
         """Fails a cell without a result after all attempts. Copies of the same parameter set fail with it; other copies become orphans."""
         orphans: list[StoredEvaluation] = []
         detail = None if completion.result.detail is None else _storable(completion.result.detail)
-        self.broken = self.broken or f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'}"
+        if self.broken is None:
+            self.broken = f"{cell.scenario}: {completion.result.breakdown}: {detail or 'no message'} ({_place(cell)})"
         for other in (cell, *self._copies.pop(cell.id, ())):
             if other.plan is Outcome.REUSED:
                 orphans.append(other)
@@ -359,6 +370,13 @@ def _refutation(cell: StoredEvaluation, completion: Completed) -> str:
         f"{where} was to repeat evaluation {completion.result.proven_by} bit for bit, but its simulation on {completion.worker}"
         " differs: the driving function's certificates are wrong. Set reduction.certified: false, and report this bug"
     )
+
+
+def _place(cell: StoredEvaluation) -> str:
+    """Returns a cell's number and parameter set, as `drivecal evaluate` takes it."""
+    shown = [f"{name}={value_text(value)}" for name, value in cell.parameters.floats.items()]
+    more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
+    return f"evaluation {cell.id}, {' '.join(shown[:MOST_NAMED])}{more}"
 
 
 def _storable(words: str) -> str:

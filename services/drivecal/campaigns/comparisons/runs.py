@@ -16,7 +16,7 @@ from typing import Self
 from drivecal.analysis.confirmation import remarkable
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.eta import EtaEstimate, worked
 from drivecal.contracts.campaign import Baseline, Best, ErrorRate
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
@@ -57,9 +57,9 @@ class ComparisonJob(Job):
         """The run of each cell at the workers."""
         with database.read() as connection:
             self._waiting = comparisons.open_runs(connection, campaign.sequence)
-            done = _Sum.over(comparisons.tallies(connection, campaign.sequence), self._sign).done
+            total = _Sum.over(comparisons.tallies(connection, campaign.sequence), self._sign)
         self._next_sum = time.monotonic()
-        self._eta = EtaEstimate(time.monotonic, done)
+        self._eta = EtaEstimate(time.monotonic, total.done, total.worked)
         self.finished = False
 
     def work(self) -> list[Work]:
@@ -164,7 +164,7 @@ class ComparisonJob(Job):
                 stage=StageName.CALIBRATION,
                 iteration=None,
                 cells={stage: campaign_stages.counts(total.stages, stage) for stage in total.stages},
-                progress=self._eta.progress(total.done, max(self._expected, total.done)),
+                progress=self._eta.progress(total.done, max(self._expected, total.done), total.worked),
                 error_rate={scenario: _rate(audits) for scenario, audits in total.audits.items() if audits["audited"]},
                 best=total.best,
                 baseline=total.baseline,
@@ -200,6 +200,10 @@ class _Sum:
     @property
     def done(self) -> int:
         return sum(cells["requested"] for cells in self.stages.values())
+
+    @property
+    def worked(self) -> int:
+        return sum(worked(cells) for cells in self.stages.values())
 
     def _add(self, run: RunTally) -> None:
         for stage, cells in run.stages.items():

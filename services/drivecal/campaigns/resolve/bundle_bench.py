@@ -138,7 +138,7 @@ class BundleBench:
         del scenario
         known = {name: value for name, value in metrics.items() if value is not None}
         scored = rate(self._formula, self.scale, known, failure)
-        return None if scored is None else Rating(scored.value, scored.value, scored.undefined)
+        return None if scored is None else Rating(scored.value, scored.value, scored.undefined, scored.cut)
 
     @property
     def _entry(self) -> ScoreEntry:

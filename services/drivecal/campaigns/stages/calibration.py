@@ -352,7 +352,7 @@ class Calibration(CampaignStage):
             if not self._repeatable_no_more:
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
-        notes += self._undefined_notes()
+        notes += self._score_notes()
         if (skipped := skipped_text(self._released)) is not None and self._iteration == self._optimization.iterations - 1:
             notes.append(skipped)
         if self._verdict is not None:

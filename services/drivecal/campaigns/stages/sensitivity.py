@@ -145,7 +145,7 @@ class Sensitivity(CampaignStage):
         }
 
     def _snapshot(self, connection: Connection) -> Snapshot:
-        return replace(super()._snapshot(connection), notes=[*self._problem.notes, *self._undefined_notes()])
+        return replace(super()._snapshot(connection), notes=[*self._problem.notes, *self._score_notes()])
 
 
 def _influential(influence_map: InfluenceMap) -> dict[str, list[str]]:

@@ -8,13 +8,14 @@ from typing import ClassVar
 
 from sqlalchemy import Connection
 
+from drivecal.bundles.scoring import REMEDY
 from drivecal.campaigns.cells.cell_tracker import CellTracker
 from drivecal.campaigns.cells.planning import View, plan_cells
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.failures import broken_down
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.eta import EtaEstimate, worked
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
@@ -54,10 +55,10 @@ class Stage(Job):
         self._campaign = campaign
         self._view = view
         self._tracker = CellTracker(view, counts.model_dump(), campaign.simulating_seconds)
-        self._eta = EtaEstimate(time.monotonic, counts.requested)
+        self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
         self._resumed = False
         self._round: Round | None = None
-        self._told_undefined, self._told_broken = counts.unscored > 0, counts.failed > 0
+        self._told = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
         self.finished = False
 
     @abstractmethod
@@ -88,8 +89,7 @@ class Stage(Job):
 
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
-        self._tell_undefined(connection)
-        self._tell_broken(connection)
+        self._tell_firsts(connection)
         counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
             stage=self.name,
@@ -99,31 +99,34 @@ class Stage(Job):
             simulating_seconds=self._tracker.simulating_seconds,
         )
 
-    def _tell_undefined(self, connection: Connection) -> None:
-        """Adds an event for the stage's first score without a value."""
-        if self._tracker.undefined is not None and not self._told_undefined:
-            text = f"a score has no value, so that its run counts as failed: {self._tracker.undefined}"
-            events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
-            self._told_undefined = True
+    def _tell_firsts(self, connection: Connection) -> None:
+        """Adds an event for the stage's first score without a value, its first score that was cut off, and its first cell without a result:
+        others may take as long to fail, e.g. if a simulator hangs."""
+        firsts = {
+            "unscored": ("a score has no value, so that its run counts as failed", self._tracker.undefined),
+            "cut": ("a score is cut off", self._tracker.cut),
+            "failed": ("a cell has no result after all attempts", self._tracker.broken),
+        }
+        for count, (what, first) in firsts.items():
+            if first is not None and count not in self._told:
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": f"{what}: {first}"})
+                self._told.add(count)
 
-    def _tell_broken(self, connection: Connection) -> None:
-        """Adds an event for the stage's first cell without a result: others may take as long to fail, e.g. if a simulator hangs."""
-        if self._tracker.broken is not None and not self._told_broken:
-            text = f"a cell has no result after all attempts: {self._tracker.broken}"
-            events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
-            self._told_broken = True
-
-    def _undefined_notes(self) -> list[str]:
-        """Returns a note on scores without a value."""
-        count = self._tracker.counts.get("unscored", 0)
-        if not count:
-            return []
+    def _score_notes(self) -> list[str]:
+        """Returns notes on scores without a value and on those that were cut off."""
+        endings = {
+            "unscored": "have no value and count as failed runs: see the causes of failures",
+            "cut": f"are worse than the worth of a failed run and count as it: {REMEDY}",
+        }
+        counts = self._tracker.counts
         return [
-            f"{count:,} simulated scores of the {self.name} have no value and count as failed runs: see the causes of failures"
+            f"{counts[name]:,} simulated scores of the {self.name} {ending}"
+            for name, ending in endings.items()
+            if counts.get(name)
         ]
 
     def _progress(self, requested: int, proposed: int) -> Progress:
-        return self._eta.progress(requested, max(self._at_most, proposed))
+        return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
 
     def work(self) -> list[Work]:
         """Returns what to simulate next; empty while answers are awaited, and when the stage is `finished`."""

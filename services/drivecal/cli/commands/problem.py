@@ -77,6 +77,7 @@ def check(
     if not offline:
         from drivecal.local.problems import (
             ask_probe,
+            cut_scores,
             doubtful_ranges,
             other_set,
             run_problem,
@@ -90,7 +91,9 @@ def check(
             if not as_json:
                 tell(f"{result.scenario}: {_sentence(result)}")
             checked.append(result)
-        report["warnings"] = [*doubtful_ranges(manifest, checked), *_doubts_elsewhere(checked)]
+        if not any(result.other for result in checked):
+            report["other_parameters"] = None  # no scenario came to it
+        report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked), *_doubts_elsewhere(checked)]
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
         print_json(report)

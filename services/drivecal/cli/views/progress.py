@@ -16,12 +16,15 @@ from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignEvent
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import DrivecalError
 from drivecal.domain.events import event_text
 
 SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
 """Kinds of events that the progress or the final state shows as well."""
 _DEGRADED = "degraded: "
+_STARTING = "waiting for workers: they are starting (compiling takes up to minutes, once per machine)"
 
 
 class Bar:
@@ -121,6 +124,7 @@ def show_until_ended(
     Raises TimeoutError when the monotonic clock passes `deadline`.
     """
     said: str | None = None
+    starting: bool | None = None
     with reporter() as report:
 
         def show_event(event: CampaignEvent) -> None:
@@ -132,7 +136,20 @@ def show_until_ended(
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
             report.show(campaign)
+            if starting is None and not CampaignState(campaign.state).ended:
+                starting = _are_starting(client)
+                if starting:
+                    report.tell(_STARTING)
     return campaign
+
+
+def _are_starting(client: Client) -> bool | None:
+    """Returns whether there are workers and none of them can simulate yet; None if it is not known."""
+    try:
+        page = client.workers()
+    except DrivecalError:
+        return None
+    return all(worker.state == "starting" for worker in page.items) if page.fresh and page.items else None
 
 
 def stage_text(campaign: Campaign) -> str:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from difflib import get_close_matches
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Select, bindparam, exists, func, select, update
@@ -15,6 +16,8 @@ from drivecal.storage.engine.tables import bundles
 from drivecal.storage.engine.types import now
 
 KIND = "problem"
+MOST_NAMES = 1_000
+"""Names, last pushed first, among which one that is similar to a misspelt one is searched."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _later = bundles.alias("later")
 _latest = ~exists().where(_later.c.name == bundles.c.name, _later.c.pushed > bundles.c.pushed)
@@ -71,7 +74,12 @@ def by_digest(connection: Connection, digest: str) -> StoredBundle:
 
 def by_name(connection: Connection, name: str) -> StoredBundle:
     """Returns the bundle that a name means. Raises NotFoundError."""
-    return _only(connection, (bundles.c.name == bindparam("given")) & _latest, name, possible=name.isprintable())
+    try:
+        return _only(connection, (bundles.c.name == bindparam("given")) & _latest, name, possible=name.isprintable())
+    except NotFoundError as error:
+        names = connection.scalars(select(bundles.c.name).where(_latest).order_by(bundles.c.pushed.desc()).limit(MOST_NAMES))
+        close = get_close_matches(name, names.all(), n=1)
+        raise NotFoundError(KIND, name, f"did you mean {close[0]}?" if close else "") from error
 
 
 def named(connection: Connection, name_or_digest: str) -> StoredBundle:
