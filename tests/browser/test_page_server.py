@@ -101,7 +101,7 @@ def test_campaigns_are_tagged_archived_and_deleted_where_they_are_listed(tmp_pat
         page.goto(f"{api.url}/#/campaigns/{first.id}")
         expect(page.get_by_text("Archived: lists leave it out.")).to_be_visible()
         rerun = api.http.post(f"/api/v1/campaigns/{first.id}/rerun", json={"weights": {"S1": 2}}).json()["id"]
-        page.get_by_role("button", name="Edit labels").click()
+        page.get_by_role("button", name="Edit name and tags").click()
         page.get_by_label("Comment").fill("for the review")
         page.get_by_role("button", name="Delete", exact=True).click()
         page.get_by_role("button", name="Really delete").click()

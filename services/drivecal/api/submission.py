@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import stored_document
-from drivecal.campaigns.stages.prediction_validation import check_predictions
+from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification
@@ -55,7 +55,9 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         reduction = specification.reduction
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
         warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
+        of_predictions = runs_at_most(connection, problem)
     runs = problem.expected_runs()
+    runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
     at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
     guessed = not known.measured and problem.specification.problem != HIGHWAY  # nothing is known of a simulator that never ran
     time = (

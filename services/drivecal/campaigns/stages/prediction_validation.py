@@ -50,6 +50,15 @@ def check_predictions(connection: Connection, problem: CalibrationProblem) -> No
         raise InvalidInputError(Problem(FIELD, message, "give the same, as `drivecal validate ID --predicted` does"))
 
 
+def runs_at_most(connection: Connection, problem: CalibrationProblem) -> int:
+    """Returns how many released predictions are simulated at most; 0 if the campaign validates none."""
+    wanted = problem.specification.validation
+    if wanted is None or wanted.of is None:
+        return 0
+    released = campaigns.get(connection, wanted.of).released
+    return sum(min(wanted.samples, released[name].predicted) for name in problem.scenarios if name in released)
+
+
 class PredictionValidation(StudyStage):
     """One round: the released predictions of a campaign, or `samples` of them in each scenario, drawn by `seed`."""
 
