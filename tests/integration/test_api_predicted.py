@@ -120,6 +120,19 @@ def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytes
     assert float(balance["saved by predicted cells"]) > 0
 
 
+def test_the_cost_of_a_validation_is_what_it_simulates_at_most(ended: Ended) -> None:
+    released = [each.predicted for each in ended.campaign.released.values()]
+    for samples in (3, 10**6):
+        study = {
+            "parameters": SPACE,
+            "catalogue": ["S1", "S2"],
+            "optimizer": None,
+            "validation": {"of": ended.campaign.id, "samples": samples},
+        }
+        expected = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=study).raise_for_status().json()
+        assert expected["validation"] == sum(min(samples, count) for count in released) > 0
+
+
 def test_a_better_set_that_a_study_shows_later_is_told_with_the_origin_of_its_scores(ended: Ended) -> None:
     """The study simulates every released prediction, and each has the highest score."""
     best = ended.campaign.best

@@ -56,21 +56,31 @@ def reasons_for(chosen: Chosen, ranges: Mapping[str, tuple[float, float]]) -> It
         text = f"This very set was not simulated in {', '.join(chosen.copied)}: its scores there are copied."
         yield Reason(light="amber", about="confirmation", text=text)
     else:
-        text = "Every score of the chosen set was simulated, repeats a simulation or provably equals one."
-        yield Reason(light="green", about="confirmation", text=text)
+        yield every_score_is_known("the chosen set")
     yield from _baseline(chosen)
     yield from at_ends("the chosen set", chosen.parameters, ranges)
 
 
 def _baseline(chosen: Chosen) -> Iterator[Reason]:
     if chosen.violation < chosen.baseline_violation:
-        text = "The baseline breaks the constraints more than the chosen set."
-        yield Reason(light="green", about="baseline", text=text)
+        yield baseline_breaks_more("the chosen set")
     elif chosen.compared:
         gains = [each.gain for each in chosen.compared]
         light: Light = "green" if min(gains) >= -EQUAL and max(gains) > EQUAL else "amber"
         text = f"The chosen set beside the baseline: {'; '.join(each.text for each in chosen.compared)}."
         yield Reason(light=light, about="baseline", text=text)
+
+
+def every_score_is_known(subject: str) -> Reason:
+    """Returns the reason that no score is a reference's or predicted."""
+    text = f"Every score of {subject} was simulated, repeats a simulation or provably equals one."
+    return Reason(light="green", about="confirmation", text=text)
+
+
+def baseline_breaks_more(subject: str) -> Reason:
+    """Returns the reason that the baseline keeps the constraints worse."""
+    text = f"The baseline breaks the constraints more than {subject}."
+    return Reason(light="green", about="baseline", text=text)
 
 
 def at_ends(subject: str, values: Mapping[str, float | str], ranges: Mapping[str, tuple[float, float]]) -> Iterator[Reason]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
-from drivecal.analysis.chosen import Chosen, at_ends, reasons_for
+from drivecal.analysis.chosen import Chosen, at_ends, baseline_breaks_more, every_score_is_known, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import EQUAL
 from drivecal.bundles.scoring import REMEDY
@@ -140,11 +140,9 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[Reason]:
         text = f"{front.copied:,} of {front.size:,} sets of the front have a reference's score."
         yield Reason(light="amber", about="confirmation", text=text)
     else:
-        text = "Every score of the sets of the front was simulated, repeats a simulation or provably equals one."
-        yield Reason(light="green", about="confirmation", text=text)
+        yield every_score_is_known("the sets of the front")
     if campaign.baseline is not None and campaign.best.violation < campaign.baseline.violation:
-        text = "The baseline breaks the constraints more than the sets of the front."
-        yield Reason(light="green", about="baseline", text=text)
+        yield baseline_breaks_more("the sets of the front")
     elif front.dominating:
         text = f"{front.dominating:,} of {front.size:,} sets of the front are better than the baseline in an objective and worse in none."
         yield Reason(light="green", about="baseline", text=text)
@@ -172,8 +170,7 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
     elif CampaignState(campaign.state) is CampaignState.SUCCEEDED or (
         not campaign.cells.reused and CampaignState(campaign.state).ended
     ):
-        text = "Every score of the best set was simulated, repeats a simulation or provably equals one."
-        yield Reason(light="green", about="confirmation", text=text)
+        yield every_score_is_known("the best set")
 
 
 def _baseline(campaign: Campaign) -> Iterator[Reason]:
@@ -181,8 +178,7 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     if campaign.best.violation < campaign.baseline.violation:
-        text = "The baseline breaks the constraints more than the best set."
-        yield Reason(light="green", about="baseline", text=text)
+        yield baseline_breaks_more("the best set")
     elif gain > EQUAL:
         yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
     else:

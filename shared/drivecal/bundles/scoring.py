@@ -10,7 +10,7 @@ LARGEST = 1e15
 """Largest size of a score. Sums and ranks of larger ones could overflow; only a formula near a division by zero gives them."""
 
 REMEDY = "widen `range` or give `failed`, a value worse than any run's"
-"""What keeps scores from being cut off."""
+"""Remedy for scores that are cut off."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,7 +240,7 @@ class Campaign(CellsByStage):
     """Why it is slow or stands still for now."""
     stage: str | None = None
     iteration: int | None = None
-    """Of the search, counted from 0."""
+    """Iteration of the search, counted from 0."""
     progress: Progress = Progress()
     scale: Scale = COMFORT
     """Scale of the scores: direction, usual range, tolerance, unit. Before a campaign starts, the scale of the comfort score."""

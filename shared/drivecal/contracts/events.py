@@ -34,7 +34,7 @@ class CampaignProgress(CellsByStage):
     degraded: str | None = None
     stage: str | None = None
     iteration: int | None = None
-    """Of the search, counted from 0."""
+    """Iteration of the search, counted from 0."""
     progress: Progress = Progress()
     best_objective: float | None = None
     seconds: Seconds = Seconds()
