@@ -294,7 +294,7 @@ def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None
         pages = [generations.page(connection, one.sequence)[0] for one in runs_of(database, ended)]
         columns = tables.generations.c
         later = update(tables.generations).where(columns.iteration > 0)
-        connection.execute(later.values(predicted=columns.simulated, simulated=0))
+        connection.execute(later.values(predicted=columns.simulated, simulated=0, best=columns.best - 1))
         after = read_compared(connection, ended).runs()
     predicted = [sum(figures.simulated for iteration, figures in page if iteration) for page in pages]
     searched = [one.simulations - one.confirmations for one in before]
@@ -302,6 +302,7 @@ def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None
         count - answered for count, answered in zip(searched, predicted, strict=True)
     ]
     assert min(predicted) > 0
+    assert [one.simulated_best for one in after] == [one.simulated_best for one in before], "what was confirmed counts"
 
 
 def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:

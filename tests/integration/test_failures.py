@@ -137,6 +137,23 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
     assert cell.parameters.floats["x"] == pytest.approx(float(named[2]), rel=1e-5)
 
 
+def test_scores_of_stored_runs_are_counted_as_those_of_new_ones(database: Database) -> None:
+    simulated = Simulated(undefined=0.6)
+    first = run(database, submit(database), simulated)
+    again = run(database, submit(database), simulated)
+    assert (again.cells.simulated, again.cells.repeated) == (0, again.cells.requested)
+    assert again.cells.unscored == first.cells.unscored > 0
+    narrow = MANIFEST["scores"]["cost"] | {"range": [0, 0.8]}
+    store(database, MANIFEST | {"scores": {"cost": narrow}})
+    rated_anew = run(database, submit(database), simulated)
+    assert rated_anew.cells.repeated == rated_anew.cells.requested
+    with database.read() as connection:
+        worst = [row for row in results.stream(connection, rated_anew.sequence) if row.score == 0.8 and row.failure is None]
+    assert rated_anew.cells.cut + rated_anew.cells.unscored == len(worst)
+    assert rated_anew.cells.cut > 0
+    assert any(f"{rated_anew.cells.cut:,} scores" in note for note in rated_anew.notes)
+
+
 def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:
     campaign = submit(database)
     ended = run(database, campaign, Simulated(undefined=0.5))
@@ -147,7 +164,7 @@ def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> N
         ]
     assert len(told) == 1
     again = run(database, submit(database), Simulated())
-    assert (again.cells.unscored, again.cells.simulated) == (0, 0), "only simulations count"
+    assert (again.cells.unscored, again.cells.simulated) == (ended.cells.unscored, 0)
     assert [cause.kind for cause in causes(database, again)] == ["unscored"], "the causes are those of all cells"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import answers_of, front_of
+from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import results, studies
@@ -157,6 +159,67 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     assert all(each.floats in examined for each in sets.values())
     rows = front_table(database, ended, front_of(database, ended, resolved_spec(ended)))
     assert [row.degree for row in rows].count(None) == 0
+
+
+def test_sets_that_share_the_best_objective_and_keep_the_constraints_are_examined(database: Database) -> None:
+    spec: dict[str, Any] = {
+        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
+        "optimizer": NSGA2,
+        "reduction": {"mode": "exact"},
+        "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "solutions": 1000, "within": 1.0},
+    }
+    ended = run(database, submit(database, **spec), backend())
+    listed = ranking_of(database, ended).ranking()
+    good = [each for each in listed if each.violation == 0 and each.objective >= listed[0].objective - 1.0 - 1e-9]
+    with database.read() as connection:
+        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
+        sets = parameter_sets.load(connection, [each.parameter_set for each in good])
+    assert study is not None
+    assert 1 < len(good) < len(listed)
+    examined = {tuple(item["parameters"].values()): item["objective"] for item in study["items"]}
+    expected = {tuple(sets[each.parameter_set].floats.values()): pytest.approx(each.objective) for each in good}
+    assert examined == expected
+
+
+def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(database: Database) -> None:
+    """Not the best mean score: the objective is the worst scenario's, and a named set breaks the constraint."""
+    named = {f"P{number}": 0.5 for number in range(1, 12)} | {"P1": 1.0, "P2": 0.0}
+    spec: dict[str, Any] = {
+        "objectives": [{"score": "comfort", "aggregate": "min"}],
+        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
+        "optimizer": NSGA2,
+        "reduction": {"mode": "exact"},
+        "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "sets": [named]},
+    }
+    ended = run(database, submit(database, **spec), backend())
+    with database.read() as connection:
+        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
+    assert study is not None
+    assert ended.best is not None
+    [recommended] = [item for item in study["items"] if item["recommended"]]
+    assert recommended["objective"] == min(recommended["scores"].values()) == ended.best.objective
+    assert recommended["parameters"] != named
+    assert all(item["objective"] == min(item["scores"].values()) for item in study["items"])
+    [also] = [item for item in study["items"] if item["parameters"] == named]
+    assert not also["recommended"]
+
+
+def test_sets_that_break_constraints_are_no_alternatives_of_one_that_keeps_them(database: Database) -> None:
+    spec: dict[str, Any] = {
+        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
+        "optimizer": NSGA2,
+        "reduction": {"mode": "exact"},
+    }
+    ended = run(database, submit(database, **spec), backend())
+    listed = ranking_of(database, ended)
+    best = listed.best()
+    assert best is not None
+    first, *others = listed.ranking()
+    broken = next(each for each in others if each.violation)
+    as_good = [first, replace(broken, objective=first.objective)]
+    space = resolved_spec(ended).space
+    assert len(alternatives(database, as_good, space)) == 1
+    assert len(alternatives(database, listed.ranking(), space)) == best[1]
 
 
 def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Database) -> None:

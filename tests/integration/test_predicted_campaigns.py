@@ -239,3 +239,30 @@ def test_the_predictor_that_explains_is_the_predictor_that_predicted(
     assert shown is not None
     alike = sum(neighbour.weight for neighbour in shown.neighbours if neighbour.score == row.predicted_score)
     assert alike == pytest.approx(row.confidence)
+
+
+def simple(scenario: str, cell: Cell) -> CellResult:
+    """Scores in steps of one parameter, so that every prediction is right."""
+    del scenario
+    score = round(6 * cell.parameters["P1"])
+    return CellResult(cell.id, float(score), score, {"rating": float(score)}, None, 500.0)
+
+
+def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(database: Database) -> None:
+    """Each set has a predicted score in one of many scenarios, so that none is ranked unless some are simulated whole."""
+
+    def searched(seed: int) -> StoredCampaign:
+        wanted = submit(
+            database,
+            parameters=SPACE,
+            catalogue=[f"S{number}" for number in range(1, 7)],
+            optimizer={"kind": "random", "population": 100, "iterations": 2, "seed": seed},
+            reduction={"mode": "predicted", "certified": False, "confirm": 20},
+        )
+        return run(database, wanted, ComputedBackend(answer=simple))
+
+    searched(1)
+    ended = searched(2)
+    assert ended.cells.predicted > 0.8 * ended.cells.requested
+    assert ended.best is not None
+    assert ended.best.objective == 6.0

@@ -202,6 +202,7 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
         ({"robustness": ROBUST, "vehicle": {"parameters": {"mass": 5000}}}, "vehicle.parameters.mass", "outside the bounds"),
         ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0].P2", "missing"),
         ({"validation": {"samples": 10}}, "validation", "there is no influence map to validate"),
+        ({"validation": {"of": "a"}}, "validation.of", "this campaign searches its own solutions"),
         (
             {"sensitivity": {"map": "a"}, "validation": {"samples": 10, "largest": 5}},
             "validation.largest",

@@ -13,6 +13,8 @@ CONFIRMED = "confirmed by simulation"
 """Beginning of the verdict if the best set has only scores of its own."""
 NOT_CONFIRMED = "not confirmed"
 """Beginning of the verdict if a score of the best set is still a reference's."""
+UNTRIED = "better sets may exist"
+"""Beginning of the verdict if the best set is simulated, but not all that are believed to be better."""
 
 
 @dataclass(slots=True)
@@ -31,9 +33,14 @@ class Confirmation:
         """Whether the first of the final ranking is another set than the search believed, or another objective."""
         return best.parameter_set != self.tried[0] or abs(best.objective - self.believed) > EQUAL
 
-    def verdict(self, best: EvaluatedSet) -> str:
-        """Returns the verdict as a sentence, from the first set of the final ranking."""
+    def verdict(self, best: EvaluatedSet, untried: EvaluatedSet | None = None) -> str:
+        """Returns the verdict as a sentence, from the first set of the final ranking and a set that is believed to be better."""
         sets = "1 set" if len(self.tried) == 1 else f"{len(self.tried)} sets"
+        if not best.reused and untried is not None and _is_better(untried, best):
+            believed = (
+                f"the best simulated objective is {best.objective:.4f}, others are believed to reach {untried.objective:.4f}"
+            )
+            return f"{UNTRIED}: {believed}; no more than {sets} (reduction.confirm) were tried"
         if not best.reused:
             if abs(best.objective - self.believed) <= EQUAL:
                 return f"{CONFIRMED}: the best objective is {best.objective:.4f}, as the search believed; {sets} tried"
@@ -45,18 +52,26 @@ class Confirmation:
         return f"{owed}; no more than {sets} (reduction.confirm) were tried"
 
 
-def front_verdict(front: Sequence[FrontMember], tried: Sequence[int]) -> str:
-    """Returns the verdict on the sets of a front as a sentence."""
+def front_verdict(front: Sequence[FrontMember], tried: Sequence[int], untried: EvaluatedSet | None = None) -> str:
+    """Returns the verdict on the sets of a front as a sentence. `untried`: a set that is believed to be on the front."""
     sets = "1 set" if len(tried) == 1 else f"{len(tried)} sets"
     copied = sum(bool(member.solution.reused) for member in front)
+    if not copied and untried is not None:
+        return f"{UNTRIED}: others are believed to be on the front; no more than {sets} (reduction.confirm) were tried"
     if not copied:
         return f"{CONFIRMED}: the {len(front)} sets of the front have only scores of their own; {sets} tried"
     return f"{NOT_CONFIRMED}: {copied} of the {len(front)} sets of the front have references' scores; {sets} (reduction.confirm) tried"
 
 
+def _is_better(believed: EvaluatedSet, best: EvaluatedSet) -> bool:
+    """Returns whether a set is believed to be better than the best one by more than its rating."""
+    gain = best.sign * (believed.objective - best.objective)
+    return believed.violation < best.violation or (believed.violation == best.violation and gain > EQUAL)
+
+
 def verdict_in(notes: Iterable[str]) -> str | None:
     """The verdict among a campaign's notes; None before it is reported."""
-    return next((note for note in notes if note.startswith((CONFIRMED, NOT_CONFIRMED))), None)
+    return next((note for note in notes if note.startswith((CONFIRMED, NOT_CONFIRMED, UNTRIED))), None)
 
 
 def remarkable(notes: Iterable[str]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
 from drivecal.analysis.chosen import Chosen, at_ends, baseline_breaks_more, every_score_is_known, reasons_for
-from drivecal.analysis.confirmation import CONFIRMED, verdict_in
+from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, verdict_in
 from drivecal.analysis.solutions import EQUAL
 from drivecal.bundles.scoring import REMEDY
 from drivecal.contracts.campaign import Best, Campaign
@@ -162,7 +162,7 @@ def _confirmation(campaign: Campaign) -> Iterator[Reason]:
         return
     verdict = verdict_in(campaign.notes)
     if verdict is not None:
-        light: Light = "green" if verdict.startswith(CONFIRMED) else "red"
+        light: Light = "green" if verdict.startswith(CONFIRMED) else "amber" if verdict.startswith(UNTRIED) else "red"
         yield Reason(light=light, about="confirmation", text=f"{verdict[0].upper()}{verdict[1:]}.")
     elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
         text = "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a reference's."
@@ -264,7 +264,7 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
     for study, row in rows:
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
-        share, lower = (row.beyond or 0) / row.bases, row.lower_95 or 0.0
+        share, lower = (row.beyond or 0) / row.bases, row.beyond_lower_95 or 0.0
         allowed = row.limit * row.inspected / row.released
         light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
         text = f"{share:.1%} of the simulated predictions in {row.scenario} are wrong; the limit allows {allowed:.1%}"
@@ -314,7 +314,7 @@ def _cut(campaign: Campaign) -> Iterator[Reason]:
     share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
     light: Light = "amber" if at_end or share > FEW else "green"
     where = f", as the best set does in {', '.join(at_end)}" if at_end else ""
-    text = f"{cut:,} simulated scores ({share:.1%} of the cells) are worse than {failed:g} and count as it{where}: {REMEDY}."
+    text = f"{cut:,} scores ({share:.1%} of the cells) are worse than {failed:g} and count as it{where}: {REMEDY}."
     yield Reason(light=light, about="cut", text=text)
 
 

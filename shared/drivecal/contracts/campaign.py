@@ -64,9 +64,9 @@ class CellCounts(Answer):
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
-    """Simulations for whose measures the score's formula has no value, which are worth a failed run; among `simulated`."""
+    """Cells for whose measures the score's formula has no value, which are worth a failed run; simulated, or answered by stored runs."""
     cut: int = 0
-    """Simulations whose score is worse than the worth of a failed run, which they count as; among `simulated`."""
+    """Cells whose score is worse than the worth of a failed run, which they count as; simulated, or answered by stored runs."""
 
 
 class StageCellCounts(Answer):

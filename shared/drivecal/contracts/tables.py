@@ -360,8 +360,9 @@ class ValidationRow(Answer):
     `lower_95` and `upper_95` limit the mean over base sets of the share of wrong variants, with a confidence of at least 95 %. `histogram`:
     how many variants differ from their base by how many times `histogram_step`; the outermost numbers hold all beyond the scale's span.
 
-    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result);
-    the expected number of these among all released ones is at most `limit` times the `inspected` predictions. Null for a map.
+    For the predictions of a campaign: `released` ones, of them `compared` with a simulation, `beyond` the tolerance (or without a result),
+    a share of at least `beyond_lower_95` (Clopper and Pearson); their expected number among all released ones is at most `limit` times
+    the `inspected` predictions. Null for a map.
     """
 
     scenario: str
@@ -380,6 +381,7 @@ class ValidationRow(Answer):
     released: int | None = None
     inspected: int | None = None
     beyond: int | None = None
+    beyond_lower_95: float | None = None
     limit: float | None = None
     histogram: Annotated[dict[int, int], FileForm("numbers", _counts_by_bin)]
     """In files a list of counts, from the largest negative difference to the largest positive one (of comfort: -7 to 7 points)."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.analysis.confirmation import CONFIRMED, Confirmation, remarkable
+from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, Confirmation, remarkable, verdict_in
 from drivecal.analysis.solutions import Ranking
 from drivecal.domain.evaluations import CellScore
 
@@ -64,6 +66,23 @@ def test_no_more_than_the_limit_are_tried_and_that_is_told() -> None:
     assert confirmation.tried == [0, 1, 2]
     verdict = confirmation.verdict(ranking.ranking()[0])
     assert verdict.startswith("not confirmed: the best set's score in S1 is still a reference's; no more than 3 sets")
+
+
+@pytest.mark.parametrize(("believed", "beginning"), [(7, UNTRIED), (5, CONFIRMED)])
+def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believed: int, beginning: str) -> None:
+    ranking = Ranking({"S1": 1})
+    own = copied(1, 5, own=True)
+    predicted = [replace(copied(number, believed), predicted=True, rating=believed + 0.3) for number in (2, 3)]
+    ranking.add([own, *predicted])
+    confirmation = Confirmation(1, 5.0, [2])
+    ranking.add([replace(copied(2, 4, own=True), iteration=LATER)])
+    assert confirmation.choose(ranking) is None
+    untried = ranking.doubtful(confirmation.tried)
+    assert untried is not None
+    assert untried.parameter_set == 3
+    verdict = confirmation.verdict(ranking.ranking()[0], untried)
+    assert verdict.startswith(beginning)
+    assert verdict_in([verdict]) == verdict
 
 
 @given(

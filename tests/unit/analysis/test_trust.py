@@ -10,7 +10,7 @@ from tests.support.scales import COST
 
 from drivecal.analysis.better_sets import Earlier, Later
 from drivecal.analysis.chosen import BesideBaseline, Chosen
-from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED
+from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED, UNTRIED
 from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, FirstObjective, Released
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -129,8 +129,15 @@ def test_answers_of_a_release_without_lots_were_not_inspected() -> None:
 
 @pytest.mark.parametrize(("beyond", "lower", "light"), [(2, 0.0, "green"), (12, 0.04, "amber"), (30, 0.2, "red")])
 def test_validated_predictions_are_held_against_their_limit(beyond: int, lower: float, light: str) -> None:
-    row = validation(beyond / 100, lower, released=300, inspected=400, beyond=beyond, limit=0.05)
+    known: dict[str, Any] = {"released": 300, "inspected": 400, "beyond": beyond, "limit": 0.05}
+    row = validation(0.0, 0.0, beyond_lower_95=lower, **known)
     assert lights(campaign("predicted"), row)["predictions", "S1"] == light
+    off_by_what_is_allowed = validation(0.9, 0.8, **known | {"beyond": 0})
+    assert lights(campaign("predicted"), off_by_what_is_allowed)["predictions", "S1"] == "green"
+
+
+def test_a_better_set_that_was_not_tried_is_amber() -> None:
+    assert trust(campaign("predicted", notes=[f"{UNTRIED}: 7 is believed"])).light == "amber"
 
 
 def test_noise_and_failures_are_told() -> None:

@@ -12,9 +12,9 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.bundles.scoring import cut_text
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.cells.score_faults import ScoreFaults
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.work import Cell, CellResult, Probe, SetupRequest
@@ -62,10 +62,7 @@ class CellTracker:
         self._evaluator_id = view.bench.evaluator_id
         self._from_series = view.bench.needs_series
         self.simulating_seconds = simulating_seconds
-        self.undefined: str | None = None
-        """Why a score has no value, of the first such result; None before."""
-        self.cut: str | None = None
-        """Scenario and true value of the first score that was cut off; None before."""
+        self.faults = ScoreFaults(view.bench, self._counts)
         self.broken: str | None = None
         """Scenario, cause, number and parameter set of the first cell without a result; None before."""
 
@@ -89,6 +86,8 @@ class CellTracker:
                 self._count(cell.plan)
             else:
                 self._counts["pending"] += 1
+        stored = [(cell.scenario, cell.donor) for cell in cells if cell.answered_at_once and cell.donor is not None]
+        self.faults.note_stored(connection, stored)
 
     def load(self, connection: Connection, *, share_runs: bool, benches: Sequence[Bench] = ()) -> list[Work]:
         """Loads the cells that wait for an answer, draws the samples of new lots, and returns the work to simulate.
@@ -246,20 +245,17 @@ class CellTracker:
             cells = wanted[setup_id]
             ids = [cell.parameter_set_id for cell in cells]
             stored = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
-            for cell in cells:
-                if cell.parameter_set_id in stored:
-                    self._answer(cell, stored[cell.parameter_set_id], answers)
+            taken = [(cell, stored[cell.parameter_set_id]) for cell in cells if cell.parameter_set_id in stored]
+            self.faults.note_stored(connection, [(cell.scenario, donor) for cell, donor in taken])
+            for cell, donor in taken:
+                self._answer(cell, donor, answers)
 
     def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating:
         """Returns a result's rating, which workers do not know for bundles. A failed run cannot beat it (`Scale.worth`)."""
         bench, score, rating = self._view.bench, result.score, result.rating
         if bench.rates and (rated := bench.rate(cell.scenario, result.metrics, result.failure)) is not None:
             score, rating = rated.score, rated.rating
-            self._counts["unscored"] += rated.undefined is not None
-            self.undefined = self.undefined or rated.undefined
-            if rated.cut is not None:
-                self._counts["cut"] += 1
-                self.cut = self.cut or cut_text(cell.scenario, bench.scale.name, rated.cut, bench.scale.failed)
+            self.faults.note(cell.scenario, rated)
         if score is None or rating is None:
             raise ValueError(f"evaluation {cell.id} has no score, or lacks a measure that its score needs")
         score, rating = (bench.scale.worth(value, failed=result.failure is not None) for value in (score, rating))

@@ -45,17 +45,16 @@ class Inspection:
 
     def load(self, connection: Connection, pending: Mapping[int, StoredEvaluation]) -> dict[int, StoredEvaluation]:
         """Loads the lots without a verdict from committed rows, draws missing samples, and returns the drawn cells by id."""
-        waiting = [cell for cell in pending.values() if cell.lot is not None]
         self._open = {}
-        if not waiting:
-            return {}
         stored = {lot.id: lot for lot in lots.of_campaign(connection, self._campaign) if lot.size and lot.verdict is None}
+        if not stored:  # a lot may wait for references alone
+            return {}
         errors = lots.errors_so_far(connection, self._campaign, list(stored))
         self._open = {number: _OpenLot(lot, errors.get(number, 0)) for number, lot in stored.items()}
         reused = [number for number, lot in stored.items() if lot.kind is Outcome.REUSED]
         for number, references in lots.references(connection, self._campaign, reused).items():
             self._open[number].awaited = references & pending.keys()
-        for cell in waiting:
+        for cell in pending.values():
             if cell.lot in self._open and (cell.sampled or cell.audited):
                 self._open[cell.lot].sampled.add(cell.id)
             elif cell.lot in self._open:

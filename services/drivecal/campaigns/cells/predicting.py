@@ -122,6 +122,8 @@ class LotPlanner:
         self._newest: int | None = None
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
+        self._not_stored: dict[str, float] = defaultdict(float)
+        """Seconds of forecasts without a cell to predict, by scenario: the next lot accounts for them."""
 
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
@@ -219,7 +221,8 @@ class LotPlanner:
             load_predictors()  # while the first cells are simulated
         if not self._forecasts or not cells:
             return list(cells)
-        promoted = {*whole, *(self._promoted(cells, best) if reaches is None else self._reaching(cells, best, reaches))}
+        reaching = self._promoted(cells, best) if reaches is None or best is None else self._reaching(cells, reaches)
+        promoted = {*whole, *reaching}
         leading = {cell.leader for cell in cells if cell.leader is not None}
         planned = list(cells)
         accepted: dict[str, Lot | None] = {}
@@ -242,11 +245,11 @@ class LotPlanner:
                     confidence=float(forecast.predictions.confidence[row]),
                 )
             candidates = [place for place in here if place not in leading and cells[place].individual not in promoted]
-            if not candidates:
+            rows = [self._rows[cells[place].individual] for place in candidates]
+            if not rows:  # every answer is known: that is no failure of the predictor, and `pays` must not take it for one
+                self._not_stored[scenario] += forecast.seconds
                 continue
-            lot = choose_lot(
-                forecast.error_rates[[self._rows[cells[place].individual] for place in candidates]], self._reduction.limit
-            )
+            lot = choose_lot(forecast.error_rates[rows], self._reduction.limit)
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
@@ -268,15 +271,14 @@ class LotPlanner:
             self._tolerance,
             self._reduction.limit,
             forecast.known,
-            forecast.seconds,
+            forecast.seconds + self._not_stored.pop(scenario, 0.0),
             Outcome.PREDICTED,
         )
 
     def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
         """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations
-        worse. Without a prediction, the newest known scores of the scenario tell mean and deviation."""
-        if best is None:
-            return set()
+        worse; without a simulated one, the individual that is believed to be the best. Without a prediction, the newest known scores of
+        the scenario give mean and deviation."""
         sign = self._view.bench.scale.sign
         predicted: dict[int, float] = defaultdict(float)
         means: dict[int, float] = defaultdict(float)
@@ -285,12 +287,13 @@ class LotPlanner:
             predicted[cell.individual] += self._weights[cell.scenario] * score
             means[cell.individual] += self._weights[cell.scenario] * mean
             variances[cell.individual] += self._weights[cell.scenario] ** 2 * variance
-        return {
-            individual
+        hoped = {
+            individual: max(sign * predicted[individual], sign * mean + REACH * math.sqrt(variances[individual]))
             for individual, mean in means.items()
-            if max(sign * predicted[individual], sign * mean + REACH * math.sqrt(variances[individual]))
-            >= sign * best - ROUNDING
         }
+        if best is None:  # nothing to compare with would ever be simulated whole
+            return {max(hoped, key=lambda individual: hoped[individual])}
+        return {individual for individual, hope in hoped.items() if hope >= sign * best - ROUNDING}
 
     def _believed(self, cells: Sequence[NewEvaluation]) -> Iterator[tuple[NewEvaluation, float, float, float]]:
         """Yields each cell with its believed score, the mean and the variance."""
@@ -305,12 +308,8 @@ class LotPlanner:
                 predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
                 yield cell, float(predictions.scores[row]), float(predictions.mean[row]), float(predictions.variance[row])
 
-    def _reaching(
-        self, cells: Sequence[NewEvaluation], best: float | None, reaches: Callable[[Mapping[str, CellScore]], bool]
-    ) -> set[int]:
+    def _reaching(self, cells: Sequence[NewEvaluation], reaches: Callable[[Mapping[str, CellScore]], bool]) -> set[int]:
         """Individuals that reach the front with the better of their believed scores and `REACH` standard deviations beyond their means."""
-        if best is None:
-            return set()
         sign = self._view.bench.scale.sign
         hoped: dict[int, dict[str, CellScore]] = defaultdict(dict)
         for cell, score, mean, variance in self._believed(cells):
@@ -376,8 +375,8 @@ def skipped_text(released: Mapping[str, Released]) -> str | None:
     parts = [
         f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
         for reason, counts in (
-            ("because too little was known yet", early),
-            ("because predicting would have cost more than it saves", late),
+            ("because too little was known yet, or every answer", early),
+            ("because predicting would have cost more than it saves, or every answer was known", late),
         )
         if any(counts.values())
     ]

@@ -70,7 +70,7 @@ def _scale(runs: Sequence[StoredCampaign]) -> Scale:
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
     page, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
     figures = [figures for _, figures in page]
-    reused = any(figure.reused for figure in figures)
+    reused = any(figure.reused or figure.predicted for figure in figures)
     return Course(
         conditions=conditions,
         best=[figure.best for figure in figures],

@@ -230,10 +230,12 @@ def note_predictions(specification: CampaignSpecification, scale: Scale) -> tupl
 
 
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:
-    """Adds a problem if there is no map to validate, or if the numbers do not fit."""
+    """Adds a problem if there is no map to validate, if the numbers do not fit, or if a search would seem to have another's errors."""
     wanted = specification.validation
     if wanted is None:
         return
+    if specification.optimizer is not None and wanted.of is not None:
+        diagnostics.add("validation.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
     if specification.sensitivity is None and wanted.of is None:
         diagnostics.add("validation", "there is no influence map to validate", "ask for a sensitivity analysis, or name a map")
     if wanted.of is None and wanted.largest < wanted.samples:

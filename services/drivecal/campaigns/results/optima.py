@@ -50,7 +50,9 @@ class Alternatives:
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
     """The first sets of a `ranking`, best first, that share the best objective: at most MOST_BEST."""
-    equal = sum(1 for _ in takewhile(lambda solution: abs(solution.objective - ranking[0].objective) <= EQUAL, ranking))
+    first = ranking[0]
+    shares = (abs(each.objective - first.objective) <= EQUAL and each.violation == first.violation for each in ranking)
+    equal = sum(1 for _ in takewhile(bool, shares))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])

@@ -86,8 +86,10 @@ class Calibration(CampaignStage):
         if self._batches:
             return self._next_batch()
         if self._iteration is not None and self._iteration + 1 >= self._optimization.iterations:
-            self._refuse_nothing()
-            return self._confirm()
+            asked = self._confirm()
+            if asked is None:
+                self._refuse_nothing()
+            return asked
         return self._propose()
 
     def _tell(self, asked: Round) -> None:
@@ -214,12 +216,13 @@ class Calibration(CampaignStage):
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
-        if limit == 0 or best is None:
+        believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
+        if limit == 0 or believed is None:
             return None
         with self._database.transaction() as connection:
             if self._confirmation is None:
                 tried = results.sets_since(connection, sequence, self.name, first)
-                self._confirmation, taken = Confirmation(limit, best[0].objective, tried), 0
+                self._confirmation, taken = Confirmation(limit, believed.objective, tried), 0
             else:
                 tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
             for number in range(taken, len(tried)):
@@ -245,10 +248,11 @@ class Calibration(CampaignStage):
             self._check_reuse(connection, self._optimization.iterations - 1)
             if self._verdict is None:
                 goals = self._problem.goals
-                is_front = goals is not None and goals.is_vector
-                self._verdict = (
-                    front_verdict(self._ranking.front(), confirmation.tried) if is_front else confirmation.verdict(best[0])
-                )
+                is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirmation.tried)
+                if is_front:
+                    self._verdict = front_verdict(self._ranking.front(), confirmation.tried, untried)
+                else:
+                    self._verdict = confirmation.verdict(best[0], untried)
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
                 if not is_front and confirmation.changed(best[0]):
                     self._tell_best(connection, best[0])

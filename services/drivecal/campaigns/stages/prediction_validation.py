@@ -120,17 +120,19 @@ class PredictionValidation(StudyStage):
         counts = compared(np.array(differences, dtype=np.float64), scale)
         tolerance = self._reduction.tolerance_on(scale) + ROUNDING
         lower, upper = clopper_pearson(counts["wrong"], counts["compared"]) if differences else (None, None)
+        drawn, beyond = len(self._drawn[scenario]), unanswered + sum(abs(difference) > tolerance for difference in differences)
         return {
             "scenario": scenario,
             "reducible": 0,
             "effects": 0,
             "covered": 0,
-            "drawn": len(self._drawn[scenario]),
-            "bases": len(self._drawn[scenario]),
+            "drawn": drawn,
+            "bases": drawn,
             "references": 1,
             "released": len(self._released[scenario]),
             "inspected": self._inspected[scenario],
-            "beyond": unanswered + sum(abs(difference) > tolerance for difference in differences),
+            "beyond": beyond,
+            "beyond_lower_95": clopper_pearson(beyond, drawn)[0] if drawn and self._differences is not None else None,
             "limit": self._reduction.limit,
             **counts,
             "lower_95": lower,

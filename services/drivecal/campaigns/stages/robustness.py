@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.analysis.front import non_dominated
+from drivecal.analysis.goals import Judged
 from drivecal.analysis.optima import one_per_region_first, optima
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
@@ -82,7 +85,9 @@ class RobustnessStage(StudyStage):
     name = StageName.ROBUSTNESS
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        super().__init__(database, campaign, problem, view)
+        self._goals = problem.goals
+        valued = self._goals.values if self._goals is not None and self._goals.computed else None
+        super().__init__(database, campaign, problem, view, valued)
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
@@ -91,17 +96,19 @@ class RobustnessStage(StudyStage):
         self._examined = self._choose()
         self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
         self._ratings = self._scores.copy()
+        self._judged: list[Judged | None] = [None] * len(self._examined)
+        """By examined set, with goals only: objectives and violations with the nominal vehicle."""
         self._study: RobustnessStudy | None = None
 
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first."""
-        goals, of = self._problem.goals, self._wanted.of
+        goals, of = self._goals, self._wanted.of
         standing = Ranking(self._problem.weights, self._sign, goals)
-        valued = goals.values if goals is not None and goals.computed else None
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION, valued=valued))
-            best, worse = self._on_front(standing) if goals is not None and goals.is_vector else self._within(standing)
+            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION, valued=self._valued))
+            several = goals is not None and len(goals.objectives) > 1
+            best, worse = self._on_front(standing) if several else self._within(standing)
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
@@ -116,11 +123,14 @@ class RobustnessStage(StudyStage):
         ]
 
     def _within(self, standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
-        """The sets that count as the best, and others."""
+        """The sets that count as the best, which break constraints no more than the best set, and others."""
         ranking = standing.ranking()
-        sign = ranking[0].sign if ranking else 1
-        least = sign * ranking[0].objective - self._wanted.within - EQUAL if ranking else 0.0
-        enough = sum(1 for solution in ranking if sign * solution.objective >= least)
+        enough = 0
+        if ranking:
+            first = ranking[0]
+            least = first.sign * first.objective - self._wanted.within - EQUAL
+            good = (each.violation == first.violation and first.sign * each.objective >= least for each in ranking)
+            enough = sum(1 for _ in takewhile(bool, good))
         return ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
 
     @staticmethod
@@ -170,10 +180,14 @@ class RobustnessStage(StudyStage):
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}
         if number == 0:
+            cells: list[dict[str, CellScore]] = [{} for _ in self._examined]
             for answer in answers:
                 place = answer.individual, columns[answer.scenario]
                 self._scores[place] = np.nan if answer.score is None else answer.score
                 self._ratings[place] = np.nan if answer.rating is None else answer.rating
+                cells[answer.individual][answer.scenario] = answer
+            if self._goals is not None:
+                self._judged = [self._goals.judge(answered) for answered in cells]
             bench = driving(self._problem.bench)
             self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
             return
@@ -190,39 +204,63 @@ class RobustnessStage(StudyStage):
     def _outcome(self) -> dict[str, Any]:
         """The examined sets, most robust first."""
         known = self._study.result() if self._study is not None else [Robustness(0, False, 0.0, ())] * len(self._examined)
-        weights = np.array(list(self._problem.weights.values()))
-        objectives, ratings = self._scores @ weights, self._ratings @ weights
+        objectives, ratings, sign = self._objectives()
         order = sorted(
             range(len(known)),
             key=lambda number: (
                 -known[number].degree,
-                -_known(self._sign * objectives[number]),
+                self._violation(number),
+                -_known(sign * float(objectives[number])),
                 -known[number].radius,
-                -_known(self._sign * ratings[number]),
+                -_known(sign * float(ratings[number])),
                 number,
             ),
         )
-        recommended = self._recommend(objectives, ratings, known)
+        recommended = self._recommend(objectives, sign * ratings, known)
         rows = [
             self._row(rank, number, float(objectives[number]), float(ratings[number]), known[number], recommended)
             for rank, number in enumerate(order, start=1)
         ]
         return {"items": rows, "settings": self._wanted.model_dump(mode="json", exclude={"sets"})}
 
+    def _objectives(self) -> tuple[Floats, Floats, int]:
+        """Returns weighted score (Eq. 6), or first objective, and rating of each set with the nominal vehicle, NaN if unknown, and the sign
+        of both."""
+        weights = np.array(list(self._problem.weights.values()))
+        objectives, ratings = self._scores @ weights, self._ratings @ weights
+        if self._goals is None:
+            return objectives, ratings, self._sign
+        first = self._goals.objectives[0]
+        amounts = np.array([np.nan if judged is None else judged.amounts[0] for judged in self._judged], dtype=np.float64)
+        return amounts, ratings if first.is_weighted_mean(self._problem.weights) else amounts, first.sign
+
+    def _violation(self, number: int) -> float:
+        """Returns by how much a set breaks constraints, rounded as in rankings."""
+        judged = self._judged[number]
+        return 0.0 if judged is None else round(judged.violation / EQUAL)
+
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
-        """The most robust of the sets with the best objective, and the reason."""
-        if self._study is None or np.isnan(objectives).all():
+        """The most robust of the sets with the best objective, or of those that no other dominates, and the reason. `ratings`: higher is
+        better."""
+        usable = [number for number in range(len(known)) if not np.isnan(objectives[number])]
+        if self._study is None or not usable:
             return None
-        best = self._sign * float(np.nanmax(self._sign * objectives))
-        equal = [position for position in range(len(known)) if abs(objectives[position] - best) <= EQUAL]
-        chosen = max(
-            equal, key=lambda number: (known[number].degree, known[number].radius, self._sign * ratings[number], -number)
-        )
-        degree = f"{known[chosen].degree}{' or more' if known[chosen].at_least else ''}"
-        return (
-            chosen,
-            f"the best objective ({best:.4g}, {len(equal)} sets), and of these the largest degree of robustness ({degree})",
-        )
+        best = self._best_of(usable, objectives)
+        chosen = max(best, key=lambda number: (known[number].degree, known[number].radius, ratings[number], -number))
+        degree = f"the largest degree of robustness ({known[chosen].degree}{' or more' if known[chosen].at_least else ''})"
+        if self._goals is not None and len(self._goals.objectives) > 1:
+            return chosen, f"of {len(best)} sets that no other examined set dominates, {degree}"
+        return chosen, f"the best objective ({objectives[chosen]:.4g}, {len(best)} sets), and of these {degree}"
+
+    def _best_of(self, usable: Sequence[int], objectives: Floats) -> list[int]:
+        """Returns the sets with the best objective, or with goals those that no other dominates."""
+        if self._goals is None:
+            best = max(self._sign * objectives[number] for number in usable)
+            return [number for number in usable if abs(self._sign * objectives[number] - best) <= EQUAL]
+        judged = [(number, self._judged[number]) for number in usable]
+        vectors = [self._goals.compared(judgement) for _, judgement in judged if judgement is not None]
+        violations = np.array([self._violation(number) for number in usable], dtype=np.float64)
+        return [usable[place] for place in np.flatnonzero(non_dominated(np.array(vectors), violations)).tolist()]
 
     def _row(
         self,

@@ -103,8 +103,8 @@ class Stage(Job):
         """Adds an event for the stage's first score without a value, its first score that was cut off, and its first cell without a result:
         others may take as long to fail, e.g. if a simulator hangs."""
         firsts = {
-            "unscored": ("a score has no value, so that its run counts as failed", self._tracker.undefined),
-            "cut": ("a score is cut off", self._tracker.cut),
+            "unscored": ("a score has no value, so that its run counts as failed", self._tracker.faults.undefined),
+            "cut": ("a score is cut off", self._tracker.faults.cut),
             "failed": ("a cell has no result after all attempts", self._tracker.broken),
         }
         for count, (what, first) in firsts.items():
@@ -119,11 +119,7 @@ class Stage(Job):
             "cut": f"are worse than the worth of a failed run and count as it: {REMEDY}",
         }
         counts = self._tracker.counts
-        return [
-            f"{counts[name]:,} simulated scores of the {self.name} {ending}"
-            for name, ending in endings.items()
-            if counts.get(name)
-        ]
+        return [f"{counts[name]:,} scores of the {self.name} {ending}" for name, ending in endings.items() if counts.get(name)]
 
     def _progress(self, requested: int, proposed: int) -> Progress:
         return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))

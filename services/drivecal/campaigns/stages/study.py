@@ -18,10 +18,19 @@ from drivecal.storage.engine.database import Database
 
 
 class StudyStage(CampaignStage):
-    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused."""
+    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused. `valued`: computes the values of
+    a run that its answers need besides the score."""
 
-    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
+    def __init__(
+        self,
+        database: Database,
+        campaign: StoredCampaign,
+        problem: CalibrationProblem,
+        view: View,
+        valued: results.Valued | None = None,
+    ) -> None:
         super().__init__(database, campaign, problem, replace(view, influence_map=None, influence_map_sequence=None))
+        self._valued = valued
 
     @abstractmethod
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
@@ -33,7 +42,7 @@ class StudyStage(CampaignStage):
 
     def _tell(self, asked: Round) -> None:
         with self._database.read() as connection:
-            answers = list(results.answers(connection, self._campaign.sequence, self.name, asked.number))
+            answers = list(results.answers(connection, self._campaign.sequence, self.name, asked.number, valued=self._valued))
         self._take(asked.number, answers)
 
     def _announce(self, connection: Connection, asked: Round) -> None:

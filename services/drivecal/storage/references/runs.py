@@ -123,6 +123,13 @@ def look_up_exact(
     return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
 
 
+def metrics_of(connection: Connection, run_ids: Collection[int]) -> dict[int, Mapping[str, float | None]]:
+    """Returns the stored metrics of runs by their id."""
+    read = metrics_reader(connection)
+    rows = rows_among(connection, select(runs.c.id, runs.c.metrics), runs.c.id, sorted(run_ids))
+    return {row.id: read(row.metrics) for row in rows}
+
+
 @dataclass(frozen=True, slots=True)
 class RatedRun:
     """A stored run with the `evaluation` that simulated it."""
