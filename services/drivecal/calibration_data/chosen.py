@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.results import FrontSummary
+from drivecal.contracts.results import FrontSummary, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import unit_text
@@ -41,10 +41,15 @@ def characteristics_of(
 
 
 def quality_of(
-    campaign: Campaign, setup: CampaignSetup, chosen: Solution | FrontRow, figures: Iterable[tuple[str, str]]
+    campaign: Campaign,
+    setup: CampaignSetup,
+    chosen: Solution | FrontRow,
+    deserved: TrustAnswer | None,
+    figures: Iterable[tuple[str, str]],
 ) -> Quality:
-    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's or the campaign has not succeeded."""
-    sure = campaign.state == "succeeded" and not chosen.reused
+    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded, or its
+    light is red. `deserved`: trust in the campaign, if it has a light."""
+    sure = campaign.state == "succeeded" and not chosen.reused and (deserved is None or deserved.light != "red")
     time = campaign.ended_at or campaign.created_at
     problem = str(campaign.spec.get("problem", "highway"))
     simulators = sorted({scenario.simulator for scenario in setup.scenarios if scenario.simulator})
@@ -56,8 +61,15 @@ def quality_of(
         test_object=", ".join(simulators) or str(campaign.spec.get("driving_function", problem)),
         campaign=campaign.id,
         data=next((scenario.files for scenario in setup.scenarios if scenario.files), ""),
-        figures=tuple(figures),
+        figures=(*figures, *(() if deserved is None else _trust(deserved))),
     )
+
+
+def _trust(deserved: TrustAnswer) -> Iterator[tuple[str, str]]:
+    if deserved.light is not None:
+        yield "light of the campaign", deserved.light
+        worst = (reason.text for reason in deserved.reasons if reason.light == deserved.light != "green")
+        yield from ((f"reason {number}", text) for number, text in enumerate(worst, 1))
 
 
 def solution_figures(

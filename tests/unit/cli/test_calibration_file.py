@@ -12,7 +12,7 @@ from drivecal.calibration_data import cdfx, dcm
 from drivecal.cli.commands import results
 from drivecal.cli.main import app
 from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page
-from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Light, Reason, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import Direction, Scale
@@ -29,8 +29,10 @@ SCORES = {  # of the best set and the baseline, under each score
 class Campaigns:
     """A client of one campaign; `baseline_ranked`: whether its baseline has a value of every score."""
 
-    def __init__(self, objective: FirstObjective | None = None, *, baseline_ranked: bool = True) -> None:
-        self.objective, self.baseline_ranked = objective, baseline_ranked
+    def __init__(
+        self, objective: FirstObjective | None = None, *, baseline_ranked: bool = True, light: Light | None = None
+    ) -> None:
+        self.objective, self.baseline_ranked, self.light = objective, baseline_ranked, light
 
     def __enter__(self) -> Self:
         return self
@@ -51,7 +53,16 @@ class Campaigns:
             baseline=Baseline(objective=8.5, parameters=BASELINE, scores=SCORES[None][1]),
             error_rate={"brake": ErrorRate(upper_95=0.01)},
             spec={"problem": "acc"},
+            links={} if self.light is None else {"trust": "/trust"},
         )
+
+    def trust(self, _: str) -> TrustAnswer:
+        assert self.light is not None
+        reasons = [
+            Reason(light=self.light, about="end", text="Worst."),
+            Reason(light="green", about="baseline", text="Better."),
+        ]
+        return TrustAnswer(light=self.light, reasons=reasons)
 
     def setup(self, _: str) -> CampaignSetup:
         mode = {"kind": "choice", "choices": ["eco", "sport"]}
@@ -165,6 +176,20 @@ def exported(monkeypatch: pytest.MonkeyPatch, client: Campaigns, *options: str, 
 
 def _read(content: bytes, form: str) -> Any:
     return (dcm if form == "dcm" else cdfx).read(content, f"set.{form}")
+
+
+@pytest.mark.parametrize(("light", "state"), [("red", "prelimCalibrated"), ("amber", "calibrated"), ("green", "calibrated")])
+def test_a_set_of_a_campaign_with_a_red_light_is_preliminary(monkeypatch: pytest.MonkeyPatch, light: Light, state: str) -> None:
+    monkeypatch.setattr(results, "connect", lambda _: Campaigns(light=light))
+    written = (
+        CliRunner()
+        .invoke(app, ["export", "0" * 32, "--table", "solutions", "--row", "1", "--format", "dcm"])
+        .output.splitlines()
+    )
+    assert f"* state: {state}" in written
+    assert f"* light of the campaign: {light}" in written
+    assert ("* reason 1: Worst." in written) is (light != "green")
+    assert "* reason 2: Better." not in written
 
 
 def test_the_campaigns_own_ranking_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -211,7 +211,9 @@ def _calibration_file(
         ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))
         figures = solution_figures(campaign, setup, chosen, robustness, ranked_by)
     characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
-    return write(cast("CalibrationFormat", form), characteristics, quality_of(campaign, setup, chosen, figures))
+    deserved = client.trust(campaign.id) if "trust" in campaign.links else None
+    quality = quality_of(campaign, setup, chosen, deserved, figures)
+    return write(cast("CalibrationFormat", form), characteristics, quality)
 
 
 def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:
