@@ -34,7 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         format="%(asctime)s.%(msecs)03dZ %(levelname)-7s node       %(message)s",
         datefmt="%Y-%m-%dT%H:%M:%S",
     )
-    parser = argparse.ArgumentParser(prog="python -m drivecal.cluster", description="Runs a node of a Ray cluster.")
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="python -m drivecal.cluster", description=__doc__, formatter_class=raw)
     roles = parser.add_subparsers(dest="role", required=True)
     head = roles.add_parser("head", help="the node that the others join; it simulates nothing")
     head.add_argument("--port", type=int, default=PORT)
