@@ -17,9 +17,8 @@ from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, events, generations, results
+from drivecal.storage import campaigns, evaluations, events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -120,8 +119,8 @@ def test_what_confirms_is_counted_and_told_apart_from_the_search(
     assert all(audits[0].values())
     assert campaign.progress.done == campaign.cells.requested <= campaign.progress.total
     with database.read() as connection:
-        counted = results.counted_since(connection, campaign.sequence, StageName.CALIBRATION, ITERATIONS)
-    assert counted == {name: sum(row.scenario == name for row in added) for name in MATTERS}
+        counted = evaluations.confirmed(connection, campaign.sequence, ITERATIONS)
+    assert counted == {name: {Outcome.REUSED: sum(row.scenario == name for row in added)} for name in MATTERS}
     assert [one for one in verify(database, full=True) if one.problems] == []
 
 

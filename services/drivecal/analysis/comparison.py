@@ -64,7 +64,7 @@ class Course:
     @property
     def alternatives_converged_at(self) -> int | None:
         """Table 7, counted from 1."""
-        return alternatives_at(self.alternatives)
+        return alternatives_at(self.best, self.alternatives)
 
     @property
     def simulations_to_converge(self) -> int | None:

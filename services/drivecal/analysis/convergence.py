@@ -1,6 +1,7 @@
 """Iterations at which an optimization had its final result (Tables 5 and 7 of the paper)."""
 
 from collections.abc import Sequence
+from itertools import accumulate, pairwise
 
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
@@ -28,9 +29,19 @@ def best_at(best: Sequence[float | None]) -> int | None:
     return converged_at(best, UNCHANGED_BEST)
 
 
-def alternatives_at(alternatives: Sequence[int]) -> int | None:
-    """Table 7: the iteration from which on the number of alternative optima stayed for more than 5 iterations."""
-    return converged_at([float(count) for count in alternatives], UNCHANGED_ALTERNATIVES + 1)
+def alternatives_at(best: Sequence[float | None], alternatives: Sequence[int]) -> int | None:
+    """Table 7: the iteration from which on the number of alternative optima stayed for more than 5 iterations. The number is that of a best
+    objective: if this changes, so has the number, whatever it is."""
+    if not best or best[-1] is None:
+        return None
+    return converged_at(changes(best, alternatives), UNCHANGED_ALTERNATIVES + 1)
+
+
+def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[float]:
+    """Returns how often best objective or number of alternatives had changed by each iteration."""
+    states = list(zip(best, alternatives, strict=True))
+    changed = (before != after or not _equal(old, new) for ((old, before), (new, after)) in pairwise(states))
+    return [float(count) for count in accumulate(changed, initial=0)] if states else []
 
 
 def _equal(first: float | None, other: float | None) -> bool:

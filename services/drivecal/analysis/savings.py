@@ -47,12 +47,12 @@ def account(
     costs: Sequence[OutcomeCosts],
     origin: MapOrigin | None,
     proofs: Iterable[AuditCount] = (),
-    confirmed: Mapping[str, int] | None = None,
+    confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
-    of reused cells; `confirmed`: how many of those were simulated after the search, by scenario; `predictors`: CPU time of the predictor,
-    by scenario."""
+    of reused cells; `confirmed`: how many cells were simulated after the search, by scenario and first answer; `predictors`: CPU time of
+    the predictor, by scenario."""
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
     waits = wall_seconds > max(WAITING * cpu_seconds, cpu_seconds + LEAST_WAIT * runs)
@@ -65,7 +65,7 @@ def account(
             name,
             [cost for cost in costs if cost.stage is StageName.CALIBRATION and cost.scenario == name],
             proved.get(name, _NOTHING),
-            (confirmed or {}).get(name, 0),
+            (confirmed or {}).get(name, {}),
             (predictors or {}).get(name, 0.0),
         )
         for name in scenarios
@@ -156,7 +156,11 @@ def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccoun
 
 
 def _scenario(
-    name: str, costs: Sequence[OutcomeCosts], proved: AuditCount, confirmed: int, predictor_seconds: float
+    name: str,
+    costs: Sequence[OutcomeCosts],
+    proved: AuditCount,
+    confirmed: Mapping[Outcome, int],
+    predictor_seconds: float,
 ) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
@@ -164,17 +168,14 @@ def _scenario(
     if mean is None:
         mean = _mean_seconds(costs)
     audited = [cell for cell in simulated if cell.audited]
-    saving = {outcome: cells[outcome] for outcome in SAVING}
-    of_reused = min(confirmed, saving[Outcome.REUSED])
-    saving[Outcome.REUSED] -= of_reused
-    saving[Outcome.PREDICTED] -= min(confirmed - of_reused, saving[Outcome.PREDICTED])
+    saving = {outcome: max(0, cells[outcome] - confirmed.get(outcome, 0)) for outcome in SAVING}
     saved = {_saved(outcome): number * (mean or 0.0) for outcome, number in saving.items()}
     return ScenarioAccount(
         scenario=name,
         requested=sum(cells.values()),
         **{outcome.value: number for outcome, number in cells.items()},
         audited=sum(cost.cells for cost in audited),
-        confirmed=confirmed,
+        confirmed=sum(confirmed.values()),
         mean_seconds=mean,
         simulated_seconds=sum(cell.seconds for cell in simulated),
         audited_seconds=sum(cost.seconds for cost in audited),

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, bindparam, case, func, select, type_coerce, update
+from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, and_, bindparam, case, func, select, type_coerce, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome, OutcomeCosts
@@ -283,6 +283,30 @@ def scored(connection: Connection, campaign_sequence: int, score: float, most: i
     )
     read = metrics.reader(connection)
     return [ScoredRun(row[0], read(row[1]), *row[2:]) for row in connection.execute(query.limit(most))]
+
+
+def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -> dict[str, dict[Outcome, int]]:
+    """Returns the number of cells that a search simulated after its last iteration, by scenario and by what had answered them before."""
+    late, first = evaluations.alias("late"), evaluations.alias("first")
+    same = (late.c.campaign_sequence, late.c.stage, late.c.scenario, late.c.parameter_set_id)
+    earlier = (first.c.campaign_sequence, first.c.stage, first.c.scenario, first.c.parameter_set_id)
+    answered = (
+        select(late.c.scenario, func.min(first.c.outcome).label("outcome"))
+        .join(first, and_(*(mine == theirs for mine, theirs in zip(same, earlier, strict=True))))
+        .where(
+            late.c.campaign_sequence == campaign_sequence,
+            late.c.stage == StageName.CALIBRATION,
+            late.c.iteration >= iterations,
+            first.c.iteration < iterations,
+            first.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)),
+        )
+        .group_by(late.c.id, late.c.scenario)
+        .subquery()
+    )
+    counted: dict[str, dict[Outcome, int]] = {}
+    for row in connection.execute(select(*answered.c, func.count().label("cells")).group_by(*answered.c)):
+        counted.setdefault(row.scenario, {})[Outcome(row.outcome)] = row.cells
+    return counted
 
 
 def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:

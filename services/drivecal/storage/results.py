@@ -262,14 +262,6 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: StageName,
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
 
-def counted_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> dict[str, int]:
-    """Returns the number of cells that a stage requested from an iteration on, by scenario."""
-    table = evaluations.c
-    asked = (table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration)
-    query = select(table.scenario, func.count()).where(*asked).group_by(table.scenario)
-    return dict(connection.execute(query).all())
-
-
 def released(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
     """Returns the released predictions of a campaign, in the order of their request."""
     query = _of_campaign(campaign_sequence).where(evaluations.c.outcome == Outcome.PREDICTED)

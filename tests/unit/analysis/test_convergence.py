@@ -21,8 +21,8 @@ def test_a_rest_that_did_not_last_is_no_convergence() -> None:
 
 
 def test_the_number_of_alternatives_has_to_stay_for_more_than_five() -> None:
-    assert alternatives_at([1, 4, 11] + 5 * [11]) is None
-    assert alternatives_at([1, 4, 11] + 6 * [11]) == 3
+    assert alternatives_at(8 * [7.0], [1, 4, 11] + 5 * [11]) is None
+    assert alternatives_at(9 * [7.0], [1, 4, 11] + 6 * [11]) == 3
 
 
 def test_an_iteration_without_any_result_is_no_best() -> None:
@@ -44,3 +44,10 @@ def test_from_there_on_nothing_changes_and_right_before_it_did(values: list[int]
         assert found == 1 or values[found - 2] != values[found - 1]
     elif values:
         assert len(set(values[-unchanged - 1 :])) > 1 or len(values) <= unchanged
+
+
+def test_alternatives_of_another_best_objective_are_others() -> None:
+    """Each iteration has one set that is better than all before."""
+    assert alternatives_at([5.0 + place / 6 for place in range(8)], [1] * 8) is None
+    assert alternatives_at([5.0] + [6.0] * 7, [1] * 8) == 2
+    assert alternatives_at([None] * 8, [0] * 8) is None

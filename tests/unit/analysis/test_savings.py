@@ -48,7 +48,7 @@ CALIBRATION = [
 
 
 def test_what_was_simulated_to_confirm_the_best_set_saved_nothing() -> None:
-    found = account("c", "succeeded", ["S1", "S2"], CALIBRATION, None, confirmed={"S1": 60})
+    found = account("c", "succeeded", ["S1", "S2"], CALIBRATION, None, confirmed={"S1": {Outcome.REUSED: 60}})
     first, second = found.scenarios
     assert (first.reused, first.confirmed, second.confirmed) == (360, 60, 0)
     assert first.reused_saved_seconds == pytest.approx(3.0)
@@ -110,15 +110,17 @@ def test_predictions_save_and_their_predictor_costs() -> None:
     assert found.net_seconds == pytest.approx(0.05)
 
 
-def test_confirmed_answers_are_taken_off_the_predicted_only_after_the_reused() -> None:
+def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
     costs = [
         _costs("S1", Outcome.SIMULATED, 10, 1.0),
         _costs("S1", Outcome.REUSED, 2, 0.0),
         _costs("S1", Outcome.PREDICTED, 8, 0.0),
     ]
-    (only,) = account("c", "running", ["S1"], costs, None, confirmed={"S1": 3}).scenarios
-    assert only.reused_saved_seconds == 0
-    assert only.predicted_saved_seconds == pytest.approx(0.7)
+    confirmed = {"S1": {Outcome.REUSED: 1, Outcome.PREDICTED: 3}}
+    (only,) = account("c", "running", ["S1"], costs, None, confirmed=confirmed).scenarios
+    assert only.confirmed == 4
+    assert only.reused_saved_seconds == pytest.approx(0.1)
+    assert only.predicted_saved_seconds == pytest.approx(0.5)
 
 
 def test_a_saved_cell_is_worth_a_run_without_certificates_and_what_they_took_is_deducted() -> None:

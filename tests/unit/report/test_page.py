@@ -278,6 +278,15 @@ def test_a_campaign_that_only_studies_another_ones_sets_is_not_said_to_have_fail
     assert "which another database does not have" in text
 
 
+def test_the_mean_of_all_scenarios_is_that_of_their_runs() -> None:
+    first, second = (
+        row.model_copy(update={"mean_seconds": mean, "simulated": runs, "simulated_seconds": 99.0})
+        for row, mean, runs in zip(ACCOUNT.scenarios, (1.0, 3.0), (10, 30), strict=True)
+    )
+    *_, total = savings.by_scenario(ACCOUNT.model_copy(update={"scenarios": [first, second]}))
+    assert total[savings.FIELDS.index("mean_seconds")] == 2.5
+
+
 def test_the_account_adds_up_in_its_table(whole: Whole) -> None:
     with (whole.folder / "tables" / "accounting.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))

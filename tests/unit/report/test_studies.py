@@ -29,6 +29,7 @@ from tests.unit.report.rows import (
 )
 
 from drivecal.analysis.robustness import vehicles_text
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import ValidationRow
 from drivecal.report.data import Studied
 from drivecal.report.figures import optima_coordinates, robustness_degrees
@@ -118,9 +119,22 @@ def test_the_scenarios_that_broke_the_condition_are_named(settings: dict[str, An
     assert robustness.limits(ROBUST[2], study(**settings).settings)["S1"] is None
 
 
+CAMPAIGN = Campaign(id="0" * 32, name="c", state="succeeded")
+
+
+def test_the_nominal_rank_follows_the_direction_of_the_objective() -> None:
+    rows = [robust(1, 2, [], objective=5.0), robust(2, 1, [], objective=2.0), robust(3, 0, [], objective=None)]
+    assert robustness.by_nominal(rows) == {1: 1, 2: 2, 3: 3}
+    assert robustness.by_nominal(rows, -1) == {2: 1, 1: 2, 3: 3}
+    assert robustness.by_nominal([row.model_copy(update={"objective": -3.0}) for row in rows[1:2]] + rows[2:], 1) == {
+        2: 1,
+        3: 2,
+    }
+
+
 def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_conditions() -> None:
     other = Studied(study(campaign="2" * 32, condition="mean", eta=0.2), [robust(2, 2, [trial(1, True, 0)])])
-    html = "".join(robustness.parts([Studied(study(), ROBUST), other], OPTIMA, "0" * 32, ""))
+    html = "".join(robustness.parts([Studied(study(), ROBUST), other], OPTIMA, CAMPAIGN, ""))
     head = re.findall(r"<th[^>]*>([^<]*)</th>", html)
     assert head[6:10] == ["degree: max ≤ 1, δ = 0.1", "degree: mean &lt; 0.2, δ = 0.1", "δ max", "limited by"]
     cells = [re.findall(r"<td[^>]*>([^<]*)</td>", line) for line in html.split("<tr>")]
@@ -130,7 +144,7 @@ def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_con
     assert third == ["3", "3", "5.5000", "5.300", "5", "7", "0", "–", "0", "S1 (no result)"]
     assert "Recommended: rank 1, because it has the best." in html
     studies = [Studied(study(vehicle=model), ROBUST) for model in ("single_track", "hybrid")]
-    head = re.findall(r"<th[^>]*>([^<]*)</th>", "".join(robustness.parts(studies, OPTIMA, "0" * 32, "")))
+    head = re.findall(r"<th[^>]*>([^<]*)</th>", "".join(robustness.parts(studies, OPTIMA, CAMPAIGN, "")))
     assert head[6:8] == ["degree: max ≤ 1, δ = 0.1, single_track", "degree: max ≤ 1, δ = 0.1, hybrid"]
 
 
@@ -138,7 +152,7 @@ def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_con
 def test_a_box_that_holds_says_what_its_vehicles_do_not_exclude(samples: int, share: str) -> None:
     assert share in vehicles_text({"samples": samples, "condition": "max"})
     assert "%" not in vehicles_text({"samples": samples, "condition": "mean"})
-    assert vehicles_text(study().settings) in "".join(robustness.parts([Studied(study(), ROBUST)], OPTIMA, "0" * 32, ""))
+    assert vehicles_text(study().settings) in "".join(robustness.parts([Studied(study(), ROBUST)], OPTIMA, CAMPAIGN, ""))
 
 
 def test_the_file_of_boxes_holds_every_deviation() -> None:

@@ -21,7 +21,7 @@ from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
-from drivecal.storage import audits, campaigns, comparisons, evaluations, results, revision_queries
+from drivecal.storage import audits, campaigns, comparisons, evaluations, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -123,7 +123,7 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         resolved = resolved_spec(stored) if stored.resolution else None
         proofs = audits.proofs(connection, stored.sequence, resolved.evaluator, resolved.scale) if resolved is not None else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
-        confirmed = results.counted_since(connection, stored.sequence, StageName.CALIBRATION, searched)
+        confirmed = evaluations.confirmed(connection, stored.sequence, searched)
     known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
     predictors = {scenario: lots.seconds for scenario, lots in stored.released.items()}
     return account(stored.id, stored.state, dict.fromkeys(known), rows, origin, proofs, confirmed, predictors)

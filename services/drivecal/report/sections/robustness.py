@@ -3,7 +3,9 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from drivecal.analysis.better_sets import sign_of
 from drivecal.analysis.robustness import vehicles_text
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import paragraph, table
@@ -45,11 +47,11 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
     return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
 
 
-def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
-    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+def by_nominal(rows: Sequence[RobustnessRow], sign: int = 1) -> dict[int, int]:
+    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness. `sign`: -1 if lower is better."""
 
-    def worth(row: RobustnessRow) -> tuple[float, float, int]:
-        return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
+    def worth(row: RobustnessRow) -> tuple[bool, float, float, int]:
+        return row.objective is None, -sign * (row.objective or 0.0), -sign * (row.rating or 0.0), row.rank
 
     return {row.rank: place for place, row in enumerate(sorted(rows, key=worth), 1)}
 
@@ -64,11 +66,11 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
             yield row.rank, trial.box, trial.radius, str(trial.holds).lower(), *deviations
 
 
-def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
+def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: Campaign, drawings: Sequence[str]) -> list[str]:
     """Returns the section: the study, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
-    of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
+    of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign.id} else ""
     sets = f"best set{of} was" if len(main.rows) == 1 else f"{len(main.rows)} best sets{of} were"
     text = (
         f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
@@ -77,17 +79,17 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     )
     if main.study.vehicle:
         text += f" The vehicle model is {main.study.vehicle}."
-    if made_by != campaign:
+    if made_by != campaign.id:
         text += f" Campaign {made_by} made this study."
     tables = [
         paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
     ]
-    return [paragraph(text), *tables, _quality(main, others), *drawings, _values(main, optima)]
+    return [paragraph(text), *tables, _quality(main, others, sign_of(campaign)), *drawings, _values(main, optima)]
 
 
-def _quality(main: Robust, others: Sequence[Robust]) -> str:
+def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
     """Returns the ranking by robustness with the nominal one."""
-    nominal, settings = by_nominal(main.rows), main.study.settings
+    nominal, settings = by_nominal(main.rows, sign), main.study.settings
     elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [
         [

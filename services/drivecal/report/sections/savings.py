@@ -45,5 +45,8 @@ def seconds_of(account: Accounting) -> list[tuple[str, float]]:
 
 def _total(account: Accounting, field: str) -> object:
     if field == "mean_seconds":
-        return account.simulated_seconds / account.simulated if account.simulated else None
+        priced = [
+            (row.mean_seconds, row.simulated) for row in account.scenarios if row.mean_seconds is not None and row.simulated
+        ]
+        return sum(mean * runs for mean, runs in priced) / sum(runs for _, runs in priced) if priced else None
     return sum(getattr(scenario, field) for scenario in account.scenarios)

@@ -1,9 +1,8 @@
 """Convergence of the search by the criteria of the paper's Tables 5 and 7, and the iterations as a table."""
 
 from collections.abc import Mapping, Sequence
-from itertools import accumulate, pairwise
 
-from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at
+from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at, changes
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import Generation
 from drivecal.report.markup import table
@@ -14,19 +13,22 @@ MOST_LINES = 13
 
 
 def convergence(generations: Sequence[Generation]) -> list[str]:
-    """Returns a sentence for each criterion, without unanswered iterations. A number of alternatives is that of one best objective: if
-    this changes, so has the number, whatever it is."""
+    """Returns a sentence for each criterion, without unanswered iterations."""
     answered = [generation for generation in generations if generation.best is not None]
     if not answered:
         return []
     best = [generation.best for generation in answered]
-    states = [(generation.best, generation.alternatives) for generation in answered]
-    counts = list(accumulate((before != after for before, after in pairwise(states)), initial=0))
+    alternatives = [generation.alternatives for generation in answered]
     for_the_best = f"for at least {UNCHANGED_BEST} iterations"
     for_the_alternatives = f"for more than {UNCHANGED_ALTERNATIVES} iterations"
     return [
         _sentence("best objective", best, best_at(best), for_the_best),
-        _sentence("number of alternative optima", counts, alternatives_at(counts), for_the_alternatives),
+        _sentence(
+            "number of alternative optima",
+            changes(best, alternatives),
+            alternatives_at(best, alternatives),
+            for_the_alternatives,
+        ),
     ]
 
 
