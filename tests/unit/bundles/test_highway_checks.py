@@ -283,6 +283,7 @@ def test_a_setup_with_the_built_in_planner_holds_its_version(monkeypatch: pytest
     planner = changed("simulator/controller", controller) | {"parameters": {"P1": {"lower": 0, "upper": 10}}}
     said = setup_document(checked(planner, FILES), "merge", "")
     assert said["controller"] == registry.simulator("highway").controllers["planner"]
+        (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "start_speed"}}, "signals"),
     assert "controller" not in setup_document(checked(VALID), "merge", "")
     monkeypatch.setattr(registry, "simulator", lambda _: SimpleNamespace(controllers={"planner": "another"}))
     assert setup_document(checked(planner, FILES), "merge", "") == said | {"controller": "another"}
