@@ -92,13 +92,14 @@ class ScenarioFile:
         ids = {name: EGO if name == ego.name else names.new(name, entity.element) for name, entity in present.items()}
         ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items()}
 
-        def reached(position: Element) -> float:
+        def reached(position: Element) -> tuple[float, float]:
             corridor: Corridor = corridor_of(route)
             place = roads.place(position, {name: start.place for name, start in starts.items()}, route)
             try:
-                return corridor.position(place.edge, place.index, place.position)[0]
+                s, d = corridor.position(place.edge, place.index, place.position)
             except InvalidInputError as error:
                 raise position.fault(error.problems[0].message, "give a place on the scenario's route") from error
+            return s, d + place.offset
 
         actions = Storyboard(storyboard, ids, Ways(ways, roads), reached, self._notes).actions
         for name, entity in present.items():
