@@ -114,6 +114,15 @@ def test_an_action_ends_one_that_waits_for_the_end_of_a_junction(sumo: Sumo) -> 
     assert sumo.offsets == [0.5]
 
 
+def test_what_is_done_at_once_is_not_ended_by_an_action_of_the_same_step(sumo: Sumo) -> None:
+    slow = {"id": "slow", "do": "brake", "time": 0, "speed": 20, "seconds": 0}
+    aside = {"id": "aside", "do": "drift", "time": 0, "offset": 0.5, "seconds": 0.1}
+    for actions_in_order in ((slow, aside | {"ends": ["slow"]}), (aside, slow | {"ends": ["aside"]})):
+        sumo.speeds, sumo.offsets = [], []
+        act(several(*actions_in_order), 0)
+        assert (sumo.speeds, sumo.offsets) == ([20], [0.5])
+
+
 def test_an_action_that_has_not_begun_is_not_ended(sumo: Sumo) -> None:
     these = several(
         {"do": "drift", "offset": 0.5, "time": 0, "seconds": 0.5, "ends": ["slow"]},

@@ -171,12 +171,15 @@ class Actions:
         self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
 
     def _end(self, name: str, ended: Collection[str]) -> None:
-        """Ends those of these actions of a vehicle that run: it keeps its speed, and its place in its lane."""
+        """Ends those of these actions of a vehicle that run: it keeps its speed, and its place in its lane.
+
+        What is done at once is done already, also if it has begun in this step.
+        """
         running, shift = self._speeding.get(name), self._shifts.get(name)
         if running is not None and running.brake.id in ended:
             running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
-            running.target, running.until = running.speed, None
-        if shift is not None and shift.action in ended:
+            running.target, running.until = running.target if running.rate == inf else running.speed, None
+        if shift is not None and shift.action in ended and shift.seconds > SHORTEST:
             self._events.done.add(shift.action or "")
             del self._shifts[name]
         late = [action.id or "" for _, action in self._late if action.id in ended]
