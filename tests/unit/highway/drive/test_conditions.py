@@ -107,7 +107,7 @@ def test_a_vehicle_against_the_route_reaches_a_place_when_it_is_there() -> None:
 
 
 def test_a_vehicle_without_a_place_on_the_road_reaches_none() -> None:
-    lost = [entry._replace(vehicles=entry.vehicles | {"other": Moving(nan, nan, 30.0, 2.0)}) for entry in PASSING]
+    lost = [entry._replace(vehicles={**entry.vehicles, "other": Moving(nan, nan, 30.0, 2.0)}) for entry in PASSING]
     assert fired(action(when=[PLACE]), [PASSING[0], *lost[1:4], *PASSING[4:]]) == []
 
 

@@ -20,7 +20,7 @@ from drivecal.highway.vehicle.equations import ADHESION_LIMIT, STEP
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 
-UNITS = {name: quantity.unit for name, quantity in (COMMANDS | VEHICLE_STATES).items()} | {"start_speed": "m/s"}
+UNITS = {name: quantity.unit for name, quantity in {**COMMANDS, **VEHICLE_STATES}.items()} | {"start_speed": "m/s"}
 """Units of a vehicle's inputs, states and start speed."""
 JUMP, TURN, SURGE = 1.0, 0.2, 1.0
 """Metres, rad and m/s by which the state after the first step may differ from that of a steady drive."""
