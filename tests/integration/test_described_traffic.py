@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, PARAMETERS, PYTHON, driven, motorway
 from tests.support.networks import entrance
-from tests.support.scenario_files import FILES, ROUTES
+from tests.support.scenario_files import FILES, ROUTES, absolute, change_of_lane, change_of_speed, event, when_time, with_events
 from tests.support.scenario_files import motorway as opendrive
 
 from drivecal.plugins.simulators import RunOutcome
@@ -81,6 +81,17 @@ def test_a_leader_leaves_before_an_obstacle(folder: Path) -> None:
     assert outcome.failure == "collision"  # a controller that does nothing meets the box
     assert series(outcome, "leader_speed_mps")[0] == 25.0
     assert series(outcome, "leader_speed_mps")[-1] == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("priority", "enters"), [("overwrite", False), ("parallel", True)])
+def test_a_change_of_lanes_stops_where_another_event_ends_it(folder: Path, priority: str, enters: bool) -> None:
+    change = change_of_lane('<RelativeTargetLane entityRef="Ego" value="0"/>', 4)
+    brake = f"<LongitudinalAction>{change_of_speed(absolute(27), 'linear', 'rate', 4)}</LongitudinalAction>"
+    late = event("late", brake, when_time(2)).replace('"overwrite"', f'"{priority}"')
+    (folder / "scenarios" / f"{priority}.xosc").write_bytes(with_events(event("in", change, when_time(1)), late))
+    outcome = result(folder, {"openscenario": f"scenarios/{priority}.xosc", "duration": 7.0})
+    assert bool(series(outcome, "gap_m").min() < 1000) == enters
 
 
 def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:

@@ -67,7 +67,7 @@ def read(content: bytes, file: str) -> Content:
                 wanted.append(block)
             else:
                 result.skipped.append(block.text(0))
-        elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "RECORD_LAYOUT"}:
+        elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "COMPU_VTAB_RANGE", "RECORD_LAYOUT"}:
             described.blocks[block.kind, block.text(0)] = block
     names: set[str] = set()
     for block in wanted:
@@ -132,7 +132,11 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
     layout = described.get("RECORD_LAYOUT", block.text(4))
     is_whole = layout is not None and any(_WHOLE.fullmatch(text) for text in layout.after("FNC_VALUES", 1)[1:2])
     unit = next(iter(block.after("PHYS_UNIT", 9)), method.text(4) if method else "")
-    choices = _choices(method, described, lower, upper)
+    choices: dict[str, float] = {}
+    if method is not None and method.text(2) == "TAB_VERB":
+        choices, message, remedy = _choices(method, described, lower, upper)
+        if message:
+            fault = problem_of(file, block.tokens[6].line, message, remedy)
     resolution = _resolution(method) if is_whole else None
     given = [float(text) for text in block.after("STEP_SIZE", 9)[:1] if _is_number(text)]
     step = given[0] if given and given[0] > 0 else resolution
@@ -151,14 +155,37 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
     )
 
 
-def _choices(method: _Block | None, described: _Described, lower: float, upper: float) -> dict[str, float]:
-    """Returns the texts of an enumeration's values within the limits, with their numbers."""
-    table = None if method is None else described.get("COMPU_VTAB", next(iter(method.after("COMPU_TAB_REF", 5)), ""))
+def _choices(method: _Block, described: _Described, lower: float, upper: float) -> tuple[dict[str, float], str, str]:
+    """Returns the texts of an enumeration's values within the limits, with their numbers; or else what is wrong, and the remedy."""
+    remedy = "export the file again, or leave it out by --match"
+    name = next(iter(method.after("COMPU_TAB_REF", 5)), "")
+    table, ranges = (described.get(kind, name) for kind in ("COMPU_VTAB", "COMPU_VTAB_RANGE"))
+    if table is None and ranges is None:
+        return {}, f"there is no COMPU_VTAB {shown(name)}, which COMPU_METHOD {shown(method.text(0))} names", remedy
     texts: dict[str, float] = {}
-    for value, text in zip(table.tokens[4::2], table.tokens[5::2], strict=False) if table else ():
-        if text.is_string and _is_number(value.text) and lower <= float(value.text) <= upper:
-            texts.setdefault(text.text, float(value.text))
-    return texts
+    for first, last, text in _rows(table) if table is not None else _triples(ranges):
+        if last < lower or first > upper:
+            continue
+        if first != last:
+            message = f"{shown(text)} of {shown(name)} stands for all values from {first:g} to {last:g}"
+            return {}, message, "give it a single value, or leave the characteristic out by --match"
+        texts.setdefault(text, first)
+    return texts, "" if texts else f"{shown(name)} has no text for a value from {lower:g} to {upper:g}", remedy
+
+
+def _rows(table: _Block) -> Iterator[tuple[float, float, str]]:
+    """Yields value, value and text of a COMPU_VTAB's rows."""
+    for value, text in zip(table.tokens[4::2], table.tokens[5::2], strict=False):
+        if text.is_string and _is_number(value.text):
+            yield float(value.text), float(value.text), text.text
+
+
+def _triples(table: _Block | None) -> Iterator[tuple[float, float, str]]:
+    """Yields least value, largest value and text of a COMPU_VTAB_RANGE's rows."""
+    tokens = table.tokens if table is not None else []
+    for first, last, text in zip(tokens[3::3], tokens[4::3], tokens[5::3], strict=False):
+        if text.is_string and _is_number(first.text) and _is_number(last.text):
+            yield float(first.text), float(last.text), text.text
 
 
 def _resolution(method: _Block | None) -> float | None:

@@ -20,7 +20,9 @@ from drivecal.contracts.strict_json import shown
 
 FORMAT = "KONSERVIERUNG_FORMAT"
 _COMMENTS = ("*", "!", ".")
-_LISTS = frozenset({"FUNKTIONEN", "VARIANTENKODIERUNG", "MODULKOPF"})
+_LISTS = frozenset({"FUNKTIONEN", "VARIANTENKODIERUNG"})
+_LINES = frozenset({"MODULKOPF", "FKT"})
+"""Keywords of lines without END: some tools write functions without a list around them."""
 _OTHER_KINDS = frozenset(
     {
         "FESTWERTEBLOCK",
@@ -97,7 +99,7 @@ def read(content: bytes, file: str) -> Content:
             _skip(lines, keyword, number, file)
             if keyword in _OTHER_KINDS:
                 result.skipped.append(name)
-        elif keyword != "FKT":  # some tools write functions without a list around them
+        elif keyword not in _LINES:
             raise refused(file, number, f"{shown(keyword)} is not a keyword of DCM 2.0", "correct the line")
     return result
 

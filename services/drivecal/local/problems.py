@@ -157,7 +157,8 @@ def _checked(
         return _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell)
 
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
-    declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series))
+    units = {**manifest.measures, **manifest.series}
+    declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units)
     began = time.perf_counter()
     try:
         with _signs(f"{scenario}: the start", start_limit, tell):

@@ -28,6 +28,10 @@ def actions_problems(field: str, traffic: Sequence[TrafficEntry], *, is_whole: b
     for place, vehicle, action in actions:
         yield from _trigger(place, action)
         yield from _content(place, vehicle, action)
+        own = [other.id for other in vehicle.actions if other.id is not None and other is not action]
+        yield from _unknown(
+            [(f"{place}.ends[{number}]", name) for number, name in enumerate(action.ends)], own, "other action of the vehicle"
+        )
         named = [(f"{place}.{key}", getattr(action, key, None)) for key in ("like", "beside")]
         for section in ("after", "when"):
             for number, condition in enumerate(getattr(action, section) or ()):
@@ -65,6 +69,12 @@ def _condition(field: str, condition: Condition) -> Iterator[Problem]:
         yield Problem(field, message, "give above or below with a quantity, and none of them without")
     elif condition.to is not None and condition.quantity not in RELATIVE:
         yield Problem(f"{field}.to", f"{given[0]} is of one vehicle", "leave it out")
+    elif condition.quantity == "distance" and (condition.s is None or condition.below is None):
+        yield Problem(field, "a distance needs a place and a limit", "give `s` and `below`")
+    elif condition.quantity != "distance" and (condition.s is not None or condition.d != 0.0):
+        yield Problem(
+            f"{field}.{'d' if condition.s is None else 's'}", f"{given[0]} is not measured to a place", "leave it out"
+        )
 
 
 def _content(field: str, vehicle: TrafficEntry, action: Action) -> Iterator[Problem]:

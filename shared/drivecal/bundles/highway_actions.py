@@ -21,14 +21,17 @@ class Condition(Model):
 
     Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) of `vehicle`, by default
     the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead), `headway` (s, if `to` is
-    ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres` between centres.
+    ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres` between centres. `distance` (m):
+    least of the last step, from the vehicle's centre to the place at `s` (m) of the scenario's route, `d` (m) to the left of its line.
     `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago.
     """
 
-    quantity: Literal["time", "speed", "s", "travelled", "gap", "headway", "ttc"] | None = None
+    quantity: Literal["time", "speed", "s", "travelled", "gap", "headway", "ttc", "distance"] | None = None
     vehicle: VehicleId | None = None
     to: VehicleId | None = None
     centres: bool = False
+    s: Position | None = None
+    d: Annotated[float, Field(ge=-1000, le=1000)] = 0.0
     above: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     below: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
     begun: VehicleId | None = None
@@ -40,6 +43,7 @@ class Condition(Model):
 class Trigger(Model):
     """Begin of an action: at a `time` (s), or when the ego vehicle is within `gap` (m, between bumpers), or at `s` (m) of the
     scenario's route, or `when` all conditions are fulfilled at once. `after`: conditions that must have been fulfilled before, all at once.
+    `ends`: other actions of the vehicle, by id, which end if they run then: it keeps the speed and the place in its lane that it has.
     """
 
     id: VehicleId | None = None
@@ -48,6 +52,7 @@ class Trigger(Model):
     s: Position | None = None
     when: Annotated[list[Condition], Field(max_length=20)] | None = None
     after: Annotated[list[Condition], Field(max_length=20, default_factory=list)]
+    ends: Annotated[list[VehicleId], Field(max_length=50, default_factory=list)]
 
 
 class Brake(Trigger):

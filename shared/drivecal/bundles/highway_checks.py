@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from drivecal.bundles import units
 from drivecal.bundles.highway import (
     AnyController,
     Declared,
@@ -83,14 +84,14 @@ def _vehicle(vehicle: UserVehicleEntry) -> Iterator[Problem]:
         if name not in state:
             yield Problem("simulator.vehicle.state", f"{name} is missing", "give x, y, heading and speed at least")
     if isinstance(vehicle, FmuVehicle):
-        needed = [*VEHICLE_INPUTS, *state]
+        needed = [*VEHICLE_INPUTS, *state, "start_speed"]
         for name in needed:
             if name not in vehicle.signals:
                 remedy = f"add `{name}: VARIABLE`"
                 yield Problem("simulator.vehicle.signals", f"the FMU's variable for {name} is missing", remedy)
         for name in vehicle.signals:
-            if name not in (*needed, "start_speed"):
-                remedy = nearest(name, [*needed, "start_speed"])
+            if name not in needed:
+                remedy = nearest(name, needed)
                 yield Problem(f"simulator.vehicle.signals.{shown(name)}", "there is no such signal of a vehicle", remedy)
 
 
@@ -261,14 +262,9 @@ def _known(section: str, declared: Mapping[str, str], catalogue: Mapping[str, Qu
     for name, unit in declared.items():
         if name not in catalogue:
             yield Problem(f"{section}.{name}", "the simulator does not report it", nearest(name, list(catalogue)))
-        elif _plain(unit) != _plain(catalogue[name].unit):
+        elif not units.same(unit, catalogue[name].unit):
             message = f"its unit is {catalogue[name].unit}, not {shown(unit)}"
             yield Problem(f"{section}.{name}", message, f"give {catalogue[name].unit}, and convert in the formulas of scores")
-
-
-def _plain(unit: str) -> str:
-    """Returns a unit in plain letters: m/s^2 is m/s²."""
-    return unit.replace("²", "2").replace("³", "3").replace("^", "").replace("**", "").replace(" ", "")
 
 
 def _is_multiple(value: float, unit: float) -> bool:

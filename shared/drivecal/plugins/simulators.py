@@ -10,7 +10,7 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 
-VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "3"})
+VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "4"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
 
@@ -29,12 +29,16 @@ class RunOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Declared:
-    """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name."""
+    """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
+
+    `units`: of measures and series by name, if they are known; they decide no result.
+    """
 
     problem: str
     measures: tuple[str, ...]
     failures: tuple[str, ...] = ()
     series: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
 class NoMeasuresError(DrivecalError):

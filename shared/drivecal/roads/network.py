@@ -124,13 +124,16 @@ class Junction:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A SUMO network. `connections`: those from each edge, in the order of the file; `roundabouts`: the edges of any."""
+    """A SUMO network. `connections`: those from each edge, in the order of the file; `roundabouts`: the edges of any; `offset`: what was
+    added to the coordinates (m) of the source it was built from.
+    """
 
     name: str
     edges: Mapping[str, Edge]
     connections: Mapping[str, tuple[Connection, ...]]
     junctions: Mapping[str, Junction]
     roundabouts: frozenset[str]
+    offset: tuple[float, float] = (0.0, 0.0)
 
     def lane(self, name: str) -> Lane | None:
         """Returns the lane of an id such as `e1_0`."""
@@ -164,6 +167,7 @@ class _Reader:
     lanes: list[Lane] = field(default_factory=list)
     junction: Attributes | None = None
     foes: list[str] = field(default_factory=list)
+    offset: tuple[float, float] = (0.0, 0.0)
 
     def start(self, attributes: Attributes) -> None:
         """Takes an element. Whatever has no meaning for a route is left out, except what would let SUMO read other files."""
@@ -187,7 +191,7 @@ class _Reader:
         if not any(edge.function == "" for edge in self.edges.values()):
             raise InvalidInputError(Problem(self.name, "the network has no roads", "give a network with edges"))
         connections = {edge: tuple(ways) for edge, ways in self.connections.items()}
-        return Network(self.name, self.edges, connections, self.junctions, frozenset(self.roundabouts))
+        return Network(self.name, self.edges, connections, self.junctions, frozenset(self.roundabouts), self.offset)
 
     def on_net(self, attributes: Attributes) -> None:
         text = attributes.text("version")
@@ -199,6 +203,16 @@ class _Reader:
             raise attributes.fault(message, "convert it: netconvert -s OLD.net.xml -o NEW.net.xml")
         if attributes.truth("lefthand"):
             raise attributes.fault("the network is for left-hand traffic", "give a network for right-hand traffic")
+
+    def on_location(self, attributes: Attributes) -> None:
+        text = attributes.text("netOffset", "0,0")
+        try:
+            x, y = map(float, text.split(","))
+        except ValueError:
+            x = y = np.nan
+        if not max(abs(x), abs(y)) <= FARTHEST:  # NaN compares as false
+            raise attributes.fault(f"netOffset is {shown(text, 40)}, which is not a pair of metres", "correct it")
+        self.offset = x, y
 
     def on_edge(self, attributes: Attributes) -> None:
         if self.edge is not None:

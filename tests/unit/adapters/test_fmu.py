@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +135,21 @@ def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section:
     archive(tmp_path / "empty.fmu", "", {})
     with pytest.raises(UnavailableError, match=detail), run(tmp_path, **({"file": "trial2.fmu"} | section)):
         pass
+
+
+def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> None:
+    with_unit = SECOND_DESCRIPTION.replace('variability="continuous"><Real/>', 'variability="continuous"><Real unit="m/s"/>')
+    assert with_unit != SECOND_DESCRIPTION
+    with zipfile.ZipFile(folder / "trial2.fmu") as whole:
+        library = Path(whole.extract("binaries/linux64/trial.so", tmp_path))
+    archive(tmp_path / "unit.fmu", with_unit, {"binaries/linux64/trial.so": library})
+    own = {"end": "m.s-1", "area": "m", "usual": "1"}
+    with run(tmp_path, "unit.fmu", replace(DECLARED, units=own)) as session:
+        assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
+    for name, unit, stated in (("end", "km/h", "m/s"), ("area", "m/s", "m/s.s"), ("body.x[1]", "m", "m/s")):
+        declared = replace(DECLARED, units=own | {name: unit})
+        with pytest.raises(UnavailableError, match=f"is in {stated} .*not in {unit}"), run(tmp_path, "unit.fmu", declared):
+            pass
 
 
 def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:

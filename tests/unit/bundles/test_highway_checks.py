@@ -176,6 +176,12 @@ def test_all_faults_are_named_at_once() -> None:
         ({"when": [{"quantity": "speed", "to": "ego", "above": 1}]}, ".when[0].to"),
         ({"when": [{"quantity": "gap", "vehicle": "nobody", "above": 1}]}, ".when[0].vehicle"),
         ({"time": 1, "after": [{"done": "nothing"}]}, ".after[0].done"),
+        ({"time": 1, "ends": ["nothing"]}, ".ends[0]"),
+        ({"id": "own", "time": 1, "ends": ["own"]}, ".ends[0]"),
+        ({"when": [{"quantity": "distance", "below": 2}]}, ".when[0]"),
+        ({"when": [{"quantity": "distance", "s": 100, "above": 2}]}, ".when[0]"),
+        ({"when": [{"quantity": "speed", "s": 100, "above": 2}]}, ".when[0].s"),
+        ({"when": [{"quantity": "speed", "d": 1, "above": 2}]}, ".when[0].d"),
         ({"time": 1, "lane": None}, ".lane"),
         ({"time": 1, "by": 1}, ".lane"),
         ({"time": 1, "beside": "ego"}, ".beside"),
@@ -202,6 +208,14 @@ def test_faults_of_actions_are_named(given: dict[str, Any], field: str) -> None:
 def test_faults_of_changes_of_speed_are_named(given: dict[str, Any], field: str) -> None:
     manifest = changed("scenarios/busy/traffic/0/actions", [{"do": "brake", "time": 1} | given])
     assert faults(manifest) == {f"scenarios.busy.traffic[0].actions[0]{field}"}
+
+
+def test_an_action_ends_others_of_its_own_vehicle_only() -> None:
+    first, second = {"id": "a", "do": "brake", "time": 1}, {"id": "b", "do": "brake", "time": 2, "ends": ["a"]}
+    assert checked(changed("scenarios/busy/traffic/0/actions", [first, second]))
+    apart = changed("scenarios/busy/traffic/0/actions", [first])
+    apart["scenarios"]["busy"]["traffic"][1]["actions"] = [second]
+    assert faults(apart) == {"scenarios.busy.traffic[1].actions[0].ends[0]"}
 
 
 def test_actions_of_one_id_are_named_and_others_may_wait_for_them() -> None:
@@ -269,6 +283,7 @@ def test_vehicles_of_users_pass() -> None:
         (CAR | {"state": ["x", "y", "heading", "fast"]}, "state[3]"),
         ({"kind": "process", "command": ["./car"]}, "command[0]"),
         (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "steering"}}, "signals"),
+        (FMU_CAR | {"signals": {name: name for name in FMU_CAR["signals"] if name != "start_speed"}}, "signals"),
         (FMU_CAR | {"signals": dict.fromkeys([*FMU_CAR["signals"], "gap"], "u")}, "signals.gap"),
         ({"kind": "tank"}, "kind"),
         ({"model": "single_track", "kind": "python", "file": "acc.py"}, "model"),

@@ -26,6 +26,10 @@ TAIL = """
 /begin COMPU_METHOD gap "" LINEAR "%8.3" "s" COEFFS_LINEAR 0.01 0 /end COMPU_METHOD
 /begin COMPU_METHOD same "" IDENTICAL "%8.3" "" /end COMPU_METHOD
 /begin COMPU_METHOD modes "" TAB_VERB "%1.0" "" COMPU_TAB_REF modes_t /end COMPU_METHOD
+/begin COMPU_METHOD ranges "" TAB_VERB "%1.0" "" COMPU_TAB_REF ranges_t /end COMPU_METHOD
+/begin COMPU_METHOD orphan "" TAB_VERB "%1.0" "" COMPU_TAB_REF none_t /end COMPU_METHOD
+/begin COMPU_METHOD table "" TAB_INTP "%1.0" "" COMPU_TAB_REF numbers_t /end COMPU_METHOD
+/begin COMPU_VTAB_RANGE ranges_t "" 4 0 0 "off" 1 1 "on" 2 2 "auto" 3 9 "reserved" DEFAULT_VALUE "none" /end COMPU_VTAB_RANGE
 /begin COMPU_VTAB modes_t "" TAB_VERB 3 0 "eco" 1 "normal" 2 "sport" DEFAULT_VALUE "none" /end COMPU_VTAB
 /end MODULE
 /end PROJECT
@@ -94,6 +98,26 @@ def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
         with pytest.raises(InvalidInputError) as refused:
             sections_of(chosen, {}, 0.5)
         assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
+
+
+def test_ranges_of_one_value_are_choices() -> None:
+    (mode,) = read('mode "" VALUE 0x16 _U16 0 ranges 1 2')
+    assert (mode.choices, mode.codes, mode.integer, mode.step, mode.fault) == (("on", "auto"), (1.0, 2.0), False, None, None)
+
+
+def test_a_table_of_numbers_makes_no_choices() -> None:
+    (gain,) = read('gain "" VALUE 0x16 _U16 0 table 0 4')
+    assert (gain.choices, gain.lower, gain.upper, gain.fault) == ((), 0.0, 4.0, None)
+
+
+@pytest.mark.parametrize("conversion", ["ranges 0 3", "ranges 4 9", "orphan 0 1", "modes 3 9"])
+def test_an_enumeration_that_no_texts_describe_concerns_its_own_characteristic_only(conversion: str) -> None:
+    good, bad = read('good "" VALUE 0x10 _U16 0 speed 0 1', f'bad "" VALUE 0x12 _U16 0 {conversion}')
+    assert list(sections_of([good], {}, 0.5).parameters) == ["good"]
+    with pytest.raises(InvalidInputError) as refused:
+        sections_of([good, bad], {}, 0.5)
+    assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
+    assert all(problem.remedy for problem in refused.value.problems)
 
 
 TOKENS = [

@@ -124,6 +124,21 @@ END
     ]
 
 
+def test_the_first_parameter_follows_the_heads_of_modules() -> None:
+    text = """KONSERVIERUNG_FORMAT 2.0
+MODULKOPF "ACC" "Adaptive cruise control"
+MODULKOPF "version 3"
+FESTWERT Gap
+   WERT 1.5
+END
+FESTWERT Mode
+   TEXT "eco"
+END
+"""
+    read = dcm.read(text.encode(), "a.dcm")
+    assert [(row.name, row.value, row.line) for row in read.characteristics] == [("Gap", 1.5, 4), ("Mode", "eco", 7)]
+
+
 def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
     text = 'KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  LANGNAME "up to\u2026 \u20ac"\n  WERT 1\nEND\nFESTWERT b\n  WERT x\nEND\n'
     with pytest.raises(InvalidInputError) as refused:

@@ -9,6 +9,7 @@ from drivecal.adapters.children import Launch
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.python import driver_command
 from drivecal.adapters.scratch import Scratch
+from drivecal.bundles import units
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import VERSIONS, Declared
 
@@ -38,6 +39,7 @@ class FmuAdapter:
             "step": section["step"],
             "measures": dict(section["measures"]),
             "series": list(declared.series),
+            "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
             "data": dict(data),
         }
         launch = Launch.of(driver_command("fmu_driver", settings), section)

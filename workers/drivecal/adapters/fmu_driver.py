@@ -16,6 +16,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, described, serve
+from drivecal.bundles import units
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
@@ -109,6 +110,33 @@ class Fmu:
             if name not in self.variables:
                 similar = get_close_matches(name, self.variables, 3) or sorted(self.variables)[:5]
                 raise UnusableError(f"the FMU has no variable {name}, a {role}; it has e.g. {', '.join(similar)}")
+
+    def check_units(self, used: Iterable[tuple[str, str]], *, integrated: bool = False) -> None:
+        """Raises UnusableError naming the first variable that states another unit than the one it is used in.
+
+        `used`: names of variables and these units; `integrated`: these are units of integrals over time.
+        """
+        for name, unit in used:
+            spellings = self._units(name)
+            suffix = ".s" if integrated else ""
+            if spellings and not any(units.same(f"{spelling}{suffix}", unit) for spelling in spellings):
+                integral = "the integral of " if integrated else ""
+                stated = f"{spellings[0]}{suffix}"
+                raise UnusableError(
+                    f"{integral}the variable {name} is in {stated} by its FMU, not in {unit}; convert it in the FMU"
+                )
+
+    def _units(self, name: str) -> list[str]:
+        """Returns the unit that a variable or its type states, also as a product of base units; an empty list if they state none."""
+        variable = self.variables[name]
+        stated = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
+        if not stated:
+            return []
+        base = next((unit.baseUnit for unit in self.model.unitDefinitions if unit.name == stated), None)
+        if base is None or base.factor != 1.0 or base.offset != 0.0:
+            return ["1" if stated in units.WITHOUT else stated]
+        symbols = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+        return [stated, ".".join(f"{symbol}{getattr(base, symbol)}" for symbol in symbols)]
 
     def _access(self, name: str) -> str:
         kind = self.variables[name].type
@@ -226,7 +254,12 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
+    declared = settings["units"]
+    for name, (key, output) in measures.items():
+        if name in declared:
+            fmu.check_units([(output, declared[name])], integrated=key == "integral")
     recorded = [name for name in settings["series"] if name in fmu.variables]
+    fmu.check_units((name, declared[name]) for name in recorded if name in declared)
     reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
     steps = max(1, math.ceil(duration / step - 1e-9))
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from drivecal.bundles.traffic.elements import Element, Notes
+from drivecal.bundles.traffic.parts import Parts
 
 LARGEST = 1e6
 MOST_CONDITIONS = 20
@@ -13,18 +14,16 @@ BELOW = ("lessThan", "lessOrEqual")
 ENDED = ("completeState", "endTransition")
 BEGUN = ("startTransition", "runningState")
 Conditions = list[dict[str, Any]]
-Reached = Callable[[Element], float]
-"""Returns s of the scenario's route at a <Position>."""
+Reached = Callable[[Element], tuple[float, float]]
+"""Returns s and d of the scenario's route at a <Position>."""
 
 
 class Triggers:
     """Reads the triggers of a storyboard."""
 
-    def __init__(
-        self, ids: Mapping[str, str], elements: Mapping[tuple[str, str], list[str]], reached: Reached, notes: Notes
-    ) -> None:
-        """`ids`: of vehicles by the names of entities; `elements`: ids of actions by kind and name of an element of the storyboard."""
-        self._ids, self._elements, self._reached, self._notes = ids, elements, reached, notes
+    def __init__(self, ids: Mapping[str, str], parts: Parts, reached: Reached, notes: Notes) -> None:
+        """`ids`: of vehicles by the names of entities; `parts`: of the storyboard."""
+        self._ids, self._parts, self._reached, self._notes = ids, parts, reached, notes
 
     def conditions(self, trigger: Element | None) -> Conditions:
         """Returns conditions that must be fulfilled at once; none means that it begins at once. Raises InvalidInputError."""
@@ -57,16 +56,12 @@ class Triggers:
         if condition.element == "SimulationTimeCondition":
             return [{"quantity": "time"} | _limit(condition)]
         state = condition.word("state", ENDED + BEGUN)
-        element = condition.text("storyboardElementType"), condition.text("storyboardElementRef").rpartition("::")[2]
-        actions = self._elements.get(element)
-        if not actions:
-            message = f"there is no {element[0]} {element[1][:60]!r} with actions of the traffic"
-            raise condition.fault(message, "give an element of the file that does not drive the ego vehicle only")
+        part = self._parts.referred(condition)
         if state in ENDED:
-            return [{"done": action} for action in actions]
-        if element[0] in {"act", "story", "maneuver", "maneuverGroup"}:
-            return [] if _is_inside(condition, *element) else [{"begun": actions[0]}]
-        return [{"begun": action} for action in actions[:1]]
+            return [{"done": action} for action in part.actions]
+        if part.kind not in {"event", "action"} and part.holds(condition):
+            return []
+        return [{"begun": part.actions[0]}]
 
     def _of_entity(self, kind: Element) -> Conditions:
         triggering = kind.only("TriggeringEntities")
@@ -91,7 +86,8 @@ class Triggers:
             return {"quantity": "travelled", "above": condition.number("value", 0.0, LARGEST)}
         if kind == "ReachPositionCondition":
             tolerance = condition.number("tolerance", 0.0, LARGEST)
-            return {"quantity": "s", "above": self._reached(condition.only("Position")) - tolerance}
+            s, d = self._reached(condition.only("Position"))
+            return {"quantity": "distance", "s": s, "d": d, "below": tolerance}
         if kind == "SpeedCondition":
             return {"quantity": "speed"} | _limit(condition)
         target = (
@@ -117,14 +113,3 @@ def _limit(condition: Element) -> dict[str, float]:
 def _is_start(entry: Mapping[str, Any], delay: float) -> bool:
     """Returns whether a condition is fulfilled as soon as the scenario runs."""
     return entry.get("quantity") == "time" and entry.get("above", 1.0) <= 0.0 and delay == 0.0
-
-
-def _is_inside(element: Element, kind: str, name: str) -> bool:
-    """Returns whether an element lies inside of one of the storyboard, whose begin it cannot wait for otherwise."""
-    tags = {"act": "Act", "story": "Story", "maneuver": "Maneuver", "maneuverGroup": "ManeuverGroup"}
-    owner: Element | None = element
-    while owner is not None:
-        if owner.element == tags[kind] and owner.text("name") == name:
-            return True
-        owner = owner.parent
-    return False

@@ -8,6 +8,7 @@ from drivecal.bundles.traffic.elements import Element, Notes, read_tree
 from drivecal.bundles.traffic.parameters import declare, substituted
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError
 
 CATEGORIES: Mapping[str, str] = {
     "car": "passenger",
@@ -103,10 +104,22 @@ def _from_catalog(reference: Element, locations: Element | None, files: Files) -
             described = content.every("Vehicle", "MiscObject", "Pedestrian")
             for element in described:
                 if element.text("name") == entry:
-                    declare(element, {})
+                    _declare(element, reference)
                     return element
             remedy = nearest(entry, [element.text("name") for element in described])
             raise reference.fault(f"the catalog {shown(file, 200)} has no entry {shown(entry)}", remedy)
     place = f" in {', '.join(shown(folder, 100) for folder in folders)}" if folders else ""
     message = f"the bundle has no catalog {shown(catalog)}{place}"
     raise reference.fault(message, "copy its .xosc file there, or write a <Vehicle> into the file")
+
+
+def _declare(described: Element, reference: Element) -> None:
+    """Takes the declarations of a catalog's entry with the values that a reference assigns. Raises InvalidInputError."""
+    section = reference.optional("ParameterAssignments")
+    assignments = section.every("ParameterAssignment") if section is not None else []
+    values = {assignment.text("parameterRef").removeprefix("$"): assignment.text("value") for assignment in assignments}
+    try:
+        declare(described, values)
+    except InvalidInputError as error:
+        problem = error.problems[0]
+        raise reference.fault(f"{problem.field.removeprefix('parameters.')}: {problem.message}", problem.remedy) from error

@@ -51,6 +51,7 @@ class ScenarioFile:
         self._notes = Notes(self.name)
         header = self._root.only("FileHeader")
         header.skip()
+        self._minor = header.text("revMinor", "0").strip()
         if header.text("revMajor") != "1":
             message = f"OpenSCENARIO of version {shown(header.text('revMajor'), 10)} cannot be read, only 1.x"
             raise header.fault(message, "export the file as OpenSCENARIO 1.0 to 1.3")
@@ -91,13 +92,14 @@ class ScenarioFile:
         ids = {name: EGO if name == ego.name else names.new(name, entity.element) for name, entity in present.items()}
         ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items()}
 
-        def reached(position: Element) -> float:
+        def reached(position: Element) -> tuple[float, float]:
             corridor: Corridor = corridor_of(route)
             place = roads.place(position, {name: start.place for name, start in starts.items()}, route)
             try:
-                return corridor.position(place.edge, place.index, place.position)[0]
+                s, d = corridor.position(place.edge, place.index, place.position)
             except InvalidInputError as error:
                 raise position.fault(error.problems[0].message, "give a place on the scenario's route") from error
+            return s, d + place.offset
 
         actions = Storyboard(storyboard, ids, Ways(ways, roads), reached, self._notes).actions
         for name, entity in present.items():
@@ -130,16 +132,14 @@ class ScenarioFile:
                 trigger.skip()
                 self._notes.add(trigger, "ignored: the scenario has its own duration")
             return self._scenario.duration
-        conditions = (
-            [entry for group in trigger.every("ConditionGroup") for entry in group.every("Condition")] if trigger else []
-        )
-        times = [time for entry in conditions if (time := _stop_time(entry)) is not None]
+        groups = trigger.every("ConditionGroup") if trigger else []
+        times = [time for group in groups if (time := _stop_time(group)) is not None]
         if not times:
             raise (trigger or storyboard).fault("the file has no time at which it stops", "give `duration` in the scenario")
-        for entry in conditions:
-            if _stop_time(entry) is None:
-                entry.skip()
-                self._notes.add(entry, "ignored: the run lasts until the time of the StopTrigger")
+        for group in groups:
+            if _stop_time(group) is None:
+                group.skip()
+                self._notes.add(group, "ignored: the run lasts until the time of the StopTrigger")
         return round(max(1, ceil(min(times) / step - 1e-9)) * step, 9)
 
     def _starts(self, init: Element, entities: Mapping[str, Entity], roads: Map) -> dict[str, _Start]:
@@ -188,7 +188,9 @@ class ScenarioFile:
             raise kind.fault(f"{shown(name)} has no place", "give it a TeleportAction before")
         action = kind.only("SpeedAction", "LongitudinalDistanceAction")
         if action.element == "SpeedAction":
-            action.only("SpeedActionDynamics").skip()
+            dynamics = action.only("SpeedActionDynamics")
+            if dynamics.text("dynamicsShape", "step") != "step" and dynamics.number("value", -LARGEST, LARGEST, 0.0) != 0.0:
+                self._notes.add(dynamics, "ignored: the vehicle has this speed from the start")
             target = target_speed(
                 action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed"),
                 {other: other for other in starts},
@@ -209,8 +211,11 @@ class ScenarioFile:
         other = action.text("entityRef")
         if other not in starts or action.decides("continuous", "false"):
             raise action.fault("a distance that is kept is not supported", 'give continuous="false", or a SpeedAction')
-        displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), "any")
-        is_ahead = displacement != "trailingReferencedEntity"
+        default = "any" if self._minor == "0" else "trailingReferencedEntity"
+        displacement = action.word("displacement", ("leadingReferencedEntity", "trailingReferencedEntity", "any"), default)
+        is_ahead = displacement == "leadingReferencedEntity"
+        if displacement == "any":
+            is_ahead = _is_ahead(starts[name].place, starts[other].place, roads, action)
         follower = starts[other] if is_ahead else starts[name]
         if "timeGap" in action.values:
             distance = action.number("timeGap", 0.0, 1_000.0) * follower.speed
@@ -286,10 +291,25 @@ def _placed(start: _Start, entity: Entity) -> dict[str, Any]:
     }
 
 
-def _stop_time(condition: Element) -> float | None:
-    """Returns the time (s) of a condition of the StopTrigger, None if it is another one."""
-    value = condition.optional("ByValueCondition")
-    time = value.optional("SimulationTimeCondition") if value is not None else None
-    if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
-        return None
-    return time.number("value", 0.0, 3_600.0) + condition.number("delay", 0.0, 3_600.0, 0.0)
+def _is_ahead(place: FilePlace, other: FilePlace, roads: Map, element: Element) -> bool:
+    """Returns whether a place lies ahead of another one along the road. Raises InvalidInputError if it lies on none of its sides."""
+    if place.edge == other.edge and place.position != other.position:
+        return place.position > other.position
+    if place.edge != other.edge:
+        for begin, end, is_ahead in ((other, place, True), (place, other, False)):
+            if end.edge in along(roads.network, begin.edge, BEHIND):
+                return is_ahead
+    message = "the vehicle's place is neither ahead of the other's nor behind it"
+    raise element.fault(message, 'give displacement="leadingReferencedEntity" or "trailingReferencedEntity"')
+
+
+def _stop_time(group: Element) -> float | None:
+    """Returns the time (s) at which a group of the StopTrigger is fulfilled, None if not only the time decides that."""
+    times = []
+    for condition in group.every("Condition"):
+        value = condition.optional("ByValueCondition")
+        time = value.optional("SimulationTimeCondition") if value is not None else None
+        if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:
+            return None
+        times.append(time.number("value", 0.0, 3_600.0) + condition.number("delay", 0.0, 3_600.0, 0.0))
+    return max(times, default=None)

@@ -45,7 +45,8 @@ class Map:
         if kind.element == "WorldPosition":
             x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
             heading = kind.number("h", -10.0, 10.0) if "h" in kind.values else None
-            return self._ground.place(x, y, heading, route, kind)
+            moved = (0.0, 0.0) if self._source is not None else self.network.offset
+            return self._ground.place(x + moved[0], y + moved[1], heading, route, kind)
         if kind.element == "LanePosition":
             road = self._road(kind)
             lane, s = kind.integer("laneId", -64, 64), kind.number("s", 0.0, LARGEST)

@@ -48,11 +48,12 @@ NUMBERS = {
 WITHOUT_EFFECT = frozenset(
     {"id", "color", "guiShape", "imgFile", "osgFile", "height", "mass", "emissionClass", "line", "cost"}
     | {"personCapacity", "containerCapacity", "personNumber", "containerNumber", "boardingDuration", "loadingDuration"}
-    | {"arrivalPos", "arrivalSpeed", "arrivalLane", "arrivalPosLat"}
 )
 """Attributes that decide nothing on the way."""
+ARRIVAL = {"arrivalPos": "max", "arrivalSpeed": "current", "arrivalLane": "current", "arrivalPosLat": ""}
+"""SUMO's default of each attribute that decides how a vehicle leaves, at the end of its route."""
 TYPE_WORDS = frozenset({"vClass", "carFollowModel", "laneChangeModel", "speedFactor"})
-VEHICLE = frozenset({"type", "depart", "departLane", "departPos", "departSpeed", "route", "from", "to", "via"})
+VEHICLE = frozenset({"type", "depart", "departLane", "departPos", "departSpeed", "route", "from", "to", "via", *ARRIVAL})
 FLOW = (VEHICLE - {"depart"}) | {"begin", "end", "number", "vehsPerHour", "perHour", "period", "probability"}
 LANES = ("first", "best", "allowed", "free", "random")
 PLACES = ("base", "last", "free", "random", "random_free")
@@ -98,6 +99,7 @@ class RouteFile:
         is_flow = element.element == "flow"
         _check_attributes(element, FLOW if is_flow else VEHICLE)
         _check_stops(element)
+        _check_arrival(element)
         driver = self._driver(element)
         edges = self._edges(element)
         begin = _seconds(element, "begin", 0.0) if is_flow else _seconds(element, "depart", None)
@@ -246,6 +248,14 @@ def _check_attributes(element: Element, known: "frozenset[str] | set[str]") -> N
     for key in element.values:
         if key not in known and key not in WITHOUT_EFFECT:
             raise element.fault(f"the attribute {shown(key)} is not supported", f"leave it out; {nearest(key, sorted(known))}")
+
+
+def _check_arrival(element: Element) -> None:
+    """Raises InvalidInputError for a vehicle that leaves elsewhere than at the end of its last edge, or in another way than it comes."""
+    for key, default in ARRIVAL.items():
+        if (text := element.text(key, default)) != default:
+            remedy = f"give {default}, or leave it out" if default else "leave it out"
+            raise element.fault(f"{key} is {shown(text, 40)}, but vehicles drive on to the end of their route", remedy)
 
 
 def _check_stops(element: Element) -> None:

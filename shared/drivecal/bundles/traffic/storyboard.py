@@ -1,27 +1,30 @@
 """The storyboard of an OpenSCENARIO file: events of its maneuvers become actions of the traffic's vehicles."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import LARGEST, MOST_CONDITIONS, Conditions, Reached, Triggers
 from drivecal.bundles.traffic.elements import Element, Notes
 from drivecal.bundles.traffic.parameters import declare
+from drivecal.bundles.traffic.parts import Part, Parts
 from drivecal.bundles.traffic.places import Map
 
 MOST_ACTIONS = 2_000
 IMMEDIATE = 0.1
 """Seconds of a change of lanes that the file wants in no time."""
 SHAPES = ("linear", "cubic", "sinusoidal", "step")
+ENDING = ("override", "overwrite")
+"""Priorities of events that end the running events of their maneuver."""
 
 
 class _Planned(NamedTuple):
-    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event and its act."""
+    """An action of the file: its id, the vehicle that does it, the element of the action itself, its event with the maneuver, its act."""
 
     id: str
     vehicle: str
     action: Element
-    event: Element
+    event: Part
     act: Element
 
 
@@ -38,64 +41,78 @@ class Storyboard:
     def __init__(self, root: Element, ids: Mapping[str, str], ways: Ways, reached: Reached, notes: Notes) -> None:
         """`ids`: of vehicles by entity. Raises InvalidInputError."""
         self._ids, self._ways, self._notes = ids, ways, notes
-        self._names: dict[tuple[str, str], list[str]] = {}
+        self._parts = Parts()
+        self._count = 0
         planned = list(self._planned(root))
-        triggers = Triggers(ids, self._names, reached, notes)
+        triggers = Triggers(ids, self._parts, reached, notes)
         self.actions: dict[str, list[dict[str, Any]]] = {}
         idle: dict[str, list[dict[str, Any]]] = {}
         for entry in planned:
             after = triggers.conditions(entry.act.optional("StartTrigger"))
-            when = triggers.conditions(entry.event.optional("StartTrigger"))
+            when = triggers.conditions(entry.event.element.optional("StartTrigger"))
             contents = list(self._content(entry))
+            ends = self._ended(entry, planned)
             if not contents:
                 idle[entry.id] = after + when
+                if ends:
+                    self._notes.add(entry.event.element, "ends no other event, for nothing of it is driven")
             for content in contents:
-                document = {"id": entry.id, "after": after, "when": when} | content
+                document = {"id": entry.id, "after": after, "when": when, "ends": ends} | content
                 self.actions.setdefault(entry.vehicle, []).append(document)
         for action in (action for actions in self.actions.values() for action in actions):
             action |= {section: _followed(action[section], idle) for section in ("after", "when")}
+            action["ends"] = [name for name in action["ends"] if name not in idle]
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
         """Yields the actions of the traffic's vehicles; notes those of the ego vehicle."""
-        count = 0
-        for story in root.every("Story"):
-            declare(story, {})
-            for act in story.every("Act"):
-                for group in act.every("ManeuverGroup"):
-                    actors = group.only("Actors")
-                    if actors.decides("selectTriggeringEntities", "false"):
-                        raise actors.fault("triggering entities as actors are not supported", "name the actors")
-                    self._note_order(group)
-                    names = [actor.entity(self._ids) for actor in actors.every("EntityRef")]
-                    for maneuver in group.every("Maneuver"):
-                        declare(maneuver, {})
-                        for event in maneuver.every("Event"):
-                            self._note_order(event)
-                            for action in event.every("Action"):
-                                for vehicle in names:
-                                    count += 1
-                                    if count > MOST_ACTIONS:
-                                        raise action.fault(f"there are more than {MOST_ACTIONS:,} actions", "leave some out")
-                                    if vehicle == EGO:
-                                        self._skip(event, act)
-                                        continue
-                                    owners = (event, maneuver, group, act, story)
-                                    yield self._named(vehicle, action, owners, f"action{count}")
+        for element in root.every("Story"):
+            declare(element, {})
+            story = self._parts.new("story", element)
+            for act in (self._parts.new("act", act, story) for act in element.every("Act")):
+                for group in (self._parts.new("maneuverGroup", group, act) for group in act.element.every("ManeuverGroup")):
+                    yield from self._group(group, act.element)
+
+    def _group(self, group: Part, act: Element) -> Iterator[_Planned]:
+        """Yields the actions of a group of maneuvers, for each of its actors."""
+        for reference in group.element.every("CatalogReference"):
+            raise reference.fault("maneuvers of catalogs are not supported", "write the <Maneuver> into the file")
+        actors = group.element.only("Actors")
+        if actors.decides("selectTriggeringEntities", "false"):
+            raise actors.fault("triggering entities as actors are not supported", "name the actors")
+        self._note_order(group.element)
+        names = [actor.entity(self._ids) for actor in actors.every("EntityRef")]
+        for maneuver in (self._parts.new("maneuver", maneuver, group) for maneuver in group.element.every("Maneuver")):
+            declare(maneuver.element, {})
+            for event in (self._parts.new("event", event, maneuver) for event in maneuver.element.every("Event")):
+                self._note_order(event.element)
+                for action in (self._parts.new("action", action, event) for action in event.element.every("Action")):
+                    for vehicle in names:
+                        if vehicle == EGO:
+                            self._skip(event.element, act)
+                        else:
+                            yield self._named(vehicle, action, event, act)
 
     def _note_order(self, element: Element) -> None:
         """Notes what an element says about the order of events that is driven otherwise."""
         if element.text("maximumExecutionCount", "1").strip() != "1":
             self._notes.add(element, "driven once")
-        if element.text("priority", "parallel") == "skip":
+        if element.word("priority", ("parallel", "skip", *ENDING), "parallel") == "skip":
             self._notes.add(element, "driven also while other events run")
 
-    def _named(self, vehicle: str, action: Element, owners: tuple[Element, ...], name: str) -> _Planned:
-        keys = [("action", action.text("name", ""))]
-        kinds = ("event", "maneuver", "maneuverGroup", "act", "story")
-        keys += [(kind, owner.text("name", "")) for kind, owner in zip(kinds, owners, strict=True)]
-        for key in keys:
-            self._names.setdefault(key, []).append(name)
-        return _Planned(name, vehicle, action, owners[0], owners[3])
+    def _named(self, vehicle: str, action: Part, event: Part, act: Element) -> _Planned:
+        self._count += 1
+        if self._count > MOST_ACTIONS:
+            raise action.element.fault(f"there are more than {MOST_ACTIONS:,} actions", "leave some out")
+        name = f"action{self._count}"
+        action.add(name)
+        return _Planned(name, vehicle, action.element, event, act)
+
+    def _ended(self, entry: _Planned, planned: Sequence[_Planned]) -> list[str]:
+        """Returns the actions of the same vehicle that end when an action begins: those of the other events of its maneuver."""
+        if entry.event.element.text("priority", "parallel") not in ENDING or entry.event.owner is None:
+            return []
+        others = set(entry.event.owner.actions).difference(entry.event.actions)
+        return [other.id for other in planned if other.vehicle == entry.vehicle and other.id in others]
 
     def _skip(self, event: Element, act: Element) -> None:
         event.skip()

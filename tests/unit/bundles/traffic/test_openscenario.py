@@ -27,7 +27,6 @@ from tests.support.scenario_files import (
     scenario,
     slower_cut_in,
     start,
-    trigger,
     vehicle,
     when,
     when_all,
@@ -232,49 +231,26 @@ def test_an_obstacle_stands_and_a_leader_leaves_before_it() -> None:
     assert isinstance(change, CutIn)
     assert (change.by, change.beside, change.metres) == (1, None, 60.0)
     assert change.when is not None
-    assert change.when[0].above == pytest.approx(299, abs=0.5)
+    (reach,) = change.when
+    assert (reach.quantity, reach.vehicle, reach.below) == ("distance", "Other", 1.0)
 
 
-def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="leadingReferencedEntity" '
-        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction></Private>'
-    )
-    other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", keep)
-    found = of_file(scenario(CARS, EGO + other)).scenario
-    assert found.traffic[0].s - found.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
+def test_a_place_to_be_reached_is_on_its_own_lane_of_the_route() -> None:
+    places = []
+    for position in (lane(-3, 300), lane(-2, 300), lane(-1, 320, 0.6)):
+        reach = f'<ReachPositionCondition tolerance="2">{position}</ReachPositionCondition>'
+        (change,) = actions(with_events(event("in", IN, when("Other", reach, "none"))))
+        assert change.when is not None
+        assert change.when[0].s is not None
+        places.append((change.when[0].s, change.when[0].d))
+    assert places[0][0] == pytest.approx(300, abs=0.5)
+    assert [s - places[0][0] for s, _ in places] == pytest.approx([0, 0, 20], abs=0.05)
+    assert [d - places[0][1] for _, d in places] == pytest.approx([0, 3.5, 7.6], abs=0.05)
 
 
-@pytest.mark.parametrize("is_last", [False, True])
-def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(is_last: bool) -> None:
-    keep = (
-        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="trailingReferencedEntity" '
-        'timeGap="2" entityRef="Ego" freespace="true"/></LongitudinalAction></PrivateAction>'
-    )
-    other = start("Other", lane(-3, 200), absolute(25))
-    other = (
-        other.replace("</Private>", f"{keep}</Private>")
-        if is_last
-        else other.replace("<PrivateAction>", f"{keep}<PrivateAction>", 1)
-    )
-    found = of_file(scenario(CARS, EGO + other)).scenario
-    assert found.ego.s - found.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
-
-
-def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
-    reference = '<CatalogReference catalogName="cars" entryName="long"/>'
-    locations = (
-        '<CatalogLocations><VehicleCatalog><Directory path="./catalogs"/></VehicleCatalog></CatalogLocations><RoadNetwork>'
-    )
-    content = scenario({"Ego": reference, "Other": vehicle()}, EGO + OTHER).replace(b"<RoadNetwork>", locations.encode())
-    catalog = (
-        f'<OpenSCENARIO><Catalog name="cars">{vehicle(9.5, category="van").replace("car", "long", 1)}</Catalog></OpenSCENARIO>'
-    )
-    assert of_file(content, {"scenarios/catalogs/c.xosc": catalog.encode()}).scenario.ego.length == 9.5
-    assert "no entry" in refused(
-        content.replace(b'entryName="long"', b'entryName="short"'), files={"scenarios/catalogs/c.xosc": catalog.encode()}
-    )
-    assert "no catalog" in refused(content)
+def test_a_place_beside_the_route_is_not_reached() -> None:
+    reach = f'<ReachPositionCondition tolerance="2">{lane(2, 300)}</ReachPositionCondition>'
+    assert "route" in refused(with_events(event("in", IN, when("Other", reach, "none"))))
 
 
 def test_what_drives_the_ego_vehicle_in_the_file_is_noted() -> None:
@@ -291,12 +267,6 @@ def test_what_drives_the_ego_vehicle_in_the_file_is_noted() -> None:
 def test_what_is_ignored_is_noted_with_its_line() -> None:
     content = cut_in().replace(b"<Entities>", b"<Environment><Weather/></Environment>\n<Entities>")
     assert any(note.startswith("scenarios/a.xosc: line 6, <Environment>: ignored") for note in of_file(content).notes)
-
-
-def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:
-    assert of_file(cut_in(), duration=8.0).scenario.duration == 8.0
-    never = trigger(when("Other", '<SpeedCondition value="1" rule="lessThan"/>'), tag="StopTrigger")
-    assert "duration" in refused(with_events(stop=never))
 
 
 def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:

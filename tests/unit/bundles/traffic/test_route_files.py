@@ -59,6 +59,12 @@ def test_what_has_no_effect_is_noted_with_its_line() -> None:
     assert any("line 12, <person>: ignored" in note for note in notes)
 
 
+def test_sumo_s_defaults_of_arrivals_are_taken_without_a_note() -> None:
+    described = with_routes(file(VEHICLE.format(' arrivalPos="max" arrivalSpeed="current" arrivalLane="current"')))
+    assert [car.id for car in described.scenario.traffic] == ["a"]
+    assert described.notes == ()
+
+
 def test_defaults_are_sumo_s(tmp_path: Path) -> None:
     types = "".join(f'<vType id="{name}" vClass="{name}"/>' for name in CLASSES)
     (tmp_path / "a.rou.xml").write_text(f"<routes>{types}</routes>")
@@ -102,6 +108,11 @@ def test_flows_have_the_file_s_amount(amount: str, per_hour: float, number: int 
         ('<vType id="t" speedFactor="norm(x,1)"/>' + VEHICLE.format(' type="t"'), "speedFactor"),
         (VEHICLE.format(' type="none"'), "no vType none"),
         (VEHICLE.format(' reroute="true"'), "reroute"),
+        (VEHICLE.format(' arrivalPos="120"'), "arrivalPos"),
+        (VEHICLE.format(' arrivalSpeed="10"'), "arrivalSpeed"),
+        (VEHICLE.format(' arrivalLane="1"'), "arrivalLane"),
+        (VEHICLE.format(' arrivalPosLat="left"'), "arrivalPosLat"),
+        ('<flow id="f" route="r" period="2" arrivalPos="random"/>', "arrivalPos"),
         (VEHICLE.format("").replace('route="r"', 'route="q"'), "no route q"),
         (VEHICLE.format("").replace('depart="0"', 'depart="triggered"'), "depart"),
         (VEHICLE.format("").replace("/>", '><stop lane="before_0" duration="3"/></vehicle>'), "stops"),

@@ -73,6 +73,66 @@ def act(these: Actions, step: int, ego: EgoPlace = FAR_AWAY) -> None:
     these.act(step * STEP, STEP, ["v"], np.array([[100.0, 0, 30, 0, 5, 2]]), ego, 5.0)
 
 
+def several(*actions: dict[str, Any], **vehicle: Any) -> Actions:
+    given = {"s": 100, "speed": 30, "length": 5.0, "model": "constant", "actions": list(actions)}
+    return Actions({"v": TrafficEntry.model_validate(given | vehicle)})
+
+
+def test_an_action_ends_a_motion_to_the_side_where_it_is(sumo: Sumo) -> None:
+    change = {"id": "in", "do": "cut_in", "time": 0, "lane": 1, "seconds": 4}
+    brake = {"do": "brake", "time": 1, "speed": 0, "rate": 10, "ends": ["in"]}
+    after = {"do": "drift", "offset": 0.5, "when": [{"done": "in"}], "seconds": 1}
+    these = several(change, brake, after)
+    for step in range(2):
+        act(these, step)
+    assert len(sumo.offsets) == 2
+    act(these, 2)
+    assert (len(sumo.offsets), sumo.speeds) == (2, [25])
+    act(these, 3)  # the drift, which waits for the end of the change of lanes
+    assert len(sumo.offsets) == 3
+
+
+def test_an_action_ends_a_change_of_speed_at_the_speed_that_it_has(sumo: Sumo) -> None:
+    brake = {"id": "slow", "do": "brake", "time": 0, "speed": 10, "rate": 10, "hold": 1}
+    these = several(brake, {"do": "drift", "offset": 0.5, "time": 1, "seconds": 1, "ends": ["slow"]})
+    for step in range(6):
+        act(these, step)
+    assert sumo.speeds == [25, 20, 20, 20, 20, 20]
+
+
+def test_an_action_ends_one_that_waits_for_the_end_of_a_junction(sumo: Sumo) -> None:
+    change = {"id": "in", "do": "cut_in", "time": 0, "lane": 1, "seconds": 4}
+    brake = {"do": "brake", "time": 0.5, "speed": 0, "rate": 10, "ends": ["in"]}
+    after = {"do": "drift", "offset": 0.5, "when": [{"done": "in"}], "seconds": 0.5}
+    these = several(change, brake, after)
+    sumo.road = ":j"
+    for step in range(2):
+        act(these, step)
+    sumo.road = "e0"
+    for step in range(2, 5):
+        act(these, step)
+    assert sumo.offsets == [0.5]
+
+
+def test_what_is_done_at_once_is_not_ended_by_an_action_of_the_same_step(sumo: Sumo) -> None:
+    slow = {"id": "slow", "do": "brake", "time": 0, "speed": 20, "seconds": 0}
+    aside = {"id": "aside", "do": "drift", "time": 0, "offset": 0.5, "seconds": 0.1}
+    for actions_in_order in ((slow, aside | {"ends": ["slow"]}), (aside, slow | {"ends": ["aside"]})):
+        sumo.speeds, sumo.offsets = [], []
+        act(several(*actions_in_order), 0)
+        assert (sumo.speeds, sumo.offsets) == ([20], [0.5])
+
+
+def test_an_action_that_has_not_begun_is_not_ended(sumo: Sumo) -> None:
+    these = several(
+        {"do": "drift", "offset": 0.5, "time": 0, "seconds": 0.5, "ends": ["slow"]},
+        {"id": "slow", "do": "brake", "time": 1, "speed": 20, "rate": 10},
+    )
+    for step in range(4):
+        act(these, step)
+    assert sumo.speeds == [25, 20]
+
+
 def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     these = of({"do": "brake", "time": 0, "speed": 20, "rate": 10, "hold": 1}, model="constant")
     for step in range(8):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import nan
 from typing import Any
 
 import pytest
@@ -74,6 +75,40 @@ MEETING = moments((100, 160), (110, 145), (120, 130), (130, 115), (140, 100), sp
 )
 def test_vehicles_that_meet_are_ahead_of_each_other(condition: dict[str, Any], steps: list[int]) -> None:
     assert fired(action(when=[condition]), MEETING) == steps
+
+
+PLACE = {"quantity": "distance", "s": 110, "below": 2}
+
+
+@pytest.mark.parametrize(
+    ("change", "steps"),
+    [
+        ({}, [2]),  # from 95 to 120 m in a step
+        ({"s": 122}, [2, 3]),
+        ({"s": 80}, [0, 1]),
+        ({"s": 85, "rising": True}, [1]),
+        ({"s": 78.5}, [0, 1]),
+        ({"s": 300}, []),
+        ({"s": 77}, []),
+        ({"d": 1.5}, [2]),
+        ({"d": -3.5}, []),
+        ({"d": -3.5, "below": 4}, [2]),
+        ({"vehicle": "ego"}, [1, 2]),
+        ({"vehicle": "nobody"}, []),
+    ],
+)
+def test_a_place_is_reached_within_a_distance_also_between_two_steps(change: dict[str, Any], steps: list[int]) -> None:
+    assert fired(action(when=[PLACE | change]), PASSING) == steps
+
+
+def test_a_vehicle_against_the_route_reaches_a_place_when_it_is_there() -> None:
+    assert fired(action(when=[PLACE | {"s": 122}]), MEETING) == [3]
+    assert fired(action(when=[PLACE | {"s": 170}]), MEETING) == []
+
+
+def test_a_vehicle_without_a_place_on_the_road_reaches_none() -> None:
+    lost = [entry._replace(vehicles={**entry.vehicles, "other": Moving(nan, nan, 30.0, 2.0)}) for entry in PASSING]
+    assert fired(action(when=[PLACE]), [PASSING[0], *lost[1:4], *PASSING[4:]]) == []
 
 
 def test_all_conditions_must_hold_at_once() -> None:

@@ -1,6 +1,6 @@
 """Triggered actions of the traffic's vehicles: they brake, cut in or drift at a time, a gap or a place."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, isnan, sqrt
 from typing import NamedTuple
@@ -124,6 +124,8 @@ class Actions:
     def _begin(self, name: str, action: Action, moment: Moment) -> None:
         vehicle = sumo.vehicle
         self._events.begun.add(action.id or "")
+        if action.ends:
+            self._end(name, action.ends)
         if isinstance(action, Brake):
             if name in self._speeding:
                 self._events.done.add(self._speeding[name].brake.id or "")
@@ -167,6 +169,23 @@ class Actions:
         elif action.lateral_speed is not None:
             seconds = PEAK_SPEED * abs(way) / action.lateral_speed
         self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
+
+    def _end(self, name: str, ended: Collection[str]) -> None:
+        """Ends those of these actions of a vehicle that run: it keeps its speed, and its place in its lane.
+
+        What is done at once is done already, also if it has begun in this step.
+        """
+        running, shift = self._speeding.get(name), self._shifts.get(name)
+        if running is not None and running.brake.id in ended:
+            running.brake = running.brake.model_copy(update={"hold": None, "continuous": False})
+            running.target, running.until = running.target if running.rate == inf else running.speed, None
+        if shift is not None and shift.action in ended and shift.seconds > SHORTEST:
+            self._events.done.add(shift.action or "")
+            del self._shifts[name]
+        late = [action.id or "" for _, action in self._late if action.id in ended]
+        self._late = [entry for entry in self._late if entry[1].id not in ended]
+        self._events.begun.update(late)
+        self._events.done.update(late)
 
     def _left(self, name: str, other: str, moment: Moment) -> float:
         """Returns how far to the left of a vehicle the lane of another one is (m)."""

@@ -1,7 +1,7 @@
 """Conditions on which the actions of the traffic's vehicles begin, evaluated once per step of the traffic."""
 
 from collections.abc import Mapping
-from math import copysign, isnan
+from math import copysign, hypot, isnan
 from typing import NamedTuple
 
 from drivecal.bundles.highway_actions import EGO, Condition, Trigger
@@ -79,6 +79,7 @@ class _Watched:
         self._to = condition.to or (EGO if self._vehicle != EGO else name)
         self._lag = round(condition.delay / step)
         self._before: bool | None = None
+        self._place: tuple[float, float] | None = None
         self._history: list[bool] = []
 
     def holds(self, moment: Moment, events: Events) -> bool:
@@ -117,8 +118,20 @@ class _Watched:
             return vehicle.s
         if quantity == "travelled":
             return events.travelled.get(self._vehicle, 0.0)
+        if quantity == "distance":
+            return self._distance(vehicle)
         other = moment.vehicles.get(self._to)
         return None if other is None else self._between(vehicle, other, moment.stretch)
+
+    def _distance(self, vehicle: Moving) -> float:
+        """Returns the least distance from the condition's place to the way of a vehicle's centre since the last step."""
+        x, y = vehicle.s - (self._condition.s or 0.0), vehicle.d - self._condition.d
+        begin_x, begin_y = self._place or (x, y)
+        self._place = None if isnan(x) else (x, y)
+        step_x, step_y = x - begin_x, y - begin_y
+        square = step_x * step_x + step_y * step_y
+        share = 0.0 if square == 0.0 else min(max(-(begin_x * step_x + begin_y * step_y) / square, 0.0), 1.0)
+        return hypot(begin_x + share * step_x, begin_y + share * step_y)
 
     def _between(self, vehicle: Moving, other: Moving, stretch: float) -> float | None:
         way = (other.s - vehicle.s) * stretch

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from drivecal.adapters.driver import described
 from drivecal.adapters.fmu_driver import FATAL, Fmu
 from drivecal.adapters.python_driver import imported, unpack
+from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.domain.errors import DrivecalError
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.programs import ProgramController
@@ -65,6 +66,9 @@ class FmuControl(Controller):
         """`signals`: variables of the FMU by names of signals and commands."""
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
+        self._fmu.check_units(
+            (variable, (COMMANDS if name in output else SIGNALS)[name].unit) for name, variable in signals.items()
+        )
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivecal.adapters.driver import described
 from drivecal.adapters.fmu_driver import Fmu
-from drivecal.bundles.highway_catalogue import VEHICLE_INPUTS
+from drivecal.bundles.highway_catalogue import COMMANDS, VEHICLE_INPUTS, VEHICLE_STATES
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
 from drivecal.highway.drive.controllers import end_if_fatal, function_of
@@ -20,6 +20,12 @@ from drivecal.highway.vehicle.equations import ADHESION_LIMIT, STEP
 from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
 
+UNITS = {name: quantity.unit for name, quantity in {**COMMANDS, **VEHICLE_STATES}.items()} | {"start_speed": "m/s"}
+"""Units of a vehicle's inputs, states and start speed."""
+JUMP, TURN, SURGE = 1.0, 0.2, 1.0
+"""Metres, rad and m/s by which the state after the first step may differ from that of a steady drive."""
+STRONGEST = 20.0
+"""Acceleration (m/s²) that a vehicle may have besides."""
 _NO_PATH: Floats = np.zeros((2, 7))
 
 
@@ -75,7 +81,8 @@ class FmuPlant(Plant):
     def __init__(self, file: Path, unpacked: Path, signals: Mapping[str, str], state: Sequence[str]) -> None:
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
-        self._start = signals.get("start_speed")
+        self._fmu.check_units((variable, UNITS[name]) for name, variable in signals.items())
+        self._start = signals["start_speed"]
         inputs = {signals[name]: index for index, name in enumerate(VEHICLE_INPUTS)}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
@@ -85,7 +92,7 @@ class FmuPlant(Plant):
 
     def begin(self, parameters: Mapping[str, Any], speed: float) -> None:
         known = {name: value for name, value in parameters.items() if name in self._fmu.variables}
-        self._fmu.begin(known | ({} if self._start is None else {self._start: speed}), None)
+        self._fmu.begin(known | {self._start: speed}, None)
         self._count = 0
 
     def step(self, steering: float, acceleration: float) -> Sequence[Any]:
@@ -110,6 +117,7 @@ class UserVehicleModel(SingleTrackModel):
         super().__init__(parameters, parameters)
         self.plant, self._names = plant, tuple(state)
         self._origin = (0.0, 0.0, 0.0)
+        self._first: float | None = None
         self._begun: tuple[Mapping[str, Any]] | None = None
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
@@ -118,7 +126,7 @@ class UserVehicleModel(SingleTrackModel):
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:
         super().start(x, y, heading, speed)
-        self._origin = (x, y, heading)
+        self._origin, self._first = (x, y, heading), speed
         if self._begun is not None:
             self._guarded("does not start", self.plant.begin, self._begun[0], speed)
 
@@ -153,6 +161,9 @@ class UserVehicleModel(SingleTrackModel):
             raise PlantError(f"the vehicle gave {values!r:.200}; its state must be numbers") from None
         if not all(map(math.isfinite, given.values())):
             raise PlantError(f"the vehicle gave {given!r:.200}; its state must be finite")
+        if self._first is not None:
+            _check_begun(given, self._first)
+            self._first = None
         state, (x, y, turned) = self._state, self._origin
         speed = given["speed"]
         change = math.remainder(turned + given["heading"] - state.item(2), math.tau)  # headings may jump by whole turns
@@ -180,6 +191,18 @@ class UserVehicleModel(SingleTrackModel):
         except (Exception, SystemExit) as error:
             end_if_fatal(error)
             raise PlantError(f"the vehicle {what}: {described(error)}") from error
+
+
+def _check_begun(given: Mapping[str, float], speed: float) -> None:
+    """Raises PlantError if the state after the first step does not follow from the origin and the start speed."""
+    is_there = math.hypot(given["x"] - speed * STEP, given["y"]) <= JUMP
+    is_along = abs(math.remainder(given["heading"], math.tau)) <= TURN
+    if not is_there or not is_along or abs(given["speed"] - speed) > SURGE + STRONGEST * STEP:
+        state = ", ".join(f"{name} = {given[name]:g}" for name in ("x", "y", "heading", "speed"))
+        raise PlantError(
+            f"the vehicle gave {state} after its first step; it starts at x = 0, y = 0, heading = 0, speed = {speed:g} (m, rad, m/s): "
+            "take over the start speed, and give the state from there"
+        )
 
 
 def plant_of(section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any]) -> Plant:

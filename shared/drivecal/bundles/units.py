@@ -1,0 +1,32 @@
+"""Units as texts: equal ones that are written differently, such as m/s², m/s^2, m/s2 and m.s-2."""
+
+import re
+from collections.abc import Mapping
+
+_SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_FACTOR = re.compile(r"([/.*·]?)([^\W\d_]+|[%°]\w*|1)(?:(?:\^|\*\*)?(?:\((-?\d{1,2})\)|(-?\d{1,2})))?")
+_GROUP = re.compile(r"/\(([^()/]+)\)")
+WITHOUT = frozenset({"", "-", "1"})
+
+
+def powers(unit: str) -> Mapping[str, int] | None:
+    """Returns the power of each symbol of a unit, e.g. m: 1 and s: -2; radians count as 1. None if the text is no product of powers."""
+    text = "" if unit.strip() in WITHOUT else unit.strip().translate(_SUPERSCRIPTS)
+    text = _GROUP.sub(lambda match: "/" + re.sub(r"[.*· ]", "/", match[1].replace("**", "^")), text)
+    text = re.sub(r"\s*([/*·.])\s*", r"\1", text).replace(" ", ".")
+    counted: dict[str, int] = {}
+    position = 0
+    while position < len(text):
+        match = _FACTOR.match(text, position)
+        if match is None or (position == 0 and match[1]) or (position > 0 and not match[1]):
+            return None
+        power = int(match[3] or match[4] or 1) * (-1 if match[1] == "/" else 1)
+        counted[match[2]] = counted.get(match[2], 0) + power
+        position = match.end()
+    return {symbol: power for symbol, power in counted.items() if power and symbol not in {"1", "rad"}}
+
+
+def same(unit: str, other: str) -> bool:
+    """Returns whether two texts are the same unit."""
+    counted = powers(unit), powers(other)
+    return unit == other if None in counted else counted[0] == counted[1]

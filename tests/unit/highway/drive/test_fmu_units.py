@@ -1,0 +1,111 @@
+"""Units that controllers and vehicles in FMUs state, against those of signals, commands and states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import fmpy
+import pytest
+
+from drivecal.adapters.fmu_driver import Fmu, UnusableError
+from drivecal.highway.drive import controllers, plants
+from drivecal.highway.drive.controllers import FmuControl
+from drivecal.highway.drive.plants import FmuPlant
+
+UNITS = """<UnitDefinitions>
+<Unit name="mps"><BaseUnit m="1" s="-1"/></Unit><Unit name="kmh"><BaseUnit m="1" s="-1" factor="0.2777777777777778"/></Unit>
+</UnitDefinitions>"""
+SECOND = """<fmiModelDescription fmiVersion="2.0" modelName="trial" guid="{trial}">
+<CoSimulation modelIdentifier="trial"/>%s
+<TypeDefinitions><SimpleType name="Typed"><Real unit="%s"/></SimpleType></TypeDefinitions>
+<ModelVariables>%s</ModelVariables><ModelStructure/></fmiModelDescription>"""
+THIRD = """<fmiModelDescription fmiVersion="3.0" modelName="trial" instantiationToken="{trial}">
+<CoSimulation modelIdentifier="trial"/>%s
+<TypeDefinitions><Float64Type name="Typed" unit="%s"/></TypeDefinitions>
+<ModelVariables>%s</ModelVariables><ModelStructure/></fmiModelDescription>"""
+VERSIONS = {
+    "second": (SECOND, '<ScalarVariable name="{}" valueReference="{}"><Real {}/></ScalarVariable>'),
+    "third": (THIRD, '<Float64 name="{}" valueReference="{}" {}/>'),
+}
+
+
+class Described(Fmu):
+    """An FMU of a description alone, which cannot be run."""
+
+    def __init__(self, file: Path, unpacked: Path) -> None:
+        del unpacked
+        self.model = fmpy.read_model_description(str(file), validate=False)
+        self.variables = {variable.name: variable for variable in self.model.modelVariables}
+        self.is_third = self.model.fmiVersion.startswith("3")
+        self._slave = SimpleNamespace(getReal=None, setReal=None, getFloat64=None, setFloat64=None)
+
+
+@pytest.fixture(autouse=True)
+def _described(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(controllers, "Fmu", Described)
+    monkeypatch.setattr(plants, "Fmu", Described)
+
+
+@pytest.fixture(params=VERSIONS)
+def described(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., Path]:
+    """Writes the description of an FMU whose variables have these attributes; `unit`: that of the type."""
+    whole, variable = VERSIONS[request.param]
+
+    def write(unit: str = "m", **attributes: str) -> Path:
+        file = tmp_path / "modelDescription.xml"
+        variables = "".join(variable.format(name, index, text) for index, (name, text) in enumerate(attributes.items()))
+        file.write_text(whole % (UNITS, unit, variables))
+        return file
+
+    return write
+
+
+def controller(file: Path) -> FmuControl:
+    return FmuControl(file, file.parent, {"gap": "u1", "speed": "u2", "acceleration": "y"}, ["acceleration"], 0.1)
+
+
+@pytest.mark.parametrize(
+    ("gap", "speed", "acceleration"),
+    [
+        ("", "", ""),
+        ('unit="m"', 'unit="m/s"', 'unit="m/s2"'),
+        ('declaredType="Typed"', 'unit="m.s-1"', 'unit="m/s^2"'),
+        ('unit="m"', 'unit="mps"', 'unit="m.s-2"'),
+        ('unit=""', "", 'unit="m/(s.s)"'),
+    ],
+)
+def test_variables_in_the_units_of_their_signals_pass(
+    described: Callable[..., Path], gap: str, speed: str, acceleration: str
+) -> None:
+    assert controller(described(u1=gap, u2=speed, y=acceleration))
+
+
+@pytest.mark.parametrize(
+    ("attributes", "named"),
+    [
+        ({"u2": 'unit="km/h"'}, ("u2", "km/h", "m/s")),
+        ({"u2": 'unit="kmh"'}, ("u2", "kmh", "m/s")),
+        ({"u1": 'declaredType="Typed"'}, ("u1", "ft", "m")),
+        ({"y": 'unit="g"'}, ("y", "g", "m/s²")),
+        ({"y": 'unit="1"'}, ("y", "1", "m/s²")),
+    ],
+)
+def test_a_variable_in_another_unit_is_refused_with_both_units(
+    described: Callable[..., Path], attributes: dict[str, str], named: tuple[str, str, str]
+) -> None:
+    file = described("ft", **({"u1": "", "u2": "", "y": ""} | attributes))
+    with pytest.raises(UnusableError, match=r"the variable {} is in {} .*, not in {};".format(*named)):
+        controller(file)
+
+
+SIGNALS = {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")}
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_a_vehicle_s_inputs_states_and_start_speed_have_units(described: Callable[..., Path], name: str) -> None:
+    variables = dict.fromkeys(SIGNALS, "")
+    assert FmuPlant(described(**variables), Path(), SIGNALS, ["x", "y", "heading", "speed"])
+    with pytest.raises(UnusableError, match=rf"the variable {name} is in deg "):
+        FmuPlant(described(**(variables | {name: 'unit="deg"'})), Path(), SIGNALS, ["x", "y", "heading", "speed"])
