@@ -127,14 +127,15 @@ class Fmu:
                 )
 
     def _units(self, name: str) -> list[str]:
-        """Returns the unit that a variable or its type states, also as a product of base units; an empty list if they state none."""
+        """Returns the unit that a variable or its type states, also as a product of base units; an empty list if they state none, or 1, as
+        some tools do of every variable."""
         variable = self.variables[name]
         stated = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
-        if not stated:
+        if not stated or stated in units.WITHOUT:
             return []
         base = next((unit.baseUnit for unit in self.model.unitDefinitions if unit.name == stated), None)
         if base is None or base.factor != 1.0 or base.offset != 0.0:
-            return ["1" if stated in units.WITHOUT else stated]
+            return [stated]
         symbols = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
         return [stated, ".".join(f"{symbol}{getattr(base, symbol)}" for symbol in symbols)]
 
