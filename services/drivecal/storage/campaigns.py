@@ -82,6 +82,13 @@ class StoredCampaign(CampaignHeading):
     comment: str
     archived_at: datetime | None
     deleted_at: datetime | None
+    pruned: Mapping[str, Any] | None
+    """When most of its cells were removed, and which parameter sets stayed."""
+
+    @property
+    def pruned_at(self) -> str | None:
+        """The moment at which most of its cells were removed."""
+        return None if self.pruned is None else self.pruned["at"]
 
     @property
     def cells(self) -> CellCounts:

@@ -202,10 +202,11 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     """Prints a campaign, from the first answered cell on with its account or the tables of a comparison.
 
-    Single evaluations have neither.
+    Single evaluations have neither, pruned campaigns no account.
     """
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
-    account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
+    accounted = answered and "generations" in campaign.links and campaign.pruned_at is None
+    account = client.accounting(campaign.id) if accounted else None
     compared = answered and campaign.kind == "comparison"
     deserved = client.trust(campaign.id) if "trust" in campaign.links else None
     if as_json:
