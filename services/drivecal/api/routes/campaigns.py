@@ -135,19 +135,19 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         proofs,
         confirmed,
         predictors,
-        pruned=stored.pruned is not None,
+        pruned=stored.pruned_at is not None,
     )
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
     """Returns the map in use and what it cost; None without a map, and if the cells that say it were pruned."""
-    if campaign.influence_map_id is None or campaign.pruned is not None:
+    if campaign.influence_map_id is None or campaign.pruned_at is not None:
         return None
     stored = influence_maps.get(connection, campaign.influence_map_id)
     if stored.basis is None:
         return MapOrigin(stored.id, made_by=None)
     maker = campaigns.get(connection, stored.source)
-    if maker.pruned is not None:
+    if maker.pruned_at is not None:
         return None
     return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
