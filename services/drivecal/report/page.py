@@ -79,7 +79,7 @@ def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     identifier = findings.campaign.id
     if findings.robustness:
         drawings = _figures(drawn, "figure-12-robustness")
-        return robustness.parts(findings.robustness, findings.optima, identifier, drawings)
+        return robustness.parts(findings.robustness, findings.optima, identifier, drawings, findings.campaign.scale.sign)
     drives = any(scenario.vehicle for scenario in findings.setup.scenarios)
     if not findings.optima or not drives:
         return []

@@ -118,6 +118,12 @@ def test_the_scenarios_that_broke_the_condition_are_named(settings: dict[str, An
     assert robustness.limits(ROBUST[2], study(**settings).settings)["S1"] is None
 
 
+def test_the_nominal_ranks_begin_with_the_best_score_and_end_with_none() -> None:
+    rows = [*ROBUST, robust(3, 0, [trial(1, False, None)], objective=None).model_copy(update={"rank": 4})]
+    assert robustness.by_nominal(rows) == {2: 1, 1: 2, 3: 3, 4: 4}
+    assert robustness.by_nominal(rows, sign=-1) == {3: 1, 1: 2, 2: 3, 4: 4}
+
+
 def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_conditions() -> None:
     other = Studied(study(campaign="2" * 32, condition="mean", eta=0.2), [robust(2, 2, [trial(1, True, 0)])])
     html = "".join(robustness.parts([Studied(study(), ROBUST), other], OPTIMA, "0" * 32, ""))

@@ -1,5 +1,6 @@
 """Robustness: Table 9 of the paper, with the rankings by robustness and by nominal quality."""
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -45,11 +46,11 @@ def limits(row: RobustnessRow, settings: Mapping[str, Any]) -> dict[str, float |
     return {name: away for name, away in trial.deviations.items() if breaks(name, away)}
 
 
-def by_nominal(rows: Sequence[RobustnessRow]) -> dict[int, int]:
-    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness."""
+def by_nominal(rows: Sequence[RobustnessRow], sign: int = 1) -> dict[int, int]:
+    """Returns the rank in the nominal vehicle (objective, then rating) by the rank of robustness. `sign`: -1 if lower is better."""
 
     def worth(row: RobustnessRow) -> tuple[float, float, int]:
-        return -(row.objective if row.objective is not None else -1.0), -(row.rating or 0.0), row.rank
+        return math.inf if row.objective is None else -sign * row.objective, -sign * (row.rating or 0.0), row.rank
 
     return {row.rank: place for place, row in enumerate(sorted(rows, key=worth), 1)}
 
@@ -64,8 +65,10 @@ def boxes(studied: Robust) -> Iterator[Sequence[object]]:
             yield row.rank, trial.box, trial.radius, str(trial.holds).lower(), *deviations
 
 
-def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str]) -> list[str]:
-    """Returns the section: the study, Table 9, the figure, the recommended set."""
+def parts(
+    studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str, drawings: Sequence[str], sign: int = 1
+) -> list[str]:
+    """Returns the section: the study, Table 9, the figure, the recommended set. `sign`: -1 if lower scores are better."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
     of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign} else ""
@@ -82,12 +85,12 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: str
     tables = [
         paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
     ]
-    return [paragraph(text), *tables, _quality(main, others), *drawings, _values(main, optima)]
+    return [paragraph(text), *tables, _quality(main, others, sign), *drawings, _values(main, optima)]
 
 
-def _quality(main: Robust, others: Sequence[Robust]) -> str:
+def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
     """Returns the ranking by robustness with the nominal one."""
-    nominal, settings = by_nominal(main.rows), main.study.settings
+    nominal, settings = by_nominal(main.rows, sign), main.study.settings
     elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [
         [
