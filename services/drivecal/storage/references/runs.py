@@ -123,6 +123,16 @@ def look_up_exact(
     return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
 
 
+def proofs(connection: Connection, run_ids: Sequence[int]) -> dict[int, int]:
+    """Returns the evaluations that runs repeat by a certificate, without a simulation, by run id."""
+    query = (
+        select(runs.c.id, evaluations.c.proven_by)
+        .join(evaluations, evaluations.c.id == runs.c.evaluation_id)
+        .where(evaluations.c.outcome == Outcome.CERTIFIED, evaluations.c.proven_by.is_not(None))
+    )
+    return dict(rows_among(connection, query, runs.c.id, sorted(run_ids)))
+
+
 @dataclass(frozen=True, slots=True)
 class RatedRun:
     """A stored run with the `evaluation` that simulated it."""
