@@ -196,7 +196,7 @@ def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> No
         )  # fmt: skip
         with ended.api.database.transaction() as connection:
             spec = campaigns.get(connection, ended.several).spec
-            study = campaigns.insert(connection, name="study", spec=spec | studied)
+            study = campaigns.insert(connection, name="study", spec={**spec, **studied})
             connection.execute(update(tables.campaigns).where(tables.campaigns.c.id == study.id).values(state=state))
             studies.save(connection, study.sequence, StageName.ROBUSTNESS, {"items": [row.model_dump(mode="json")]})
         made[state] = study.id
