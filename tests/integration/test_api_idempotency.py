@@ -9,10 +9,13 @@ from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy import text
 from tests.support.found import carry_out
 from tests.support.server import RunningApi, new_database, serving
 
+from drivecal.api import comparison_submission, submission
 from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import campaigns
 
@@ -52,6 +55,45 @@ def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None
         responses = list(pool.map(post, range(50)))
     assert {response.status_code for response in responses} == {202}
     assert len({response.json()["id"] for response in responses}) == 1
+
+
+REQUESTS: list[tuple[str, dict[str, Any]]] = [
+    ("campaigns", {"name": "known"}),
+    ("evaluations", {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}, "scenario": "S1"}),
+    ("comparisons", {"optimizers": [{"kind": "genetic"}], "populations": [10], "seeds": [1, 2, 3]}),
+]
+
+
+@pytest.mark.parametrize(("path", "body"), REQUESTS)
+def test_a_retry_is_known_again_if_what_it_names_is_gone(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch, path: str, body: dict[str, Any]
+) -> None:
+    def refuse(*_: object) -> None:
+        raise InvalidInputError(Problem("evaluator", "unknown"))
+
+    headers = {"Idempotency-Key": uuid.uuid4().hex}
+    first = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
+    for module, name in ((submission, "_checked"), (submission, "resolve_evaluation"), (comparison_submission, "_checked")):
+        monkeypatch.setattr(module, name, refuse)
+    again = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
+    assert (first.status_code, again.status_code, again.json()["id"]) == (202, 202, first.json()["id"])
+    assert api.http.post(f"/api/v1/{path}", json=body).status_code == 422
+    other = body | ({"scenario": "S2"} if path == "evaluations" else {"name": "another"})
+    assert api.http.post(f"/api/v1/{path}", json=other, headers=headers).status_code == 409
+
+
+def test_a_retry_of_a_rerun_is_known_again_whatever_became_of_the_first_campaign(api: RunningApi) -> None:
+    first = api.http.post(
+        "/api/v1/campaigns", json={"optimizer": {"population": 10, "iterations": 2}, "catalogue": ["S1"]}
+    ).json()["id"]
+    carry_out(api.database, first)
+    headers = {"Idempotency-Key": uuid.uuid4().hex}
+    posted = [api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers)]
+    with api.database.transaction() as connection:
+        connection.execute(text("UPDATE campaigns SET state = 'running' WHERE id = :first"), {"first": first})
+    posted.append(api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers))
+    assert [answer.status_code for answer in posted] == [202, 202]
+    assert posted[0].json()["id"] == posted[1].json()["id"]
 
 
 EARLIER: dict[str, Any] = {

@@ -223,6 +223,23 @@ def test_a_campaign_after_a_refuted_certificate_finds_what_it_finds_on_a_new_dat
     new.dispose()
 
 
+@pytest.mark.parametrize("certified", [True, False])
+def test_what_parallel_campaigns_count_as_simulated_a_worker_has_simulated(database: Database, *, certified: bool) -> None:
+    both = [submit(database, **simple(reduction={"mode": "exact", "certified": each})) for each in (True, certified)]
+    working = dispatching(database, certifying())
+    while not all(get(database, each).state.ended for each in both):
+        working.step()
+    with database.read() as connection:
+        rows = [row for each in both for row in results.stream(connection, each.sequence)]
+    simulated = [row for row in rows if row.outcome is Outcome.SIMULATED]
+    by_workers = {(row.setup_id, row.parameter_set_id) for row in simulated if row.worker is not None}
+    assert {(row.setup_id, row.parameter_set_id) for row in simulated} == by_workers
+    shared = {row.outcome for row in rows if row.worker is None}
+    assert (Outcome.CERTIFIED in shared) == certified, "it names its proof, whichever campaign asked for it"
+    assert all(row.reference is not None for row in rows if row.outcome is Outcome.CERTIFIED)
+    assert [problem for check in verify(database, full=True) for problem in check.problems] == []
+
+
 def test_who_does_not_want_certificates_gets_none(database: Database) -> None:
     ended = run(database, submit(database, **simple(reduction={"mode": "exact", "certified": False})), certifying())
     assert ended.cells.certified == ended.cells.checked == 0

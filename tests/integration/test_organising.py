@@ -47,6 +47,8 @@ def test_labels_filter_the_list_and_archived_campaigns_are_hidden_but_found(api:
     labelled = client.label(first[:6], tags=["good", "car-7"], comment="for the review")
     assert (labelled.tags, labelled.comment) == (["car-7", "good"], "for the review")
     assert client.label(first, tags=["good", "car-7"]) == labelled
+    assert client.label(first, add_tags=["new"]).tags == ["car-7", "good", "new"]
+    assert client.label(first, remove_tags=["new"]).tags == ["car-7", "good"]
     assert names(client, tags=["good"]) == ["first"]
     client.label(first, archived=True)
     assert api.http.get("/api/v1/campaigns").headers["etag"] != before
@@ -66,6 +68,9 @@ def test_labels_filter_the_list_and_archived_campaigns_are_hidden_but_found(api:
     [
         {"tags": ["two words"]},
         {"tags": ["a,b"]},
+        {"add_tags": ["two words"]},
+        {"add_tags": ["good"], "tags": ["good"]},
+        {"remove_tags": [], "tags": []},
         {"tags": [""]},
         {"tags": ["\0"]},
         {"comment": "\0"},
@@ -99,6 +104,14 @@ def test_a_rerun_keeps_the_weights_that_it_does_not_change(api: RunningApi, clie
     weighted = client.rerun(campaign, {"weights": {"S1": 2}})
     assert weighted.spec["weights"] == {"S1": 2}
     assert client.rerun(campaign, {"name": "again"}).spec["weights"] == client.campaign(campaign).spec["weights"]
+
+
+def test_a_rerun_of_a_single_evaluation_is_refused_by_the_server(client: Client, run: Run) -> None:
+    single = client.evaluate({"parameters": dict.fromkeys((f"P{number}" for number in range(1, 12)), 0.5), "scenario": "S1"}).id
+    with pytest.raises(ConflictError):
+        client.rerun(single, {"evaluator": "learned"})
+    refused = run("rerun", single, "--evaluator", "learned")
+    assert (refused.exit_code, type(refused.exception)) == (1, SystemExit)
 
 
 def test_a_campaign_with_a_rerun_is_archived_instead_with_the_reason(api: RunningApi, client: Client) -> None:

@@ -13,10 +13,11 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import run, submit
 from tests.support.server import RunningApi, serving
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed, ConnectionClosedError, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from drivecal.api.routes import page
+from drivecal.api.live import streams
+from drivecal.api.routes import page, page_live
 
 WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
 SMALL: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 6, "iterations": 2, "seed": 3}}
@@ -241,3 +242,24 @@ def test_optimizers_are_listed_with_what_they_search_and_their_settings(api: Run
     assert {"genetic", "random", "swarm"} <= known.keys()
     assert {"choice", "continuous", "constraints"} <= set(known["genetic"]["supports"])
     assert known["swarm"]["settings"]["properties"]["inertia"]["maximum"] == 1
+
+
+def test_open_connections_end_when_their_token_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streams, "KEEPALIVE_SECONDS", 0.05)
+    monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.05)
+    tokens = tmp_path / "tokens"
+    tokens.write_text(f"writer write {WRITE}\nreader read {READ}\n")
+    reads = {"Authorization": f"Bearer {READ}"}
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tokens)) as api:
+        events = f"{api.url}/api/v1/campaigns/{submit(api.database, **SMALL).id}/events"
+        with line(api, **reads) as socket, httpx.stream("GET", events, headers=reads, timeout=20) as response:
+            chunks = response.iter_bytes()
+            assert next(chunks)
+            assert json.loads(socket.recv(timeout=20)) == {"alive": True}
+            tokens.write_text(f"writer write {WRITE}\n")
+            for _ in chunks:
+                pass
+            with pytest.raises(ConnectionClosedError) as closed:
+                list(socket)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == page_live.NOT_UNDERSTOOD

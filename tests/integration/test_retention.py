@@ -22,6 +22,8 @@ from tests.support.effort import examples
 from tests.support.runs import dispatcher, get, influenced, nothing_matters, post_map, run, submit
 from typer.testing import CliRunner
 
+from drivecal.api.responses import campaign_answer
+from drivecal.api.routes.campaigns import accounting
 from drivecal.api.tables.ranking import earlier_best, ranking
 from drivecal.campaigns import retention
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -255,6 +257,35 @@ def test_a_campaign_that_another_reruns_stays_whole(database: Database, old: Sto
     assert [spared.id for spared in planned(database, 0).selection.spared] == [old.id]
     set_column(database, again, "ended_at", (now() - 2 * CUTOFF).strftime("%Y-%m-%d %H:%M:%S.%f"))
     assert len(planned(database, 0).selection.prunable) == 2
+
+
+def test_a_campaign_whose_influence_map_another_uses_stays_whole(database: Database, old: StoredCampaign) -> None:
+    made = post_map(database, nothing_matters())
+    with database.transaction() as connection:
+        connection.execute(text("UPDATE influence_maps SET source = :maker, basis = '{}'"), {"maker": old.id})
+    again = run(database, submit(database, **SMALL))
+    set_column(database, again, "influence_map_id", made)
+    assert [spared.id for spared in planned(database, 0).selection.spared] == [old.id]
+    assert accounting(again.id, database).map is not None
+    set_column(database, again, "ended_at", (now() - 2 * CUTOFF).strftime("%Y-%m-%d %H:%M:%S.%f"))
+    plan = planned(database, 0)
+    assert len(plan.selection.prunable) == 2
+    carry_out(database, plan)
+    later = run(database, submit(database, **SMALL))
+    set_column(database, later, "influence_map_id", made)
+    assert accounting(later.id, database).map is None, "nothing says what it cost"
+
+
+def test_the_account_of_a_pruned_campaign_is_marked_and_does_not_claim_to_be_whole(
+    database: Database, old: StoredCampaign
+) -> None:
+    assert not accounting(old.id, database).pruned
+    carry_out(database, planned(database, 1))
+    account, answer = accounting(old.id, database), campaign_answer(get(database, old), now(), silent=None)
+    assert account.pruned
+    assert account.requested < answer.cells.requested
+    assert "pruned" in account.sentence
+    assert answer.pruned_at is not None
 
 
 def test_the_command_lists_what_goes_and_changes_nothing_in_a_dry_run(database: Database, old: StoredCampaign) -> None:

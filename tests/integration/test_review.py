@@ -11,15 +11,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import update
 from tests.integration.test_objectives import NSGA2, TWO, backend
 from tests.support.command import command
 from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
+from drivecal.contracts.tables import RobustnessRow
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.scales import unit_text
+from drivecal.report.data import collect
 from drivecal.report.review.content import read_sheet
+from drivecal.storage import campaigns, studies
+from drivecal.storage.engine import tables
 
 SPEC = SMALL | {"optimizer": NSGA2 | {"population": 12, "iterations": 3}, "reduction": {"mode": "exact"}, "objectives": TWO}
 BASELINE = dict.fromkeys((f"P{number}" for number in range(1, 12)), 0.5)
@@ -176,3 +182,27 @@ def test_a_file_that_is_no_sheet_is_refused(tmp_path: Path) -> None:
         refused = command("review", "--verify", str(tmp_path / name))
         assert refused.exit_code == 2
         assert name in refused.stderr
+
+
+def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        chosen = client.front(ended.several)[0]
+    studied = {"optimizer": None, "sensitivity": None, "robustness": {"of": ended.several, "delta": 0.1}}
+    made = {}
+    for state, degree in ((CampaignState.SUCCEEDED, 7), (CampaignState.CANCELLED, 1), (CampaignState.RUNNING, 2)):
+        row = RobustnessRow(
+            rank=1, objective=1.0, rating=1.0, degree=degree, at_least=False, radius=0.1, recommended=False, reason=None, region=0,
+            to_worse=None, scores=dict(chosen.scores), parameters=chosen.parameters, trials=[],
+        )  # fmt: skip
+        with ended.api.database.transaction() as connection:
+            spec = campaigns.get(connection, ended.several).spec
+            study = campaigns.insert(connection, name="study", spec={**spec, **studied})
+            connection.execute(update(tables.campaigns).where(tables.campaigns.c.id == study.id).values(state=state))
+            studies.save(connection, study.sequence, StageName.ROBUSTNESS, {"items": [row.model_dump(mode="json")]})
+        made[state] = study.id
+    sheet = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review").text
+    with Client(ended.api.url) as client:
+        assert client.front(ended.several)[0].degree == 7
+        shown = collect(client, ended.several).robustness
+    assert re.findall(r"degree of robustness</t[dh]><td[^>]*>([^<]+)<", sheet) == ["7"]
+    assert [each.study.campaign for each in shown] == [made[CampaignState.SUCCEEDED]]

@@ -122,7 +122,7 @@ def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi
     options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
     few = run("robustness", ended, *options)
     assert few.stdout.splitlines()[-1].endswith(
-        "have the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
+        "have the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
     )
     study = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
     more = run("robustness", study, *options, "--within", "7")

@@ -49,10 +49,12 @@ def account(
     proofs: Iterable[AuditCount] = (),
     confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
+    *,
+    pruned: bool = False,
 ) -> Accounting:
     """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
     of reused cells; `confirmed`: how many cells were simulated after the search, by scenario and first answer; `predictors`: CPU time of
-    the predictor, by scenario."""
+    the predictor, by scenario; `pruned`: whether most of its cells are gone."""
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
     waits = wall_seconds > max(WAITING * cpu_seconds, cpu_seconds + LEAST_WAIT * runs)
@@ -81,6 +83,7 @@ def account(
     accounting = Accounting(
         campaign=campaign,
         state=state,
+        pruned=pruned,
         clock="wall" if waits else "cpu",
         cpu_seconds=cpu_seconds,
         wall_seconds=max(wall_seconds, cpu_seconds),
@@ -212,6 +215,9 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
 
 
 def _sentence(accounting: Accounting) -> str:
+    if accounting.pruned:
+        cells = accounting.requested + accounting.sensitivity.requested
+        return f"The campaign was pruned: this account counts only the {cells:,} cells that are left."
     if accounting.share_without_simulation is None:
         return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
     share = f"{accounting.share_without_simulation:.1%} of {accounting.requested:,} requested cells were answered without a simulation"

@@ -4,7 +4,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.pace import pace
-from drivecal.api.submission import digests_of, named_map
+from drivecal.api.submission import accepted_before, digests_of, named_map
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
@@ -19,10 +19,14 @@ def submit(database: Database, limits: Limits, specification: ComparisonSpecific
 
     Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full.
     """
+    digests = digests_of("comparisons", specification)
+    earlier = accepted_before(database, key, digests)
+    if earlier is not None:
+        return earlier
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
-        return queue(connection, problem, _map(connection, problem), key, digests_of("comparisons", specification))
+        return queue(connection, problem, _map(connection, problem), key, digests)
 
 
 def expected(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:

@@ -42,9 +42,21 @@ MAP = "sensitivity.map"
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
+    digests = digests_of("campaigns", specification)
+    earlier = accepted_before(database, key, digests)
+    if earlier is not None:
+        return earlier
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digests_of("campaigns", specification))
+        return _queue(connection, limits, problem, key, digests)
+
+
+def accepted_before(database: Database, key: str | None, digests: Sequence[str]) -> StoredCampaign | None:
+    """Returns the campaign that the same request made before, None without one. It is looked up before the request is checked: what it
+    names may be gone. Raises ConflictError if the key belongs to another request."""
+    with database.read() as connection:
+        sequence = admission.earlier(connection, key, digests)
+        return None if sequence is None else campaigns.by_sequence(connection, sequence)
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
@@ -103,6 +115,10 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
 
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, and like `submit`."""
+    digests = digests_of(f"campaigns/{first_id}/rerun", changes)
+    earlier = accepted_before(database, key, digests)
+    if earlier is not None:
+        return earlier
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
@@ -117,11 +133,15 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digests_of(f"campaigns/{first_id}/rerun", changes), rerun_of=first_id)
+        return _queue(connection, limits, problem, key, digests, rerun_of=first_id)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
+    digests = digests_of("evaluations", specification)
+    earlier = accepted_before(database, key, digests)
+    if earlier is not None:
+        return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key)
@@ -131,7 +151,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
             idempotency_key=key,
-            body_digests=digests_of("evaluations", specification),
+            body_digests=digests,
             notes=problem.notes,
         )
         return _pinned(connection, stored, problem)

@@ -184,7 +184,7 @@ class Client(CampaignLists):
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
         """Queues a new campaign on the references and the influence map of an ended one; a mapping without weights keeps its weights."""
         if isinstance(changes, Mapping) and "weights" not in changes:
-            changes = {"weights": self.campaign(identifier).spec["weights"], **changes}
+            changes = {"weights": self.campaign(identifier).spec.get("weights", {}), **changes}
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
 
     def solutions(

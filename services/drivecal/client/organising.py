@@ -30,12 +30,19 @@ class CampaignLists(Transport):
         *,
         name: str | None = None,
         tags: Sequence[str] | None = None,
+        add_tags: Sequence[str] | None = None,
+        remove_tags: Sequence[str] | None = None,
         comment: str | None = None,
         archived: bool | None = None,
     ) -> Campaign:
-        """Changes the given labels of a campaign; `tags` replaces all. Raises ConflictError if a campaign that runs is archived."""
-        changes = {"name": name, "tags": None if tags is None else list(tags), "comment": comment, "archived": archived}
-        document = {label: value for label, value in changes.items() if value is not None}
+        """Changes the given labels of a campaign; `tags` replaces all tags, `add_tags` and `remove_tags` leave others as they are.
+
+        Raises ConflictError if a campaign that runs is archived.
+        """
+        lists = {"tags": tags, "add_tags": add_tags, "remove_tags": remove_tags}
+        changes: dict[str, Any] = {label: list(value) for label, value in lists.items() if value is not None}
+        others = {"name": name, "comment": comment, "archived": archived}
+        document = changes | {label: value for label, value in others.items() if value is not None}
         place = ("campaigns", identifier)
         return self._answer(self._request("PATCH", place, document=document), Campaign, place)
 

@@ -12,6 +12,7 @@ from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontSummary, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import FrontRow, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
+from drivecal.domain.campaigns import CampaignState
 
 RANKED = 1000
 """Number of best sets in a report; all of them are in the table."""
@@ -33,8 +34,8 @@ class ReportData:
     """A campaign and its results.
 
     `basis`: the analysis behind its influence map, None without a map or for a posted one. `accounting`: None before the first answered
-    cell. `titles`: of scenarios, by id. `optima`: the sets that share the best objective. Studies, made by any campaign: those in the
-    campaign's own vehicle first, the newest first.
+    cell, and after a pruning. `titles`: of scenarios, by id. `optima`: the sets that share the best objective. Studies: those that
+    succeeded, made by any campaign; those in the campaign's own vehicle first, the newest first.
     """
 
     campaign: Campaign
@@ -82,7 +83,7 @@ def collect(client: Client, identifier: str) -> ReportData:
         influence=client.influence(identifier),
         basis=None if used is None else used.basis,
         titles={scenario.id: scenario.title for scenario in client.scenarios().items},
-        accounting=client.accounting(identifier) if answered else None,
+        accounting=client.accounting(identifier) if answered and campaign.pruned_at is None else None,
         trust=client.trust(identifier) if "trust" in campaign.links else None,
         front=client.front(identifier) if compromises else (),
         front_summary=client.front_summary(identifier) if compromises else None,
@@ -94,6 +95,6 @@ def collect(client: Client, identifier: str) -> ReportData:
 
 
 def _studied(studies: Sequence[Study], stage: StudyName, rows: Callable[[str], list[Row]]) -> list[Studied[Row]]:
-    wanted = islice((study for study in studies if study.stage == stage), MOST_STUDIES)
-    studied = [Studied(study, rows(study.campaign)) for study in wanted]
+    wanted = (study for study in studies if study.stage == stage and study.state == CampaignState.SUCCEEDED)
+    studied = [Studied(study, rows(study.campaign)) for study in islice(wanted, MOST_STUDIES)]
     return [study_rows for study_rows in studied if study_rows.rows]

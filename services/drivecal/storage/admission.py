@@ -1,8 +1,10 @@
-"""Limits of the queue, and of the users' influence maps and problems."""
+"""Admission of requests: each Idempotency-Key once, limits of the queue, and of the users' influence maps and problems."""
+
+from collections.abc import Sequence
 
 from sqlalchemy import Connection, func, select, text
 
-from drivecal.domain.errors import OverloadError, Problem, TooLargeError
+from drivecal.domain.errors import ConflictError, OverloadError, Problem, TooLargeError
 from drivecal.storage.engine.tables import bundles, campaigns, influence_maps
 from drivecal.storage.problems.bundles import is_stored
 
@@ -31,6 +33,21 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
             f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
         )
         raise OverloadError(message, RETRY_SECONDS)
+
+
+def earlier(connection: Connection, idempotency_key: str | None, body_digests: Sequence[str]) -> int | None:
+    """Returns the number of the campaign that an earlier request with this key queued, None without one. Raises ConflictError if that
+    request was another one."""
+    if idempotency_key is None:
+        return None
+    table = campaigns.c
+    query = select(table.sequence, table.id, table.body_digest).where(table.idempotency_key == idempotency_key)
+    row = connection.execute(query).one_or_none()
+    if row is not None and row.body_digest not in (body_digests or (None,)):
+        raise ConflictError(
+            f"the Idempotency-Key was used for another request, which made campaign {row.id}; use a new key for a new request"
+        )
+    return None if row is None else row.sequence
 
 
 def admit_map(connection: Connection, most: int, source: str) -> None:

@@ -39,8 +39,11 @@ def settle(
 
 
 def count(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
-    """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores."""
-    return _by_scenario(connection, scale, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED)
+    """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores, if these are
+    known."""
+    return _by_scenario(
+        connection, scale, _audited(evaluator), evaluations.c.campaign_sequence == campaign_sequence, *_COMPARED
+    )
 
 
 def wrong_in_lots(
@@ -82,7 +85,7 @@ def by_iteration(
     query = (
         select(evaluations.c.iteration, evaluations.c.scenario, *_changes(scale))
         .select_from(_audited(evaluator))
-        .where(evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED, evaluations.c.scenario == scenario)
+        .where(evaluations.c.campaign_sequence == campaign_sequence, *_COMPARED, evaluations.c.scenario == scenario)
         .group_by(evaluations.c.iteration, evaluations.c.scenario)
         .order_by(evaluations.c.iteration)
     )
@@ -142,6 +145,8 @@ _OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
 _TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
 _CHANGE = func.abs(evaluations.c.score - _TRUSTED)
 _SETTLED = evaluations.c.audited, evaluations.c.outcome == Outcome.SIMULATED
+_COMPARED = *_SETTLED, _TRUSTED.is_not(None)
+"""Audited cells whose donor has a score; without one, there is nothing to compare."""
 
 
 def _changes(scale: Scale) -> tuple[ColumnElement[int], ...]:

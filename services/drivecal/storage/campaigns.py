@@ -12,9 +12,9 @@ from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, N
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import campaign_stages, comparisons, events, leases
+from drivecal.storage import admission, campaign_stages, comparisons, events, leases
 from drivecal.storage.campaign_stages import Counts, CountsByStage, by_stage
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import insert as insert_into
@@ -82,6 +82,8 @@ class StoredCampaign(CampaignHeading):
     comment: str
     archived_at: datetime | None
     deleted_at: datetime | None
+    pruned_at: datetime | None
+    """The moment at which most of its cells were removed."""
 
     @property
     def cells(self) -> CellCounts:
@@ -157,12 +159,10 @@ def insert(
         queued = by_sequence(connection, inserted)
         _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
         return queued
-    earlier = connection.execute(_SELECT.where(campaigns.c.idempotency_key == idempotency_key)).one()
-    if earlier.body_digest not in (body_digests or (None,)):
-        raise ConflictError(
-            f"the Idempotency-Key was used for another request, which made campaign {earlier.id}; use a new key for a new request"
-        )
-    return _campaign(earlier)
+    earlier = admission.earlier(connection, idempotency_key, body_digests)
+    if earlier is None:
+        raise AssertionError("a campaign conflicts with nothing but one of the same key")
+    return by_sequence(connection, earlier)
 
 
 def get(connection: Connection, campaign_id: str, *, lock: bool = False, deleted: bool = False) -> StoredCampaign:
@@ -389,6 +389,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         tags=tuple(row.tags),
         progress=Progress(**row.progress),
         narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
+        pruned_at=None if row.pruned is None else datetime.fromisoformat(row.pruned["at"]),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
         **comparisons.findings(row),
     )

@@ -136,7 +136,7 @@ def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
             yield from (replace(problem, field=f"parameters.{problem.field}") for problem in parameter.problems)
         column = parameter_column(name)
         if column in columns:
-            message = f"{name} and {columns[column]} would share the column {column} of the table of evaluations"
+            message = f"{name} and {columns[column]} would share the column {column} of the tables"
             yield Problem(f"parameters.{name}", message, "give it another name")
         columns[column] = name
 

@@ -96,10 +96,14 @@ class Accounting(Answer):
     `clock`: `cpu`, or `wall` if runs take more than twice their CPU time: then all seconds of simulations are wall-clock time of the
     workers, because CPU time would say nothing about what was saved. `cpu_seconds`, `wall_seconds`: what the runs that answered
     cells took by either.
+
+    `pruned`: most cells of the campaign were removed. The account then counts only those that are left, without the map. `map` is null as
+    well if the campaign that made it was pruned.
     """
 
     campaign: str
     state: str
+    pruned: bool = False
     clock: Literal["cpu", "wall"] = "cpu"
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
@@ -126,5 +130,5 @@ class Accounting(Answer):
     net_seconds: float
     map_net_seconds: float | None
     break_even: BreakEven | None
-    """Null without a map, or with a map without cost."""
+    """Null without a map, or with a map without a known cost."""
     sentence: str

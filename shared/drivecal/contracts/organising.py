@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import Model, Name
@@ -11,18 +11,29 @@ from drivecal.contracts.specification import Model, Name
 Archived = Literal["without", "with", "only"]
 Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]
 """A word without spaces and commas."""
+Tags = Annotated[list[Tag], Field(max_length=20)]
 Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$")]
 Address = Annotated[str, StringConstraints(min_length=2, max_length=4_000, pattern=r"^#/[^\x00-\x1f\x7f]*$")]
 """A view of the page: the part of its URL from `#/` on."""
 
 
 class CampaignChanges(Model):
-    """Changes of a campaign's labels; fields that are left out stay. `tags` replaces all tags."""
+    """Changes of a campaign's labels; fields that are left out stay. `tags` replaces all tags, `add_tags` and `remove_tags` leave others
+    as they are: give these or `tags`. A campaign has at most 20 tags."""
 
     name: Name | None = None
-    tags: Annotated[list[Tag], Field(max_length=20)] | None = None
+    tags: Tags | None = None
+    add_tags: Tags | None = None
+    remove_tags: Tags | None = None
     comment: Comment | None = None
     archived: bool | None = None
+
+    @field_validator("add_tags", "remove_tags")
+    @classmethod
+    def _not_with_tags(cls, value: list[str] | None, info: ValidationInfo) -> list[str] | None:
+        if value is not None and info.data.get("tags") is not None:
+            raise ValueError("`tags` replaces all tags already; leave one of them out")
+        return value
 
 
 class Referring(Answer):

@@ -105,8 +105,8 @@ def file_row(row: BaseModel) -> dict[str, Any]:
 
 
 def parameter_column(name: str) -> str:
-    """Returns the column of a parameter, distinct from the columns of the table of evaluations itself."""
-    return f"parameter_{name}" if name in EvaluationRow.model_fields else name
+    """Returns the column of a parameter, the same in all tables and distinct from their other columns."""
+    return f"parameter_{name}" if name in _OTHER_COLUMNS or name.startswith(_PREFIXES) else name
 
 
 def measure_column(name: str) -> str:
@@ -393,3 +393,8 @@ class ValidationRow(Answer):
 
 
 SolutionPage = Page[Solution]
+
+_OTHER_COLUMNS = frozenset(
+    name for model in (EvaluationRow, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields
+)
+_PREFIXES = ("score_", "objective_", "answer_", "measure_")

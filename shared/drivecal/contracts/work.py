@@ -122,6 +122,11 @@ class Cell:
     probes: tuple[Probe, ...] = ()
     """Probes of the same setup, checked after this cell."""
 
+    @property
+    def may_be_certified(self) -> bool:
+        """Whether a certificate may take the place of a simulation."""
+        return self.certify and not self.check
+
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
@@ -182,6 +187,11 @@ class CellResult:
 
     wall_milliseconds: float | None = None
     """Wall-clock time of the run, without a second one; None for simulations that never wait."""
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether a certificate gave the result, and no simulation."""
+        return self.proven_by is not None and self.agrees is None
 
     @property
     def run_milliseconds(self) -> float:

@@ -50,6 +50,19 @@ def test_audits_are_counted_for_the_campaign_and_by_iteration(database: Database
         assert audits.by_iteration(connection, sequence, "S2", EVALUATOR) == []
 
 
+def test_an_audit_of_a_donor_without_a_result_counts_for_nothing(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        other = campaign(connection).sequence
+        simulate(connection, other, [cell(0, setup, sets[0])], score=5)
+        donor = evaluations.own_exact(connection, other, "S1", setup, sets)[sets[0]]
+        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=5)
+        assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
+        assert audits.count(connection, sequence, "learned 1") == []
+        assert audits.by_iteration(connection, sequence, "S1", "learned 1") == []
+
+
 def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:
     with database.transaction() as connection:
         sequence, (equal, other, later, waiting) = audited(connection)

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 from sqlalchemy import func, select
+from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
 from tests.support.storage import campaign
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
@@ -63,6 +64,30 @@ def test_labels_are_changed_one_by_one_and_again_without_effect(database: Databa
     assert (changed.tags, changed.comment, changed.name) == (("a", "b"), "ä \"quoted\" 'remark'", "first")
     assert again == changed
     assert (renamed.name, renamed.tags, renamed.revision) == ("other", ("a", "b"), changed.revision + 1)
+
+
+def test_tags_are_added_and_removed_beside_those_of_others(database: Database) -> None:
+    with database.transaction() as connection:
+        first = labels.change(connection, campaign(connection).id, tags=["theirs", "old"])
+        changed = labels.change(connection, first.id, add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
+        assert changed.tags == ("mine", "theirs")
+        assert labels.change(connection, first.id, add_tags=["mine"], remove_tags=["old"]) == changed
+        many = [f"tag-{number}" for number in range(labels.MOST_TAGS - 1)]
+        with pytest.raises(InvalidInputError) as refused:
+            labels.change(connection, first.id, add_tags=many)
+        assert refused.value.problems[0].field == "add_tags"
+        assert labels.change(connection, first.id, add_tags=many, remove_tags=["mine"]).tags == tuple(sorted([*many, "theirs"]))
+
+
+def test_tags_are_told_apart_by_case(database: Database) -> None:
+    with database.transaction() as connection:
+        for name, tag in {"one": "Good", "two": "good"}.items():
+            labels.change(connection, campaign(connection, name).id, tags=[tag])
+    assert (listed(database, "with", "good"), listed(database, "with", "Good"), listed(database, "with", "GOOD")) == (
+        ["two"],
+        ["one"],
+        [],
+    )
 
 
 def test_lists_leave_archived_campaigns_out_and_take_those_with_all_tags(database: Database) -> None:
@@ -174,6 +199,27 @@ def test_a_comparison_is_deleted_with_its_runs_and_no_run_alone(database: Databa
                 campaigns.get(connection, gone.id)
 
 
+@pytest.mark.slow("postgresql")
+def test_a_database_with_a_deleted_comparison_is_whole(database: Database) -> None:
+    whole = run(database, submit_comparison(database, populations=[6], iterations=2), ComputedBackend(answer=influenced))
+    assert whole.cells.requested
+    deleted(database, whole)
+    assert [problem for check in verify(database, full=True) for problem in check.problems] == []
+
+
+@pytest.mark.parametrize("stage", ["robustness", "validation"])
+def test_a_comparison_is_not_deleted_while_a_study_examines_one_of_its_runs(database: Database, stage: str) -> None:
+    with database.transaction() as connection:
+        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
+        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
+        for each in (run_of_it, whole):
+            campaigns.end(connection, each.sequence, CampaignState.SUCCEEDED)
+        study = campaigns.insert(connection, name="study", spec={stage: {"of": run_of_it.id}})
+        with pytest.raises(ConflictError):
+            delete_campaign(connection, whole.id)
+        assert [use.campaign for use in deletion.references(connection, whole)] == [study.id]
+
+
 def test_saved_views_are_replaced_by_name_renamed_and_removed(database: Database) -> None:
     with database.transaction() as connection:
         mine = campaign(connection)
@@ -210,3 +256,4 @@ def test_no_more_views_than_allowed_are_saved(database: Database, monkeypatch: p
             saved_views.save(connection, "", name, "#/")
         with pytest.raises(ConflictError):
             saved_views.save(connection, "", "three", "#/")
+        assert saved_views.save(connection, "", "two", "#/workers").address == "#/workers"

@@ -13,9 +13,21 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
 
 from drivecal.api.tables.files import download
-from drivecal.contracts.tables import Column, EvaluationRow, Kind, Solution, columns_of, spreadsheet_text
+from drivecal.contracts.tables import (
+    Column,
+    EvaluationRow,
+    FrontRow,
+    Kind,
+    OptimumRow,
+    RobustnessRow,
+    Solution,
+    columns_of,
+    file_row,
+    spreadsheet_text,
+)
 
 COLUMNS = [
     Column("id", "integer"),
@@ -91,6 +103,34 @@ def test_scores_have_whole_columns_on_whole_scales_only() -> None:
         solution = {column.name: column.kind for column in columns_of(Solution, keys, whole_scores=whole)}
         assert (evaluation["score"], solution["score_S1"]) == (kind, kind)
         assert (evaluation["rating"], solution["objective"], evaluation["id"]) == ("number", "number", "integer")
+
+
+OWN_NAMES = sorted(
+    {name for model in (EvaluationRow, Solution, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields}
+)
+
+
+@pytest.mark.parametrize("model", [Solution, OptimumRow, FrontRow, RobustnessRow])
+def test_no_parameter_shares_a_column_with_anything_else(model: type[BaseModel]) -> None:
+    parameters: dict[str, Kind] = dict.fromkeys(
+        [*OWN_NAMES, "score_S1", "objective_gap", "answer_S1", "measure_gap", "P1"], "number"
+    )
+    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": ["S1"], "objectives": ["gap"], "answers": ["S1"]}
+    names = [column.name for column in columns_of(model, {**keys, "parameters": parameters})]
+    evaluated = [column.name for column in EvaluationRow.file_columns(parameters)]
+    assert len(set(names)) == len(names)
+    assert len(set(evaluated)) == len(evaluated)
+    assert "P1" in names
+
+
+def test_a_parameter_named_like_a_column_leaves_its_values_alone() -> None:
+    row = Solution(
+        rank=1, objective=6.0, rating=6.25, scores={"S1": 6}, parameters={"rank": 30.0, "radius": 0.5, "score_S1": 2.0}, iteration=0,
+        individual=0,
+    )  # fmt: skip
+    flat = file_row(row)
+    assert (flat["rank"], flat["score_S1"]) == (1, 6)
+    assert (flat["parameter_rank"], flat["parameter_radius"], flat["parameter_score_S1"]) == (30.0, 0.5, 2.0)
 
 
 def test_a_whole_score_is_written_without_a_point() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from tests.unit.report.rows import ACCOUNT, ROBUST, ROWS, SETUP, findings, row, study
 
-from drivecal.contracts.campaign import Campaign, Released
+from drivecal.contracts.campaign import Campaign, FirstObjective, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import Reason, TrustAnswer
 from drivecal.domain.errors import InvalidInputError
@@ -329,3 +329,16 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError) as refused:
         write_report(findings(), {}, tmp_path / "file" / "report")
     assert str(tmp_path / "file") in str(refused.value)
+
+
+def test_the_best_objective_is_described_by_what_it_measures() -> None:
+    plain = findings().campaign
+    energy = FirstObjective(name="energy", unit="kWh", direction="minimise")
+    by_score, by_measure = (
+        "".join(results.summary(findings(campaign=campaign)))
+        for campaign in (plain, plain.model_copy(update={"objective": energy}))
+    )
+    assert "0 to 7, higher is better" in by_score
+    first = by_measure[: by_measure.index("parameter sets share")]
+    assert "energy, kWh, lower is better" in first
+    assert "0 to 7" not in first

@@ -122,14 +122,10 @@ def test_the_scenarios_that_broke_the_condition_are_named(settings: dict[str, An
 CAMPAIGN = Campaign(id="0" * 32, name="c", state="succeeded")
 
 
-def test_the_nominal_rank_follows_the_direction_of_the_objective() -> None:
-    rows = [robust(1, 2, [], objective=5.0), robust(2, 1, [], objective=2.0), robust(3, 0, [], objective=None)]
-    assert robustness.by_nominal(rows) == {1: 1, 2: 2, 3: 3}
-    assert robustness.by_nominal(rows, -1) == {2: 1, 1: 2, 3: 3}
-    assert robustness.by_nominal([row.model_copy(update={"objective": -3.0}) for row in rows[1:2]] + rows[2:], 1) == {
-        2: 1,
-        3: 2,
-    }
+def test_the_nominal_ranks_begin_with_the_best_score_and_end_with_none() -> None:
+    rows = [*ROBUST, robust(3, 0, [trial(1, False, None)], objective=None).model_copy(update={"rank": 4})]
+    assert robustness.by_nominal(rows) == {2: 1, 1: 2, 3: 3, 4: 4}
+    assert robustness.by_nominal(rows, sign=-1) == {3: 1, 1: 2, 2: 3, 4: 4}
 
 
 def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_conditions() -> None:

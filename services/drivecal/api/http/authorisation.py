@@ -44,7 +44,8 @@ class Tokens(sessions.Names, Protocol):
 
 
 class Authorisation:
-    """ASGI middleware. `request.state.token`: the presented token, ANYBODY without tokens, or None on open routes without one."""
+    """ASGI middleware. `request.state.token`: the presented token, ANYBODY without tokens, or None on open routes without one.
+    `request.state.is_admitted()`: whether it still is valid; a long connection asks before it sends."""
 
     def __init__(self, app: ASGIApp, tokens: Tokens | None) -> None:
         self.app = app
@@ -55,8 +56,10 @@ class Authorisation:
         if scope["type"] == "lifespan":
             await self.app(scope, receive, send)
             return
+        connection = HTTPConnection(scope)
+        connection.state.is_admitted = lambda: self.tokens is None or _holder(connection, self.tokens) is not None
         if scope["type"] != "http":
-            if scope["path"] == LIVE and self._admits_live(HTTPConnection(scope)):
+            if scope["path"] == LIVE and self._admits_live(connection):
                 await self.app(scope, receive, send)
             else:
                 await send({"type": "websocket.close", "code": 1008})

@@ -15,7 +15,7 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.contracts.campaign import Study, StudyName
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
-from drivecal.domain.campaigns import StageName
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Outcome
 from drivecal.report.data import Row, Studied
@@ -144,7 +144,7 @@ def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontR
 def _studied(database: Database, made: list[Study], stage: StudyName, model: type[Row]) -> list[Studied[Row]]:
     studied = []
     for study in made:
-        if study.stage == stage:
+        if study.stage == stage and study.state == CampaignState.SUCCEEDED:
             with database.read() as connection:
                 sequence = campaigns.get(connection, study.campaign).sequence
                 document = studies.get(connection, sequence, StageName(stage)) or {"items": []}

@@ -126,16 +126,29 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         confirmed = evaluations.confirmed(connection, stored.sequence, searched)
     known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
     predictors = {scenario: lots.seconds for scenario, lots in stored.released.items()}
-    return account(stored.id, stored.state, dict.fromkeys(known), rows, origin, proofs, confirmed, predictors)
+    return account(
+        stored.id,
+        stored.state,
+        dict.fromkeys(known),
+        rows,
+        origin,
+        proofs,
+        confirmed,
+        predictors,
+        pruned=stored.pruned_at is not None,
+    )
 
 
 def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
-    if campaign.influence_map_id is None:
+    """Returns the map in use and what it cost; None without a map, and if the cells that say it were pruned."""
+    if campaign.influence_map_id is None or campaign.pruned_at is not None:
         return None
     stored = influence_maps.get(connection, campaign.influence_map_id)
     if stored.basis is None:
         return MapOrigin(stored.id, made_by=None)
     maker = campaigns.get(connection, stored.source)
+    if maker.pruned_at is not None:
+        return None
     return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 

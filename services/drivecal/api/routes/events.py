@@ -1,7 +1,7 @@
 """The event stream of a campaign."""
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from typing import Annotated
 
@@ -40,20 +40,22 @@ class EventsOf(Parameters):
 
 
 class EventStream(StreamingResponse):
-    """A stream that ends when its client does not read it."""
+    """A stream that ends when its client does not read it, or `is_admitted` no more."""
 
     media_type = "text/event-stream"
 
-    def __init__(self, content: AsyncGenerator[bytes]) -> None:
+    def __init__(self, content: AsyncGenerator[bytes], is_admitted: Callable[[], bool]) -> None:
         # Buffering proxies would hold events back until there are many.
         super().__init__(content, headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"})
-        self._chunks = content
+        self._chunks, self._is_admitted = content, is_admitted
 
     async def stream_response(self, send: Send) -> None:
         """Sends chunk by chunk."""
         await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
         async with aclosing(self._chunks):
             async for chunk in self._chunks:
+                if not self._is_admitted():
+                    break
                 async with asyncio.timeout(STALLED_SECONDS):
                     await send({"type": "http.response.body", "body": chunk, "more_body": True})
         await send({"type": "http.response.body", "body": b"", "more_body": False})
@@ -77,7 +79,8 @@ async def stream(
     last_event_id: Annotated[EventId | None, Header(alias="Last-Event-ID")] = None,
 ) -> Response:
     """Events of a campaign, from its beginning or after the event `Last-Event-ID`, past and future. The stream
-    closes when the campaign has ended and when the server stops: come back with the last id, and nothing is missed or told twice.
+    closes when the campaign has ended and when the server stops: come back with the last id, and nothing is missed or told twice. It
+    also closes if the token is no longer valid.
 
     Old events are forgotten after a while, the last one of a campaign never. Single evaluations have a stream as well.
     """
@@ -89,7 +92,7 @@ async def stream(
         return Response(status_code=204)
     if last is None or last > newest:  # an id that never was here: of a database that was replaced by an older one
         last = 0
-    return EventStream(hub.stream(seen.sequence, seen.id, last))
+    return EventStream(hub.stream(seen.sequence, seen.id, last), request.state.is_admitted)
 
 
 def newest_event(database: Database, campaign_id: str) -> tuple[revision_queries.CampaignRevision, int]:

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.websockets import WebSocketState
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.streams import KEEPALIVE_SECONDS, EventHub
@@ -44,7 +45,8 @@ PROTOCOL = (
     '- `{"campaign": ID, "error": "..."}` if it cannot be followed,\n'
     '- `{"alive": true}` if there was nothing else for a while.\n\n'
     f"A page follows {MOST_FOLLOWED} campaigns at most. Browsers are let in from pages of this very origin only; the connection is closed "
-    f"with {NOT_UNDERSTOOD} if a message cannot be understood, and refused if the server has no place for it."
+    f"with {NOT_UNDERSTOOD} if a message cannot be understood or the token is no longer valid, and refused if the server has no place for "
+    "it."
 )
 """Protocol of the live connection, in Markdown."""
 
@@ -87,13 +89,17 @@ class _Line:
         alive = asyncio.create_task(self._stay_alive())
         try:
             with suppress(WebSocketDisconnect):
-                while await self._obey(await self._socket.receive_text()):
+                while self._is_open and await self._obey(await self._socket.receive_text()):
                     pass
         finally:
             tasks = [alive, *self._followed.values()]
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+
+    @property
+    def _is_open(self) -> bool:
+        return self._socket.application_state is WebSocketState.CONNECTED
 
     async def _obey(self, message: str) -> bool:
         """Carries out a message. Returns False after closing the connection because of a faulty one."""
@@ -143,7 +149,10 @@ class _Line:
 
     async def _send(self, message: dict[str, Any]) -> None:
         async with self._one_at_a_time, asyncio.timeout(STALLED_SECONDS):
-            await self._socket.send_text(json.dumps(message))
+            if self._socket.state.is_admitted():
+                await self._socket.send_text(json.dumps(message))
+            elif self._is_open:
+                await self._socket.close(NOT_UNDERSTOOD)
 
 
 def parsed(chunk: bytes) -> Iterator[tuple[str, int | None, dict[str, Any]]]:

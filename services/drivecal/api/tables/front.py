@@ -13,7 +13,7 @@ from drivecal.campaigns.results.front import EARLIER, CampaignFront, answers_of
 from drivecal.campaigns.results.optima import unit_cube
 from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary, TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow, JudgedSet
-from drivecal.domain.campaigns import StageName
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
@@ -190,11 +190,13 @@ def _bound_text(bound: Bound) -> str:
 
 
 def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tuple[str, float | str], ...], int]:
-    """Degrees of robustness by parameters, of the newest study in the campaign's vehicle."""
+    """Degrees of robustness by parameters, of the newest study in the campaign's vehicle that succeeded."""
     vehicle = campaign.spec["vehicle"]
     for study in studies.about(connection, campaign.id, campaign.sequence, None):
+        if study.stage != StageName.ROBUSTNESS or study.state != CampaignState.SUCCEEDED or study.spec["vehicle"] != vehicle:
+            continue
         document = studies.get(connection, study.campaign_sequence, StageName.ROBUSTNESS)
-        if study.stage is StageName.ROBUSTNESS and study.spec["vehicle"] == vehicle and document is not None:
+        if document is not None:
             return {_key(item["parameters"]): item["degree"] for item in document["items"]}
     return {}
 

@@ -94,9 +94,9 @@ class CellTracker:
 
         The transaction must not be the one that stores new predictions: these are committed before their sample is drawn.
 
-        With `share_runs`, a cell takes a run that another campaign simulated in the meantime. It still counts as simulated, because the
-        campaign did not see that run when it planned. Without it, every cell is simulated for this campaign alone. `benches` lists the
-        cells' benches besides the campaign's own.
+        With `share_runs`, a cell takes a run that another campaign simulated or certified in the meantime, the latter unless the cell has
+        to be simulated. It still counts as that, because the campaign did not see that run when it planned. Without it, every cell is
+        simulated for this campaign alone. `benches` lists the cells' benches besides the campaign's own.
         """
         self._requests = {
             setup_id: bench.requests[scenario]
@@ -245,10 +245,12 @@ class CellTracker:
             cells = wanted[setup_id]
             ids = [cell.parameter_set_id for cell in cells]
             stored = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
-            taken = [(cell, stored[cell.parameter_set_id]) for cell in cells if cell.parameter_set_id in stored]
-            self.faults.note_stored(connection, [(cell.scenario, donor) for cell, donor in taken])
-            for cell, donor in taken:
-                self._answer(cell, donor, answers)
+            proofs = runs.proofs(connection, [donor.run for donor in stored.values()])
+            known = [(cell, stored[cell.parameter_set_id]) for cell in cells if cell.parameter_set_id in stored]
+            taken = [(cell, run) for cell, run in known if run.run not in proofs or self._cell(cell).may_be_certified]
+            self.faults.note_stored(connection, [(cell.scenario, run) for cell, run in taken])
+            for cell, run in taken:
+                self._answer(cell, run, answers, proof=proofs.get(run.run))
 
     def _rating(self, cell: StoredEvaluation, result: CellResult) -> Rating:
         """Returns a result's rating, which workers do not know for bundles. A failed run cannot beat it (`Scale.worth`)."""
@@ -270,18 +272,27 @@ class CellTracker:
             self._refuted_setups.add(cell.setup_id)
         donor = Donor(cell.id, run.id, rating.score, rating.rating, completion.result.failure)
         if completion.shared:  # counted where it was simulated
-            self._answer(cell, donor, answers)
+            proof = completion.result.proven_by if completion.result.is_certified else None
+            self._answer(cell, donor, answers, proof=proof)
         else:
             self.simulating_seconds += completion.result.milliseconds / 1000
             self._answer(cell, donor, answers, completion)
 
     def _answer(
-        self, cell: StoredEvaluation, result: Donor, answers: list[AnsweredCell], simulation: Completed | None = None
+        self,
+        cell: StoredEvaluation,
+        result: Donor,
+        answers: list[AnsweredCell],
+        simulation: Completed | None = None,
+        proof: int | None = None,
     ) -> None:
-        """Answers a cell with its own result, and the copies that waited for it."""
+        """Answers a cell with its own result, and the copies that waited for it. `proof`: the evaluation that another campaign's result
+        repeats by a certificate."""
         for other in (cell, *self._copies.pop(cell.id, ())):
             own = simulation if other is cell else None
-            certified = own is not None and own.result.proven_by is not None and own.result.agrees is None
+            certified, proven_by = other is cell and proof is not None, self._proofs.get(other.id)
+            if own is not None:
+                certified, proven_by = own.result.is_certified, own.result.proven_by
             outcome = Outcome.CERTIFIED if certified else other.plan
             self._counts["checked"] += own is not None and own.result.agrees is not None
             answers.append(
@@ -289,7 +300,7 @@ class CellTracker:
                     *(other.id, outcome, result.score, result.rating, result.run, result.failure),
                     **_attempt(own),
                     agrees=self._inspection.compare(other, result.score),
-                    proven_by=self._proofs.get(other.id) if own is None else own.result.proven_by,
+                    proven_by=proof if own is None and certified else proven_by,
                     proof_agrees=None if own is None else own.result.agrees,
                 )
             )

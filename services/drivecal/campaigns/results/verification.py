@@ -142,7 +142,8 @@ def _campaign(connection: Connection, campaign_id: str) -> None:
     _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
     if campaign.kind == "comparison":
         stored_scale(campaign.resolution)
-        _check_runs(connection, campaign)
+        if campaign.deleted_at is None:  # its runs no longer belong to it
+            _check_runs(connection, campaign)
     elif campaign.resolution is not None:
         resolved_spec(campaign)
 

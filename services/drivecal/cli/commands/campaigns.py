@@ -88,7 +88,7 @@ def rerun(
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
         first = client.campaign(client.full_id(identifier))
-        changes["weights"] = first.spec["weights"] if weights is None else assignments(weights.split(","), "--weights")
+        changes["weights"] = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
 
@@ -163,9 +163,8 @@ def label(
     if not (name or tags or untag or comment is not None or archive is not None):
         raise typer.BadParameter("say what changes: --name, --tag, --untag, --comment, --archive or --unarchive")
     with connect(url) as client:
-        before = client.campaign(client.full_id(identifier))
-        wanted = [tag for tag in [*before.tags, *(tags or [])] if tag not in (untag or [])]
-        changed = client.label(before.id, name=name, tags=wanted if tags or untag else None, comment=comment, archived=archive)
+        place = client.full_id(identifier)
+        changed = client.label(place, name=name, add_tags=tags, remove_tags=untag, comment=comment, archived=archive)
     print_answer(changed, as_json, _print_labels)
 
 
@@ -202,10 +201,11 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
     """Prints a campaign, from the first answered cell on with its account or the tables of a comparison.
 
-    Single evaluations have neither.
+    Single evaluations have neither, pruned campaigns no account.
     """
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
-    account = client.accounting(campaign.id) if answered and "generations" in campaign.links else None
+    accounted = answered and "generations" in campaign.links and campaign.pruned_at is None
+    account = client.accounting(campaign.id) if accounted else None
     compared = answered and campaign.kind == "comparison"
     deserved = client.trust(campaign.id) if "trust" in campaign.links else None
     if as_json:

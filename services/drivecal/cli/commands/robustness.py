@@ -116,7 +116,7 @@ def few_text(study: MadeStudy) -> str:
     sets = "only 1 set has" if count == 1 else f"only {count} sets have"
     if within:
         return f"{sets} an objective within {within:g} of the best; a larger --within takes more"
-    return f"{sets} the best objective; --within 0.5 takes those that are lower by up to 0.5, too"
+    return f"{sets} the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
 
 
 def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:

@@ -46,8 +46,8 @@ def _bench(campaign: Campaign) -> dict[str, Any]:
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:
-    """Returns the campaign that made the wanted study: itself, else the newest that succeeded; None without a study."""
-    if campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
+    """Returns the campaign that made the wanted study: itself, else the newest, if it succeeded; None without a study."""
+    if campaign.state == CampaignState.SUCCEEDED and campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
         return campaign
     for study in client.studies(campaign.id).items:
         if study.stage == wanted.stage and study.state == CampaignState.SUCCEEDED and study.campaign != campaign.id:

@@ -104,7 +104,8 @@ class Scheduler:
         """Queues cells of the campaign `tag`; each gets at least one attempt, whatever its earlier breakdowns.
 
         A cell identical to one in flight (setup, evaluator, and every bit of the parameters) is not sent and takes the other's answer,
-        unless either is `exclusive`. Raises ValueError if a cell is in flight already.
+        unless either is `exclusive`, or a certificate gave the answer that the cell must not take. Raises ValueError if a cell is in
+        flight already.
         """
         self._costs.relate(work.setup.key, work.setup.kind)
         for claim in self._in_flight.add(work, tag, priority):
@@ -330,7 +331,7 @@ class Scheduler:
 
     def _put_back_certified(self, sent: _Sent, answers: Mapping[int, CellResult]) -> None:
         """Returns cells to the queue that a refuted certificate answered."""
-        certified = {number for number, answer in answers.items() if answer.proven_by is not None and answer.agrees is None}
+        certified = {number for number, answer in answers.items() if answer.is_certified}
         self._to_queue([leader for leader in sent.leaders if leader.cell.id in certified])
         sent.leaders = [leader for leader in sent.leaders if leader.cell.id not in certified]
 
@@ -357,12 +358,19 @@ class Scheduler:
         return []
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
+        """Completes all claims to a simulation; those that no certificate may answer wait on if one did."""
+        simulation = leader.simulation
         completed = [Completed(leader.tag, worker, answer, attempts)]
         self._forget(leader)
-        for follower in list(leader.simulation.claims):
+        for follower in list(simulation.claims):
+            if answer.is_certified and not follower.cell.may_be_certified:
+                continue
             its = replace(answer, id=follower.cell.id)
             completed.append(Completed(follower.tag, worker, its, attempts, leader=leader.cell.id))
             self._forget(follower)
+        if simulation.claims:
+            simulation.leader = None
+            self._queue.put(simulation)
         return completed
 
     def _forget(self, claim: Claim) -> None:

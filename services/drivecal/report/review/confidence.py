@@ -17,7 +17,7 @@ def robustness(review: Review) -> list[str]:
             parts.append(paragraph(f"Not examined{label}: {reason}."))
             continue
         if examined is None:
-            studied = "no robustness study examined this set" if reviewed.robustness else "no robustness study was made"
+            studied = "no robustness study examined this set" if reviewed.robustness else "no robustness study has succeeded"
             parts.append(paragraph(f"Not known{label}: {studied}."))
             parts.append(command(f"drivecal robustness {reviewed.campaign.id}"))
             continue

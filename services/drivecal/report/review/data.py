@@ -25,7 +25,8 @@ class ScoreOrigin:
 
 @dataclass(frozen=True, slots=True)
 class ReviewedSet:
-    """A chosen set with what is known of it and of its campaign. `cells`: by scenario. Studies: the newest first."""
+    """A chosen set with what is known of it and of its campaign. `cells`: by scenario. Studies: those that succeeded, the newest
+    first."""
 
     campaign: Campaign
     setup: CampaignSetup
@@ -49,7 +50,7 @@ class ReviewedSet:
 
     @property
     def robust(self) -> tuple[Studied[RobustnessRow], RobustnessRow] | None:
-        """The newest robustness study that examined the set, and its row; None without one."""
+        """The newest succeeded robustness study that examined the set, and its row; None without one."""
         for studied in self.robustness:
             for row in studied.rows:
                 if row.parameters == self.chosen.parameters:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from drivecal.contracts.campaign import Baseline, Best, Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
-from drivecal.domain.scales import told
+from drivecal.domain.scales import told, unit_text
 from drivecal.report.data import ReportData
 from drivecal.report.markup import bullets, paragraph, table
 from drivecal.report.rows import Number, errors_text, fixed, range_text, totals
@@ -25,7 +25,7 @@ def summary(findings: ReportData) -> list[str]:
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
     share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
-    first = f"The best objective is {best.objective:.4f} ({range_text(campaign.scale)}); {share}."
+    first = f"The best objective is {best.objective:.4f} ({_meaning(campaign)}); {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:
         first += f" The baseline has {campaign.baseline.objective:.4f}."
     if findings.solutions and findings.solutions[0].reused:
@@ -37,6 +37,14 @@ def summary(findings: ReportData) -> list[str]:
         sentences.append(findings.accounting.sentence)
     sentences += [_errors(campaign), _predictions(campaign), _proofs(findings), *_studies(findings)]
     return [bullets(sentence for sentence in sentences if sentence), _compared(findings, best)]
+
+
+def _meaning(campaign: Campaign) -> str:
+    """Returns which values of the objective are good: those of the first objective, or of the score."""
+    goal = campaign.objective
+    if goal is None:
+        return range_text(campaign.scale)
+    return f"{goal.name}{unit_text(goal.unit, ', ')}, {'higher' if goal.direction == 'maximise' else 'lower'} is better"
 
 
 def trust(findings: ReportData) -> list[str]:

@@ -195,8 +195,8 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
 
 
 def check_comparisons(connection: Connection) -> Iterator[str]:
-    """Runs are calibrations of a comparison, which see no other results, and rest and end with it; it has some, and counts what they
-    do once it has succeeded."""
+    """Runs are calibrations of a comparison, which see no other results, and rest and end with it; unless it was deleted it has
+    some, and counts what they do once it has succeeded."""
     run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
     joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)
     belonging = select(run.c.id).select_from(joined).where(run.c.parent_sequence.is_not(None))
@@ -218,15 +218,16 @@ def check_comparisons(connection: Connection) -> Iterator[str]:
         for name in connection.scalars(belonging.where(broken)):
             yield f"campaign {name} {sentence}"
     of_it = exists().where(run.c.parent_sequence == comparison.c.sequence)
-    for name in connection.scalars(select(comparison.c.id).where(comparison.c.kind == "comparison", ~of_it)):
+    kept = (comparison.c.kind == "comparison") & comparison.c.deleted_at.is_(None)
+    for name in connection.scalars(select(comparison.c.id).where(kept, ~of_it)):
         yield f"comparison {name} has no runs"
     yield from _wrong_sums(connection)
 
 
 def _wrong_sums(connection: Connection) -> Iterator[str]:
-    """Checks succeeded comparisons; the sums of others may be a second late."""
+    """Checks succeeded comparisons without deleted ones; the sums of others may be a second late."""
     ended = campaigns.alias("ended")
-    succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED)
+    succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED) & ended.c.deleted_at.is_(None)
     for row in connection.execute(select(ended.c.sequence, ended.c.id, by_stage(ended)).where(succeeded)):
         summed: dict[StageName, Counter[str]] = {stage: Counter() for stage in StageName}
         query = select(by_stage()).where(campaigns.c.parent_sequence == row.sequence)

@@ -38,13 +38,15 @@ class CampaignUse:
 
 
 def references(connection: Connection, campaign: StoredCampaign) -> list[CampaignUse]:
-    """Returns the campaigns that refer to a campaign: reruns, studies of its sets or predictions, and those that use its map."""
+    """Returns the campaigns that refer to a campaign or to its runs: reruns, studies of its sets or predictions, and those that use its
+    map."""
     table, family = campaigns.c, _family(connection, campaign)
+    ids = list(family.values())
     outside = table.sequence.not_in(list(family)), table.deleted_at.is_(None)
-    maps = select(influence_maps.c.id).where(influence_maps.c.source.in_(list(family.values())))
-    examined = [table.spec[stage, "of"].as_string() == campaign.id for stage in ("robustness", "validation")]
+    maps = select(influence_maps.c.id).where(influence_maps.c.source.in_(ids))
+    examined = [table.spec[stage, "of"].as_string().in_(ids) for stage in ("robustness", "validation")]
     uses = (
-        ("rerun of it", table.rerun_of.in_(list(family.values()))),
+        ("rerun of it", table.rerun_of.in_(ids)),
         ("study of it", or_(*examined)),
         ("use of its influence map", table.influence_map_id.in_(maps)),
     )

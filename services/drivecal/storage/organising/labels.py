@@ -4,15 +4,16 @@ import json
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Text, cast, update
+from sqlalchemy import ColumnElement, Connection, Text, cast, func, update
 
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 
 Archived = Literal["without", "with", "only"]
+MOST_TAGS = 20
 
 
 def change(
@@ -21,14 +22,19 @@ def change(
     *,
     name: str | None = None,
     tags: Sequence[str] | None = None,
+    add_tags: Sequence[str] | None = None,
+    remove_tags: Sequence[str] | None = None,
     comment: str | None = None,
     archived: bool | None = None,
 ) -> StoredCampaign:
-    """Changes the labels that are given, and returns the campaign. The same labels again change nothing.
+    """Changes the labels that are given, and returns the campaign. `tags` replaces all tags; of tags that are added and removed, none
+    stays. The same labels again change nothing.
 
-    Raises NotFoundError, and ConflictError if a campaign is to be archived before it has ended.
+    Raises NotFoundError, InvalidInputError for too many tags, and ConflictError if a campaign is to be archived before it has ended.
     """
     before = stored_campaigns.get(connection, campaign_id, lock=True)
+    if add_tags or remove_tags:
+        tags = _changed_tags(before.tags, add_tags or (), remove_tags or ())
     if archived and not before.state.ended:
         raise ConflictError(f"{campaign_id} is {before.state}; only ended campaigns are archived: cancel it first")
     values: dict[str, Any] = {"name": name, "comment": comment, "tags": None if tags is None else sorted(set(tags))}
@@ -42,6 +48,16 @@ def change(
     return stored_campaigns.by_sequence(connection, before.sequence)
 
 
+def _changed_tags(before: Sequence[str], added: Sequence[str], removed: Sequence[str]) -> Sequence[str]:
+    tags = {*before, *added} - set(removed)
+    if len(tags) > max(MOST_TAGS, len(before)):
+        message = f"the campaign would have {len(tags)} tags"
+        raise InvalidInputError(
+            Problem("add_tags", message, f"a campaign has at most {MOST_TAGS}; remove some of {sorted(before)}")
+        )
+    return sorted(tags)
+
+
 def _stored(campaign: StoredCampaign, column: str) -> Any:
     value = getattr(campaign, column)
     return list(value) if isinstance(value, tuple) else value
@@ -53,4 +69,5 @@ def listing(archived: Archived, tags: Sequence[str]) -> list[ColumnElement[bool]
     conditions: list[ColumnElement[bool]] = []
     if archived != "with":
         conditions.append(table.archived_at.is_(None) if archived == "without" else table.archived_at.is_not(None))
-    return conditions + [cast(table.tags, Text).contains(json.dumps(tag), autoescape=True) for tag in tags]
+    stored = cast(table.tags, Text)  # LIKE would ignore case on SQLite
+    return conditions + [func.replace(stored, json.dumps(tag), "") != stored for tag in tags]

@@ -35,8 +35,9 @@ def listed(connection: Connection, campaign: str | None) -> list[StoredView]:
 
 
 def save(connection: Connection, campaign: str, name: str, address: str) -> StoredView:
-    """Saves a view, in place of an earlier one of this name. Raises ConflictError if there are MOST_VIEWS."""
-    count = connection.scalar(select(func.count()).where(saved_views.c.campaign == campaign)) or 0
+    """Saves a view, in place of an earlier one of this name. Raises ConflictError if there are MOST_VIEWS others."""
+    others = saved_views.c.campaign == campaign, saved_views.c.name != name
+    count = connection.scalar(select(func.count()).where(*others)) or 0
     if count >= MOST_VIEWS:
         raise ConflictError(f"there are {count:,} saved views; delete some first")
     row = {"id": uuid.uuid4().hex, "campaign": campaign, "name": name, "address": address, "created_at": now()}

@@ -130,6 +130,16 @@ def metrics_of(connection: Connection, run_ids: Collection[int]) -> dict[int, Ma
     return {row.id: read(row.metrics) for row in rows}
 
 
+def proofs(connection: Connection, run_ids: Sequence[int]) -> dict[int, int]:
+    """Returns the evaluations that runs repeat by a certificate, without a simulation, by run id."""
+    query = (
+        select(runs.c.id, evaluations.c.proven_by)
+        .join(evaluations, evaluations.c.id == runs.c.evaluation_id)
+        .where(evaluations.c.outcome == Outcome.CERTIFIED, evaluations.c.proven_by.is_not(None))
+    )
+    return dict(rows_among(connection, query, runs.c.id, sorted(run_ids)))
+
+
 @dataclass(frozen=True, slots=True)
 class RatedRun:
     """A stored run with the `evaluation` that simulated it."""

@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import Connection, Text, cast, or_, select
 
 from drivecal.domain.campaigns import CampaignState
-from drivecal.storage.engine.tables import campaigns, setups
+from drivecal.storage.engine.tables import campaigns, influence_maps, setups
 
 _ID = re.compile(r"[0-9a-f]{32}")
 _ENDED = tuple(state for state in CampaignState if state.ended)
@@ -64,7 +64,7 @@ class _Campaign:
     known: bool
     """Whether its setups are known."""
     names: frozenset[str]
-    """Ids of campaigns that it reruns or examines."""
+    """Ids of campaigns that it reruns or examines, and of the maker of its influence map."""
     problem: str | None
     pruned: Mapping[str, Any] | None
     deleted: bool
@@ -73,8 +73,8 @@ class _Campaign:
 def select_campaigns(connection: Connection, before: datetime, problems: Collection[str] | None) -> Selection:
     """Returns the campaigns that ended `before` a moment; with `problems` only those of these names or digests.
 
-    A campaign stays whole while a campaign that stays reruns it or examines its sets, and with all others of its comparison. So does one
-    whose setups a started campaign uses: that may be answered by its runs at any moment.
+    A campaign stays whole while a campaign that stays reruns it, examines its sets or uses its influence map, and with all others of its
+    comparison. So does one whose setups a started campaign uses: that may be answered by its runs at any moment.
     """
     rows = {row.sequence: row for row in _campaigns(connection)}
     by_id = {row.id: row.sequence for row in rows.values()}
@@ -122,13 +122,15 @@ def _prunable(row: _Campaign) -> Prunable:
 
 def _campaigns(connection: Connection) -> Iterable[_Campaign]:
     table = campaigns.c
-    query = select(
+    columns = (
         *(table.sequence, table.id, table.name, table.kind, table.state, table.started_at, table.ended_at),
         *(table.parent_sequence, table.rerun_of, table.pruned, table.deleted_at, table.resolution),
-        cast(table.spec, Text).label("spec"),
-    ).order_by(table.sequence)
+        *(cast(table.spec, Text).label("spec"), influence_maps.c.source.label("map_maker")),
+    )
+    with_maps = campaigns.outerjoin(influence_maps, influence_maps.c.id == table.influence_map_id)
+    query = select(*columns).select_from(with_maps).order_by(table.sequence)
     for row in connection.execute(query.execution_options(yield_per=100)):
-        named = {row.rerun_of} if row.rerun_of else set()
+        named = {name for name in (row.rerun_of, row.map_maker) if name}
         fingerprints = _setups(row.resolution)
         yield _Campaign(
             sequence=row.sequence,

@@ -1,0 +1,32 @@
+"""Known studies: which campaign's results a command takes."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+from tests.unit.report.rows import study
+
+from drivecal.cli.commands.studies import known, wanted_of
+from drivecal.client.client import Client
+from drivecal.contracts.campaign import Campaign, StudyPage
+
+
+class Server:
+    """Knows one campaign and its study."""
+
+    def __init__(self, campaign: Campaign) -> None:
+        self._campaign = campaign
+
+    def studies(self, identifier: str) -> StudyPage:
+        own: dict[str, Any] = {"campaign": identifier, "state": self._campaign.state}
+        return StudyPage(items=[study().model_copy(update=own)])
+
+
+@pytest.mark.parametrize(
+    ("state", "counts"), [("succeeded", True), ("cancelled", False), ("failed", False), ("running", False)]
+)
+def test_only_a_study_that_succeeded_is_known(state: str, counts: bool) -> None:
+    campaign = Campaign(id="0" * 32, name="study", state=state, spec={"robustness": {"delta": 0.1}})
+    maker = known(cast("Client", Server(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1}))
+    assert (maker is campaign) == counts
