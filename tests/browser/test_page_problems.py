@@ -230,6 +230,29 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     page.get_by_role("button", name="Really cancel").click()
 
 
+def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heated, opening: Opening) -> None:
+    page = opening(f"{heater.api.url}/#/submit?problem=heater", expected=("422",))
+    page.get_by_role("button", name="Add objective").click()
+    measure = page.get_by_label("measure", exact=True)
+    measure.select_option("energy_kwh")
+    page.get_by_label("direction", exact=True).select_option("minimise")
+    expect(page.get_by_role("button", name="Start it")).to_be_enabled()
+    measure.select_option("none")
+    page.get_by_label("score", exact=True).last.select_option("ease")
+    page.get_by_role("button", name="Take objective 1 away").click()
+    page.get_by_text("Paste a baseline").click()
+    pasted = page.get_by_label("Baseline to paste")
+    pasted.fill("gain=0.7\nmode=slow\nstage: 1.5")
+    expect(page.get_by_text("mode is one of eco, normal, boost")).to_be_visible()
+    page.get_by_role("button", name="Take 2 of 4 values").click()
+    values = {name: page.get_by_label(f"{name} baseline") for name in ("gain", "stage", "rooms", "mode")}
+    for name, value in {"gain": "0.7", "stage": "1.5", "rooms": "3", "mode": "normal"}.items():
+        expect(values[name]).to_have_value(value)
+    page.get_by_role("button", name="Back to the problem's baseline").click()
+    expect(values["gain"]).to_have_value("0.5")
+    assert barriers(page) == []
+
+
 def test_an_overview_shows_the_search_against_the_baseline_and_what_parameters_are(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at())
     course = page.get_by_role("figure", name="").filter(has_text="Course of the search")

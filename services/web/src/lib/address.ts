@@ -26,6 +26,15 @@ function decoded(part: string): string {
   }
 }
 
+/** The words of a filter in a query: `scenario=S1,S2`. Commas within a word are encoded. */
+export function wordsOf(text: string | undefined): string[] {
+  return (text ?? "").split(",").filter(Boolean).map(decoded);
+}
+
+export function wordsText(words: readonly string[]): string {
+  return words.map((word) => word.replaceAll("%", "%25").replaceAll(",", "%2C")).join(",");
+}
+
 /** The ranges in a query: `b.P1=0:2.5`. Either end may be left open. */
 export function brushes(query: Readonly<Record<string, string>>): Record<string, [number, number]> {
   const ranges: Record<string, [number, number]> = {};

@@ -1,11 +1,11 @@
 import { expect, test } from "vitest";
-import { overlay } from "./overlay";
-import type { Generation } from "../server/types";
+import { byMeasure, haveLikeObjectives, haveLikeScores, measureOf, overlay } from "./overlay";
+import type { Campaign, Generation } from "../server/types";
 
 const generation = (iteration: number, best: number, requested: number, reused: number): Generation => ({ iteration, best, requested, reused, repeated: 0, predicted: 0 }) as Generation;
 const searches = [
-  { name: "first", generations: [generation(0, 4, 10, 0), generation(1, 5, 10, 6)] },
-  { name: "other", generations: [generation(0, 3, 20, 0)] },
+  { name: "first", place: 0, generations: [generation(0, 4, 10, 0), generation(1, 5, 10, 6)] },
+  { name: "other", place: 1, generations: [generation(0, 3, 20, 0)] },
 ];
 
 test("each search has its own places, over iterations or over simulations", () => {
@@ -17,4 +17,28 @@ test("searches differ in colour and dash, for eyes that see colours alike", () =
   const [first, other] = overlay(searches, "iteration");
   expect(first?.colour).not.toBe(other?.colour);
   expect(first?.dash).not.toBe(other?.dash);
+});
+
+const scale = { name: "ease", unit: "1", direction: "maximise", lower: 0, upper: 10 };
+const campaign = (objective: Record<string, unknown> | null, spec: Record<string, unknown> = {}): Campaign => ({ spec: { catalogue: "all", weights: {}, ...spec }, scale, objective }) as unknown as Campaign;
+const [scored, cheap, quick] = [campaign(null), campaign({ name: "energy", unit: "kWh", direction: "minimise" }), campaign({ name: "time", unit: "s", direction: "minimise" })];
+
+test("a campaign with objectives is measured by the first of them", () => {
+  expect(measureOf(scored)).toEqual({ name: "ease", unit: "1", direction: "maximise" });
+  expect(measureOf(cheap)).toEqual({ name: "energy", unit: "kWh", direction: "minimise" });
+});
+
+test("only like objectives are compared, under the same weights and scenarios", () => {
+  expect(haveLikeObjectives([scored, campaign(null)])).toBe(true);
+  expect(haveLikeObjectives([cheap, campaign(cheap.objective as never, { objectives: null })])).toBe(true);
+  for (const other of [cheap, campaign(null, { weights: { a: 2 } }), campaign(null, { catalogue: ["a"] })]) expect(haveLikeObjectives([scored, other])).toBe(false);
+  expect(haveLikeObjectives([cheap, quick])).toBe(false);
+  const worst = campaign(cheap.objective as never, { objectives: [{ measure: "energy", aggregate: "max" }] });
+  expect(haveLikeObjectives([campaign(cheap.objective as never, { objectives: [{ measure: "energy", aggregate: "mean" }] }), worst])).toBe(false);
+  expect([haveLikeScores([scored, cheap]), haveLikeScores([scored, { ...scored, scale: { ...scored.scale, direction: "minimise" } }])]).toEqual([true, false]);
+});
+
+test("searches of unlike objectives share no axis, and keep their order", () => {
+  const groups = byMeasure([scored, cheap, campaign(null), quick].map((of, place) => ({ of, place })));
+  expect(groups.map(({ measure, searches }) => [measure.name, searches.map(({ place }) => place)])).toEqual([["ease", [0, 2]], ["energy", [1]], ["time", [3]]]);
 });

@@ -3,13 +3,49 @@
 import { simulationsOf } from "./comparison";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
-import type { Generation } from "../server/types";
+import type { Campaign, Generation } from "../server/types";
 
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2"];
 
-/** The best objective of each search over its iterations, counted from 1, or over the simulations so far. */
-export function overlay(searches: readonly { name: string; generations: readonly Generation[] }[], over: "iteration" | "simulations"): Series[] {
-  return searches.map(({ name, generations }, place) => {
+/** What the best objectives of a campaign are: its first objective, else its score. */
+export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction">;
+type Compared = Pick<Campaign, "spec" | "scale" | "objective">;
+
+export function measureOf({ objective, scale }: Pick<Campaign, "scale" | "objective">): Measure {
+  const { name, unit, direction } = objective ?? scale;
+  return { name, unit, direction };
+}
+
+/** Whether the scores of campaigns, by scenario, are on one scale. */
+export function haveLikeScores(campaigns: readonly Compared[]): boolean {
+  return alike(campaigns, ({ scale }) => scale);
+}
+
+/** Whether the best objectives of campaigns are on one scale. */
+export function haveLikeObjectives(campaigns: readonly Compared[]): boolean {
+  return alike(campaigns, ({ spec, objective, scale }) => [spec.weights, spec["catalogue"], objective ?? scale, (spec["objectives"] as unknown[] | null | undefined)?.[0] ?? null]);
+}
+
+function alike(campaigns: readonly Compared[], part: (campaign: Compared) => unknown): boolean {
+  return new Set(campaigns.map((campaign) => JSON.stringify(part(campaign)))).size < 2;
+}
+
+/** Searches by what their objectives are: those of other names, units or directions need an axis of their own. */
+export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
+  const groups = new Map<string, { measure: Measure; searches: T[] }>();
+  for (const search of searches) {
+    const measure = measureOf(search.of);
+    const key = JSON.stringify(measure);
+    const group = groups.get(key) ?? { measure, searches: [] };
+    group.searches.push(search);
+    groups.set(key, group);
+  }
+  return [...groups.values()];
+}
+
+/** The best objective of each search over its iterations, counted from 1, or over the simulations so far. `place`: which colour and dash it has. */
+export function overlay(searches: readonly { name: string; place: number; generations: readonly Generation[] }[], over: "iteration" | "simulations"): Series[] {
+  return searches.map(({ name, place, generations }) => {
     let taken = 0;
     const simulations = generations.map((generation) => (taken += simulationsOf(generation)));
     const dash = DASHES[place % DASHES.length];

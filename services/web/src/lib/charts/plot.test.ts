@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { floors, legend, logTicks, outline, reach, scales, spansDecades, type Frame, type Series } from "./plot";
+import { across, floors, legend, logTicks, outline, reach, scales, spansDecades, type Frame, type Series } from "./plot";
 
 const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5], log: false };
 const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
@@ -10,6 +10,12 @@ test("a line goes through its values and leaves out what is not there", () => {
 
 test("steps hold a value until the next, at places of their own", () => {
   expect(outline(line([0, 5], { steps: true, x: [5, 10] }), [0, 1], [], false, FRAME)).toBe("M60.0 60.0L110.0 60.0L110.0 10.0");
+});
+
+test("a single value is a mark in the middle, of lines as of areas", () => {
+  expect(outline(line([null, 5]), [0, 5], [], false, FRAME)).toBe("M53.0 10.0L67.0 10.0");
+  expect(outline(line([5], { kind: "area" }), [5], [0], true, FRAME)).toBe("M53.0 10.0L67.0 10.0L67.0 60.0L53.0 60.0Z");
+  expect([across([3], [line([1])], 0), across([1, 3], [line([1, 2])], 0)]).toEqual([[2.5, 3.5], [1, 3]]);
 });
 
 test("on a logarithmic scale each decade is as high as the next, and nothing lies below the ground", () => {

@@ -82,7 +82,9 @@ export function across(x: readonly number[], series: readonly Series[], half: nu
       if (place > high) high = place;
     }
   }
-  return low > high ? [0, 1] : [low - half, Math.max(high + half, low - half + 1e-9)];
+  if (low > high) return [0, 1];
+  const room = low === high ? Math.max(half, 0.5) : half; // a single place stands in the middle
+  return [low - room, high + room];
 }
 
 /** Powers of ten, with numbers between them if there are few. */
@@ -98,6 +100,9 @@ export function ticksOf(frame: Frame, about: number, whole = false): number[] {
   if (frame.log) return logTicks(frame.y[0], frame.y[1]);
   return ticks(frame.y[0], frame.y[1], about).filter((tick) => !whole || Number.isInteger(tick));
 }
+
+/** Pixels to both sides of a single value, which would not be seen otherwise. */
+const MARK = 7;
 
 /** The outline of a line or an area, as the `d` of an SVG path. */
 export function outline(line: Series, x: readonly number[], floor: readonly number[], stacked: boolean, frame: Frame): string {
@@ -117,6 +122,11 @@ export function outline(line: Series, x: readonly number[], floor: readonly numb
     before = height;
   });
   if (points.length === 0) return "";
+  if (points.length === 1) {
+    const widened = (point: string): string[] => [-MARK, MARK].map((by) => { const [at = "", height = ""] = point.split(" "); return `${(Number(at) + by).toFixed(1)} ${height}`; });
+    points.splice(0, 1, ...widened(points[0] as string));
+    back.splice(0, 1, ...widened(back[0] as string));
+  }
   return line.kind === "area" ? `M${points.join("L")}L${back.reverse().join("L")}Z` : `M${points.join("L")}`;
 }
 

@@ -1,5 +1,6 @@
 import { expect, test } from "vitest";
 import type { Trace } from "./geometry";
+import { SERIES } from "./palette";
 import { HEIGHT, colours, seen, svgOf, type Scene, type Shape } from "./road";
 
 const along = Array.from({ length: 60 }, (_, index) => index * 5);
@@ -42,4 +43,15 @@ test("as an SVG it has the size of the view, and names cannot break it", () => {
   expect(written).toContain(`viewBox="0 0 800 ${HEIGHT}"`);
   expect(written).toContain(">a&lt;b</text>");
   expect(written).not.toContain("NaN");
+});
+
+test("an ego vehicle beside another has its own colour, which its plan never has", () => {
+  for (const dark of [false, true]) {
+    const cars = SERIES.slice(0, 2).map((own) => colours(dark, own));
+    expect(new Set(cars.map(({ ego }) => ego)).size).toBe(2);
+    for (const { ego, way, plan } of cars) expect([way === ego, plan === ego]).toEqual([true, false]);
+  }
+  const drawn = seen(TRACE, SCENE, 0, 800, colours(false, SERIES[1]));
+  expect(strokes(drawn, SERIES[1] ?? "").length).toBeGreaterThan(0);
+  expect(strokes(drawn, colours(false).ego)).toEqual([]);
 });

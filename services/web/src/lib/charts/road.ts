@@ -1,5 +1,6 @@
 /** The road from above at a moment of a replay, as shapes: painted on a canvas many times a second, or written as an SVG once. */
 
+import { SERIES, onGround } from "./palette";
 import { camera, planAt, poseAt, type Pose, type Trace } from "./geometry";
 
 export interface Scene {
@@ -41,10 +42,14 @@ const BEYOND = 1200;
 /** A car with a known place and nothing else. */
 const USUAL = { length_m: 4.6, width_m: 1.9 };
 
-export function colours(dark: boolean) {
-  return dark
+/** `own`: the colour of an ego vehicle that is shown beside others. The plan never has it. */
+export function colours(dark: boolean, own?: string) {
+  const usual = dark
     ? { ground: "#14181d", road: "#2b323b", line: "#dfe5ec", mark: "#8b96a3", ego: "#4db5f5", plan: "#ffa96b", other: "#b9c2cc", glass: "#10151a", way: "#4db5f5", name: "#e8ebef" }
     : { ground: "#e9edf1", road: "#c9d0d8", line: "#ffffff", mark: "#ffffff", ego: "#0072b2", plan: "#d55e00", other: "#5d6874", glass: "#ffffff", way: "#0072b2", name: "#1b2129" };
+  if (own === undefined) return usual;
+  const ego = onGround(own, dark);
+  return { ...usual, ego, way: ego, plan: own === SERIES[1] ? (SERIES[2] as string) : usual.plan };
 }
 
 /** The picture at a moment, from the ground up; the view looks along the road at the ego vehicle. */

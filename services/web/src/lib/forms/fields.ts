@@ -1,6 +1,7 @@
 /** What a form says of its fields besides what the API's description says: names that can be chosen, and what a field is for. */
 
 import { count } from "../text/format";
+import type { Shape } from "../server/shape";
 import fields from "./fields.json";
 import type { Schema } from "./schema";
 
@@ -10,6 +11,13 @@ export type Choices = Readonly<Record<string, readonly string[]>>;
 /** Built-in plug-ins; the API lists the names of others only when it refuses one, so any name can be typed. */
 export const BUILT_IN: Choices = fields.names;
 const HELP: Readonly<Record<string, string>> = fields.help;
+
+/** The scores and measures that goals of a problem can name. */
+export function goalChoices(shape: Pick<Shape, "digest" | "scores" | "measures"> | null): Choices {
+  if (!shape || shape.digest === null) return {};
+  const scores = shape.scores.map(({ name }) => name);
+  return Object.fromEntries(["objectives", "constraints"].flatMap((goals) => [[`${goals}[].score`, scores], [`${goals}[].measure`, shape.measures]]));
+}
 
 /** The names that can be chosen at a path. */
 export function choicesAt(choices: Choices, path: string): readonly string[] {

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import type { Shape, ShapeParameter } from "../server/shape";
-import { parameterRows, scenarioRows, withBaseline, withFixed, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
+import { parameterRows, pastedSet, scenarioRows, withBaseline, withBaselineOf, withFixed, withProblem, withRange, withScenario, withWeight, type Wanted } from "./space";
 
 const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", meaning: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE: Shape = {
@@ -11,7 +11,7 @@ const SHAPE: Shape = {
   ],
   baseline: { gain: 0.5, stage: 1, rooms: 3, mode: "normal" },
   scenarios: [{ id: "winter", title: "" }, { id: "spring", title: "" }],
-  scores: [],
+  scores: [], measures: [],
 };
 
 test("a range is written only where it differs, and then with all parameters as they are", () => {
@@ -50,4 +50,19 @@ test("another problem begins without what belonged to the one before", () => {
   const before: Wanted = { name: "a", problem: "x", weights: { S1: 2 }, fixed: { P1: 1 }, optimizer: { kind: "genetic", population: 20, start_sets: [{}] } };
   expect(withProblem(before, "heater")).toEqual({ name: "a", problem: "heater", optimizer: { kind: "genetic", population: 20 } });
   expect(withProblem(before, undefined)).toEqual({ name: "a", optimizer: { kind: "genetic", population: 20 } });
+});
+
+test("a baseline is pasted as lines, between commas, from a table or as JSON", () => {
+  const whole = { gain: 0.5, stage: 1, rooms: 3, mode: "boost" };
+  for (const text of ["gain=0.5\nstage = 1\nrooms: 3\nmode=boost\n", "gain=0.5, stage=1, rooms=3, mode=boost", "gain\t0.5\nstage\t1\nrooms\t3\r\nmode\tboost", JSON.stringify(whole), JSON.stringify(whole, null, 2), "parameter,value,unit\ngain,0.5,W/K\nstage,1,kW\nrooms,3,1\nmode,boost,1\n"]) {
+    expect(pastedSet(text, SHAPE.parameters)).toEqual({ values: whole, faults: [] });
+  }
+  expect(withBaselineOf({}, whole)).toEqual({ baseline: whole });
+  expect(withBaselineOf({ baseline: whole }, {})).toEqual({});
+});
+
+test("what is not of the problem is named, and the rest is read", () => {
+  const { values, faults } = pastedSet("gain=1e-1\nrooms=many\nstage=\nmode=fast\nwidth=2\nnonsense\nnonsense\ngain=0,5", SHAPE.parameters);
+  expect(values).toEqual({ gain: 0.1 });
+  expect(faults.map((fault) => fault.split(" ")[0])).toEqual(["rooms", "stage", "mode", "width", "nonsense", "gain"]);
 });

@@ -67,6 +67,36 @@ export function withBaseline(shape: Shape, wanted: Wanted, name: string, value: 
   return put(wanted, "baseline", JSON.stringify(baseline) === JSON.stringify(shape.baseline ?? undefined) ? undefined : baseline);
 }
 
+/** A whole baseline; empty: none of its own. */
+export function withBaselineOf(wanted: Wanted, values: Readonly<Record<string, Value>>): Wanted {
+  return put(wanted, "baseline", Object.keys(values).length > 0 ? values : undefined);
+}
+
+/** Name, sign and value: `P1=0.5`, `"P1": 0.5,`, or the cells of a table. */
+const PAIR = /^\s*"?([^"=:,\s]+)"?\s*([=:,\t ])\s*"?(.*?)"?\s*,?\s*$/;
+/** Between pairs; a comma within a value is none. */
+const BETWEEN = /[\n;{}]|,(?=\s*"?[A-Za-z][\w.-]*"?\s*[=:])/;
+
+/** A set as people write it: `P1=0.5` in lines or between commas, the first two columns of a table, or JSON. `faults`: what is not of the problem, and why. */
+export function pastedSet(text: string, parameters: readonly ShapeParameter[]): { values: Record<string, Value>; faults: string[] } {
+  const [values, faults]: [Record<string, Value>, string[]] = [{}, []];
+  for (const part of text.split(BETWEEN)) {
+    const pair = PAIR.exec(part);
+    const [, name = "", sign = "", rest = ""] = pair ?? [];
+    // A line of a table goes on, with the unit for example.
+    const written = sign === "," || sign === "\t" ? (rest.split(sign)[0] ?? "").trim() : rest;
+    if (part.trim() === "" || (name === "parameter" && written === "value")) continue;
+    const parameter = parameters.find((entry) => entry.name === name);
+    if (!parameter) faults.push(pair ? `${name} is no parameter` : `${part.trim()} is not NAME=VALUE`);
+    else if (parameter.kind === "choice") {
+      if (parameter.choices.includes(written)) values[name] = written;
+      else faults.push(`${name} is one of ${parameter.choices.join(", ")}`);
+    } else if (written === "" || Number.isNaN(Number(written))) faults.push(`${name} is a number, not ${written || "empty"}`);
+    else values[name] = Number(written);
+  }
+  return { values, faults: [...new Set(faults)] };
+}
+
 export function scenarioRows(shape: Shape, wanted: Wanted): ScenarioRow[] {
   const listed = Array.isArray(wanted["catalogue"]) ? (wanted["catalogue"] as string[]) : null;
   const weights = mapOf(wanted["weights"]);

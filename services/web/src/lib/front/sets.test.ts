@@ -10,11 +10,18 @@ const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
 const ROWS = [row(1), row(2), row(3)];
 
 test("a front is a table with the columns of its files", () => {
-  const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], new Set(["rank"]), { made: ["of", null] });
+  const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: null })], { made: ["of", null] });
   const table = withColumns(sets, { marks: ["best", null] });
   expect(table.names).toEqual(["rank", "made", "objective_f1", "objective_f2", "violation", "knee", "best_in", "wins", "alternatives", "degree", "score_plain", "reused", "answer_plain", "x", "parameter_rank", "mode", "iteration", "individual", "marks"]);
   expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, null, null, "true", null]);
-  expect(tableOf([], new Set()).length).toBe(0);
+  expect(tableOf([]).length).toBe(0);
+});
+
+test("no parameter takes the column of something else, in this or another table", () => {
+  const names = ["rank", "radius", "objective", "weighted", "wins", "score", "to_worse", "objective_f1", "answer_plain"];
+  const table = tableOf([row(7, { parameters: Object.fromEntries(names.map((name, place) => [name, 100 + place])) })]);
+  expect(names.map((name) => cell(table, `parameter_${name}`, 0))).toEqual(names.map((_, place) => 100 + place));
+  expect(["rank", "objective_f1", "answer_plain", "wins"].map((name) => cell(table, name, 0))).toEqual([7, 7, "simulated", 0.2]);
 });
 
 test("a set is as certain as its least certain answer", () => {

@@ -2,6 +2,7 @@
 
 import { COLOURS, SERIES } from "../charts/palette";
 import type { Column, Table } from "../server/columns";
+import { parameterColumn } from "../server/rows";
 import type { FrontRow, FrontSummary } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
@@ -9,8 +10,8 @@ type Value = number | string | boolean | null | undefined;
 /** The names of the columns that hold what a front is searched for. */
 export const objectiveColumn = (name: string): string => `objective_${name}`;
 
-/** Sets as a table with the columns of its files, and `further` ones; `reserved`: names that no column of a parameter may have. */
-export function tableOf(rows: readonly FrontRow[], reserved: ReadonlySet<string>, further: Readonly<Record<string, readonly Value[]>> = {}): Table {
+/** Sets as a table with the columns of its files, and `further` ones. */
+export function tableOf(rows: readonly FrontRow[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
   const first = rows[0];
   const columns: Record<string, Column> = {};
   const add = (name: string, value: (row: FrontRow, place: number) => Value): void => void (columns[name] = columnOf(name, rows.map(value)));
@@ -29,7 +30,7 @@ export function tableOf(rows: readonly FrontRow[], reserved: ReadonlySet<string>
   spread((key) => `score_${key}`, (row) => row.scores);
   add("reused", (row) => row.reused.join(" ") || null);
   spread((key) => `answer_${key}`, (row) => row.answers ?? {});
-  spread((key) => (reserved.has(key) ? `parameter_${key}` : key), (row) => row.parameters);
+  spread(parameterColumn, (row) => row.parameters);
   add("iteration", (row) => row.iteration);
   add("individual", (row) => row.individual);
   return { length: rows.length, names: Object.keys(columns), columns };

@@ -97,7 +97,8 @@ export class Tagged<T> {
   async next(): Promise<T | undefined> {
     const answer = await ask(this.path, { cache: "no-store", headers: this.tag === null ? {} : { "If-None-Match": this.tag } });
     if (answer.status === 304) return undefined;
-    this.tag = answer.headers.get("ETag");
-    return (await answer.json()) as T;
+    const value = (await answer.json()) as T;
+    this.tag = answer.headers.get("ETag"); // an answer that broke off is asked for again
+    return value;
   }
 }

@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import { CsvReader, cell, extent, type Table } from "./columns";
-import { binned, numbered, ordered, select, tally } from "./select";
+import { binned, conditions, numbered, ordered, select, tally } from "./select";
 
 const TEXT = new Set(["scenario", "failure"]);
 const CSV = `id,scenario,P1,score,failure\n1,S1,0.5,7,\n2,S2,-1.5,,collision\n3,S10,2,0,"off, ""far"" off\nthe road"\n4,S2,2,3,\n`;
@@ -36,6 +36,17 @@ describe("a table", () => {
     expect([0, 1, 2, 3].map((row) => cell(table, "mode", row))).toEqual([null, "2", "eco", "2"]);
     expect([0, 1, 2, 3].map((row) => cell(table, "P1", row))).toEqual([1, 2, null, 3]);
     expect(extent(table, "mode")).toBeNull();
+  });
+
+  test("has choices as they are written, also where all of them look like numbers", () => {
+    const reader = new CsvReader(new Set(["gear", "mode"]));
+    reader.push("gear,mode,P1\n1.0,'-soft,-1\n05,'=1+1,2\n1e3,'-5,3\n");
+    const table = reader.finish();
+    expect([0, 1, 2].map((row) => cell(table, "gear", row))).toEqual(["1.0", "05", "1e3"]);
+    expect([0, 1, 2].map((row) => cell(table, "mode", row))).toEqual(["-soft", "=1+1", "'-5"]);
+    expect(extent(table, "P1")).toEqual([-1, 3]);
+    expect(conditions({ words: { mode: ["-soft"] }, ranges: {} })).toEqual(["mode=-soft"]);
+    expect([...select(table, { words: { mode: ["-soft"], gear: ["1.0"] }, ranges: {} })]).toEqual([0]);
   });
 
   test("grows", () => {

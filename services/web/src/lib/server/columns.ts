@@ -1,5 +1,7 @@
 /** Whole tables of the API in little memory: they come as CSV, piece by piece, and are kept column by column. */
 
+import { unmarked } from "./csv";
+
 export interface NumberColumn {
   kind: "number";
   name: string;
@@ -27,7 +29,7 @@ export const EMPTY: Table = { length: 0, names: [], columns: {} };
 
 const FIRST_CAPACITY = 1024;
 
-/** Reads CSV as it comes in. `text`: the names of the columns that hold no numbers. Others become text at their first word: a choice. */
+/** Reads CSV as it comes in. `text`: the names of the columns that hold no numbers. Others become text at their first word. */
 export class CsvReader {
   private names: string[] | null = null;
   private readonly columns: Column[] = [];
@@ -35,7 +37,7 @@ export class CsvReader {
   private rows = 0;
   private rest = "";
 
-  constructor(private readonly text: ReadonlySet<string>) {}
+  constructor(private readonly text: Pick<ReadonlySet<string>, "has">) {}
 
   get length(): number {
     return this.rows;
@@ -120,7 +122,7 @@ export class CsvReader {
     const known = dictionary?.get(word);
     if (known !== undefined) return known;
     dictionary?.set(word, column.words.length);
-    return column.words.push(word) - 1;
+    return column.words.push(unmarked(word)) - 1;
   }
 }
 

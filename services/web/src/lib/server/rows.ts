@@ -1,6 +1,6 @@
 /** The columns of the tables that the page reads. Not asked of the server, whose own description takes it long to make at first. */
 
-import type { EvaluationRow, JudgedSet, Solution } from "./types";
+import type { EvaluationRow, FrontRow, JudgedSet, OptimumRow, RobustnessRow, Solution } from "./types";
 
 /** What the API's types say of a row: the type check refuses columns that differ. */
 type Kinds<Row> = {
@@ -47,6 +47,52 @@ const ROWS = {
     individual: "number",
   } satisfies Kinds<Solution>,
 };
+
+/** Further rows that stand beside parameters in tables and files. */
+const BESIDE = {
+  OptimumRow: { ...ROWS.Solution, region: "number", to_worse: "number" } satisfies Kinds<OptimumRow>,
+  FrontRow: {
+    rank: "number",
+    objectives: "other",
+    weighted: "number",
+    violation: "number",
+    knee: "other",
+    best_in: "other",
+    wins: "number",
+    weights: "other",
+    alternatives: "number",
+    degree: "number",
+    scores: "other",
+    reused: "other",
+    answers: "other",
+    parameters: "other",
+    iteration: "number",
+    individual: "number",
+  } satisfies Kinds<FrontRow>,
+  RobustnessRow: {
+    rank: "number",
+    objective: "number",
+    rating: "number",
+    degree: "number",
+    at_least: "other",
+    radius: "number",
+    recommended: "other",
+    reason: "other",
+    region: "number",
+    to_worse: "number",
+    scores: "other",
+    parameters: "other",
+    trials: "other",
+  } satisfies Kinds<RobustnessRow>,
+};
+
+const OTHERS = new Set([ROWS.EvaluationRow, ...Object.values(BESIDE)].flatMap(Object.keys));
+const PREFIXES = ["score_", "objective_", "answer_", "measure_"];
+
+/** The column of a parameter, as the API's files name it: no other column of any table has that name. */
+export function parameterColumn(name: string): string {
+  return OTHERS.has(name) || PREFIXES.some((prefix) => name.startsWith(prefix)) ? `parameter_${name}` : name;
+}
 
 export type RowName = keyof typeof ROWS;
 

@@ -1,5 +1,6 @@
 /** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
+import { parameterOf, type Ranged } from "../charts/axes";
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
 import { columnsOf, type RowName } from "./rows";
@@ -10,15 +11,22 @@ const TIMES_AS_LONG = 4;
 
 export class TableState {
   table = $state.raw<Table>(EMPTY);
-  /** The columns that rows of this kind have: whether each holds numbers. Columns besides these, such as parameters, hold numbers. */
+  /** The columns that rows of this kind have: whether each holds numbers. Columns besides these hold numbers, except choices. */
   readonly columns: ReadonlyMap<string, boolean>;
   /** Rows that were read so far, while it is being read. */
   reading = $state<number | null>(null);
   problem = $state("");
   private abort: AbortController | null = null;
 
-  constructor(row: RowName) {
+  /** `parameters`: those with choices hold words, which may look like numbers. */
+  constructor(row: RowName, private readonly parameters: () => readonly Ranged[] = () => []) {
     this.columns = columnsOf(row);
+  }
+
+  /** Whether a column holds words. */
+  private isText(name: string): boolean {
+    const numeric = this.columns.get(name);
+    return numeric === undefined ? (parameterOf(name, this.parameters())?.choices ?? []).length > 0 : !numeric;
   }
 
   async load(path: string): Promise<void> {
@@ -27,7 +35,7 @@ export class TableState {
     this.reading = 0;
     try {
       const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
-      const reader = new CsvReader(new Set([...this.columns].filter(([, numeric]) => !numeric).map(([name]) => name)));
+      const reader = new CsvReader({ has: (name) => this.isText(name) });
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
       let worth = FIRST_SHOWN;
       for (;;) {

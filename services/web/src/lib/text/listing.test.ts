@@ -28,6 +28,11 @@ test("a search takes every word, in the name, the problem or the beginning of th
   expect(arranged(known, "high heater", ["created", "down"])).toEqual([]);
 });
 
+test("a search takes words of settings: optimizer, mode, objectives", () => {
+  const known = [campaign("a", { spec: { optimizer: { kind: "nsga2" }, reduction: { mode: "both" }, objectives: [{ measure: "energy_kwh" }] } }), campaign("b", { spec: { optimizer: { kind: "genetic" }, reduction: { mode: "predicted" } } })];
+  expect(["nsga2 both", "energy", "predicted", "nsga2 predicted"].map((search) => shown(arranged(known, search, ["created", "down"])))).toEqual([["a"], ["a"], ["b"], []]);
+});
+
 test("columns sort both ways, and a missing best comes last", () => {
   const known = [campaign("a", { best: { objective: 2 } }), campaign("b"), campaign("c", { best: { objective: 5 } })];
   expect(shown(arranged(known, "", ["best", "down"]))).toEqual(["c", "a", "b"]);

@@ -37,9 +37,18 @@ export function weighted(weights: Readonly<Record<string, number>> | null | unde
   return `weights ${told.slice(0, most).map(([name, weight]) => `${name} ${number(weight)}`).join(", ")}${told.length > most ? ", …" : ""}`;
 }
 
-/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, a tag or its comment. */
+/** Sections of a specification by whose words a campaign is looked for. */
+const SETTINGS = ["optimizer", "optimizers", "reduction", "objectives", "constraints", "evaluator", "driving_function", "vehicle"];
+
+/** The words among the values of a setting: names of optimizers, modes, scores. */
+function wordsIn(value: unknown): string[] {
+  if (typeof value === "string") return [value];
+  return typeof value === "object" && value !== null ? Object.values(value).flatMap(wordsIn) : [];
+}
+
+/** Whether a search of people finds a campaign: every word is in its name, the beginning of its id, its kind, its problem, its settings, a tag or its comment. */
 export function isFound(campaign: Known, search: string, problem = ""): boolean {
-  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), problem, ...campaign.tags, campaign.comment].join(" ").toLowerCase();
+  const text = [campaign.name, campaign.kind, campaign.state, String(campaign.spec["problem"] ?? ""), problem, ...SETTINGS.flatMap((name) => wordsIn(campaign.spec[name])), ...campaign.tags, campaign.comment].join(" ").toLowerCase();
   return search.toLowerCase().split(/\s+/).filter(Boolean).every((word) => text.includes(word) || campaign.id.startsWith(word));
 }
 

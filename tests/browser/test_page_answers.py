@@ -1,0 +1,221 @@
+"""The page with answers that come late, are refused, or say what few campaigns say; and choices of every spelling."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, Route, expect
+from tests.browser.conftest import Opening, barriers
+from tests.support.computed import ComputedBackend
+from tests.support.problems import store, submit_checked
+from tests.support.runs import run
+from tests.support.server import RunningApi, serving
+
+from drivecal.contracts.work import Cell, CellResult
+from drivecal.storage.campaigns import StoredCampaign
+
+pytestmark = pytest.mark.slow
+
+MODES = ("-soft", "=1+1", "a,b", "50 %")
+GEARS = ("1", "2.0", "05")
+CART: dict[str, Any] = {
+    "problem": "cart",
+    "parameters": {"gain": {"lower": 0, "upper": 1}, "mode": {"choices": list(MODES)}, "gear": {"choices": list(GEARS)}},
+    "simulator": {"kind": "python", "file": "model.py", "function": "evaluate"},
+    "scenarios": {"flat": {}, "hill": {}},
+    "measures": {"error": "m", "energy": "J"},
+    "scores": {"accuracy": {"formula": "10 - error", "direction": "maximise", "range": [0, 10]}},
+}
+SPEC: dict[str, Any] = {
+    "problem": "cart",
+    "optimizer": {"kind": "random", "population": 30, "iterations": 2, "seed": 1},
+    "reduction": {"mode": "exact"},
+}
+FRUGAL: dict[str, Any] = {
+    "objectives": [{"measure": "energy", "direction": "minimise"}, {"score": "accuracy"}],
+    "optimizer": SPEC["optimizer"] | {"kind": "nsga2"},
+}
+
+
+def carted(scenario: str, cell: Cell) -> CellResult:
+    gain = cell.parameters["gain"] + MODES.index(cell.parameters["mode"]) + GEARS.index(cell.parameters["gear"])
+    return CellResult(cell.id, None, None, {"error": abs(2 - gain), "energy": gain + len(scenario)}, None, 7.0)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A server with three campaigns that have ended: a rerun refers to the second, the third searches for two objectives."""
+
+    api: RunningApi
+    first: StoredCampaign
+    second: StoredCampaign
+    frugal: StoredCampaign
+
+    def at(self, campaign: StoredCampaign, tab: str) -> str:
+        return f"{self.api.url}/#/campaigns/{campaign.id}/{tab}"
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('answers') / 'drivecal.db'}") as api:
+        store(api.database, CART, {"model.py": "def evaluate(parameters, scenario): ...\n"})
+        ended = [
+            run(api.database, submit_checked(api.database, SPEC | changes), ComputedBackend(answer=carted))
+            for changes in ({"name": "first"}, {"name": "second"}, FRUGAL | {"name": "frugal"})
+        ]
+        yield Shown(api, *ended)
+
+
+def changed(page: Page, address: str, change: Callable[[Any], Any]) -> None:
+    """Lets the page have other JSON than the server sends from an address."""
+
+    def answer(route: Route) -> None:
+        sent = route.fetch(headers={name: value for name, value in route.request.headers.items() if name != "if-none-match"})
+        route.fulfill(response=sent, json=change(sent.json()))
+
+    page.route(re.compile(address), answer)
+
+
+@pytest.mark.parametrize(("column", "words"), [("mode", MODES), ("gear", GEARS)])
+def test_choices_of_every_spelling_are_selected_and_exported(
+    shown: Shown, opening: Opening, column: str, words: tuple[str, ...]
+) -> None:
+    page = opening(shown.at(shown.first, "evaluations"))
+    group = page.get_by_role("group", name=f"Only of {column}")
+    for word in words:
+        group.get_by_role("button", name=re.compile(rf"^{re.escape(word)}\s+\d+$")).click()
+        if word != words[-1]:
+            group.get_by_role("button", name=re.compile(rf"^{re.escape(word)}\s+\d+$")).click()
+    last = f"{column}={words[-1].replace('%', '%25').replace(',', '%2C')}"
+    page.wait_for_function(
+        "last => new URLSearchParams(location.hash.split('?')[1]).get(last.split('=')[0]) === last.split('=')[1]", arg=last
+    )
+    page.reload()
+    selected = int(page.get_by_text(re.compile(r"^Showing \d+ of \d+ rows$")).inner_text().split()[1])
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="CSV").click()
+    rows = list(csv.DictReader(saved.value.path().read_text().splitlines()))
+    assert len(rows) == selected > 0
+    assert {row[column] for row in rows} == {words[-1]}
+    for word in words[:-1]:
+        group.get_by_role("button", name=re.compile(rf"^{re.escape(word)}\s+\d+$")).click()
+    everything = shown.api.http.get(f"/api/v1/campaigns/{shown.first.id}/evaluations?limit=1000").json()["items"]
+    expect(page.get_by_text(f"Showing {len(everything)} of {len(everything)} rows")).to_be_visible()
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="CSV").click()
+    assert len(list(csv.DictReader(saved.value.path().read_text().splitlines()))) == len(everything)
+
+
+def test_refusals_stay_until_they_are_dismissed_and_what_was_typed_is_kept(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/", expected=("409",))
+    page.route(
+        re.compile(f"/campaigns/{shown.first.id}$"),
+        lambda route: route.fulfill(status=409, json={"detail": "it is locked"}) if route.request.method == "PATCH" else None,
+    )
+    ticked, refusals = page.get_by_role("group", name="Ticked campaigns"), page.get_by_role("alert")
+    page.get_by_role("checkbox", name=shown.first.id[:8]).check()
+    ticked.get_by_label("Tag for the ticked campaigns").fill("good car-7")
+    ticked.get_by_role("button", name="Add tag").click()
+    expect(refusals).to_contain_text("first: it is locked")
+    for _ in range(2):
+        page.wait_for_event("response", lambda answer: "/campaigns?limit" in answer.url)
+    expect(refusals).to_contain_text("first: it is locked")
+    expect(ticked.get_by_label("Tag for the ticked campaigns")).to_have_value("good car-7")
+    assert barriers(page) == []
+    page.get_by_role("button", name="Dismiss").click()
+    expect(refusals).to_have_count(0)
+    page.unroute_all()
+    rerun = shown.api.http.post(f"/api/v1/campaigns/{shown.second.id}/rerun", json={"weights": {"hill": 2}}).json()["id"]
+    page.get_by_role("checkbox", name=shown.first.id[:8]).uncheck()
+    page.get_by_role("checkbox", name=shown.second.id[:8]).check()
+    ticked.get_by_role("button", name="Delete").click()
+    ticked.get_by_role("button", name="Really delete").click()
+    expect(page.get_by_role("checkbox", name=shown.second.id[:8])).to_have_count(0)
+    expect(refusals).to_contain_text("second is archived, not deleted")
+    expect(refusals).to_contain_text(rerun[:8])
+
+
+def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere")
+    page.route(
+        re.compile(r"/campaigns\?limit=100"),
+        lambda route: route.continue_(url=route.request.url.replace("limit=100", "limit=1")),
+    )
+    page.goto(f"{shown.api.url}/#/campaigns")
+    boxes = page.get_by_role("table").get_by_role("checkbox")
+    expect(boxes).to_have_count(1)
+    page.get_by_role("button", name="Load older ones").click()
+    expect(boxes).to_have_count(2)
+    new = submit_checked(shown.api.database, SPEC | {"name": "newest"})
+    expect(page.get_by_role("checkbox", name=new.id[:8])).to_be_visible()
+    listed = shown.api.http.get("/api/v1/campaigns").json()["items"]
+    while page.get_by_role("button", name="Load older ones").count():
+        page.get_by_role("button", name="Load older ones").click()
+        page.wait_for_event("response", lambda answer: "/campaigns?limit" in answer.url)
+    expect(boxes).to_have_count(len(listed))
+    page.get_by_label("State").select_option("queued")
+    expect(boxes).to_have_count(1)
+    shown.api.http.post(f"/api/v1/campaigns/{new.id}/cancel").raise_for_status()
+
+
+def test_a_comparison_measures_each_campaign_by_its_first_objective(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/compare?ids={shown.first.id},{shown.frugal.id}")
+    for name, direction in (("accuracy", "more"), ("energy", "less")):
+        drawing = page.get_by_role("img", name=re.compile(f"Courses of the searches: {name}"))
+        expect(drawing.locator("path")).to_have_count(1)
+        expect(drawing).to_contain_text(f"{direction} is better")
+    row = page.get_by_role("row", name="best objective")
+    expect(row.get_by_role("cell").last).to_have_text("–")
+    expect(page.get_by_text("the objectives are not on one scale")).to_be_visible()
+    page.goto(f"{shown.api.url}/#/compare?ids={shown.frugal.id},{shown.frugal.id}")
+    drawing = page.get_by_role("img", name=re.compile("Courses of the searches"))
+    expect(drawing).to_have_count(1)
+    expect(drawing.locator("path")).to_have_count(2)
+    expect(drawing).to_contain_text("best objective / J, less is better")
+    expect(row.get_by_role("cell").last).to_have_text("0")
+
+
+def test_an_account_in_wall_clock_time_says_so_everywhere(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere")
+    changed(page, "/accounting$", lambda account: account | {"clock": "wall", "sentence": "An account"})
+    page.goto(shown.at(shown.first, "savings"))
+    expect(page.get_by_role("heading", name="Workers' time by scenario")).to_be_visible()
+    expect(page.get_by_role("main")).not_to_contain_text("CPU")
+
+
+def test_a_late_count_of_an_earlier_form_does_not_replace_the_newer(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere")
+    late: list[Route] = []
+    page.route(re.compile("validate_only=true"), lambda route: route.continue_() if late else late.append(route))
+    page.goto(f"{shown.api.url}/#/submit?problem=cart")
+    expect(page.get_by_text("Counting …").first).to_be_visible()
+    page.wait_for_event("request", lambda request: "validate_only" in request.url)
+    page.get_by_label("population").fill("10")
+    page.get_by_label("iterations").fill("2")
+    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
+    with page.expect_response(re.compile("validate_only")):
+        late[0].continue_()
+    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
+    assert json.loads(late[0].request.post_data or "{}")["optimizer"]["population"] == 100
+    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
+
+
+def test_evaluations_that_a_pruning_removed_are_not_offered_to_be_read(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere")
+    changed(page, f"/campaigns/{shown.first.id}$", lambda campaign: campaign | {"pruned_at": "2026-02-03T04:05:06Z"})
+
+    def some(route: Route) -> None:
+        sent = route.fetch()
+        route.fulfill(response=sent, body="".join(sent.text().splitlines(keepends=True)[:11]))
+
+    page.route(re.compile("/evaluations.format=csv$"), some)
+    page.goto(shown.at(shown.first, "evaluations"))
+    total = len(shown.api.http.get(f"/api/v1/campaigns/{shown.first.id}/evaluations?limit=1000").json()["items"])
+    expect(page.get_by_text(f"{total - 10} evaluations were removed. The campaign was pruned on 03/02/2026")).to_be_visible()
+    expect(page.get_by_role("button", name="Read them")).to_have_count(0)
