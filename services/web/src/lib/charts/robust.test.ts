@@ -15,5 +15,6 @@ test("a bar goes from box to box and says what each bears", () => {
 
 test("the condition is said in words", () => {
   expect(condition({ condition: "max", eta: 1 })).toBe("no score changes by more than 1");
-  expect(condition({ condition: "mean", eta: [1, 2] })).toBe("the mean change over the vehicles below 1, 2");
+  expect(condition({ condition: "per_factor", eta: 1 })).toBe("the relative change in every vehicle below 1");
+  expect(condition({ condition: "mean", eta: [1, 2] })).toBe("the mean relative change over the vehicles below 1, 2");
 });

@@ -15,7 +15,7 @@ export interface Specification {
   [more: string]: unknown;
 }
 
-export type Campaign = Omit<Answer, "spec"> & { spec: Specification; pruned_at?: string | null };
+export type Campaign = Omit<Answer, "spec"> & { spec: Specification };
 
 /** What changes while a campaign runs. */
 export type Moving = Pick<CampaignProgress, "state" | "requested_action" | "degraded" | "stage" | "iteration" | "progress" | "cells" | "stages" | "seconds">;
