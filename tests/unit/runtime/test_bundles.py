@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
+import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,6 +26,15 @@ from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
 SECONDS = 0.25
+READY = """
+import json
+input()
+print('{"ready": true}', flush=True)
+while True:
+    request = json.loads(input())
+    print(json.dumps({"id": request["id"], "measures": {"a": request["parameters"]["x"]}}), flush=True)
+"""
+"""A simulator whose measure is its parameter."""
 
 
 @dataclass
@@ -123,6 +135,51 @@ def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive:
     works.store(request_.bundle, archive)
     result = works.run(Batch(replace(request_, data={"missing": True}), (Cell(1, {"x": 2.0}),)))
     assert result.refusal == "there is no such program"
+
+
+def full_disk() -> OSError:
+    return OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
+    setup = replace(request_, simulator={**section, "probe": [sys.executable, "--version"]})
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    with monkeypatch.context() as full:
+        full.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+        for cells in ((Cell(1, {"x": 2.0}),), ()):
+            result = works.run(Batch(setup, cells))
+            assert str(tmp_path / "missing") in (result.refusal or "")
+            assert result.results == ()
+    (answer,) = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).results
+    assert answer.metrics == {"a": 2.0}
+
+
+def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    class Spoilt(ScriptedSession):
+        def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
+            if len(self.simulator.opened) in faulty:
+                raise full_disk()
+            return super().evaluate(*arguments, **options)
+
+    class SpoiltSimulator(ScriptedSimulator):
+        def open(self, *arguments: Any) -> SimulatorSession:
+            super().open(*arguments)
+            return Spoilt(self, "city")
+
+    faulty = {1}
+    simulator = SpoiltSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+    assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
+    faulty |= {2, 3}
+    result = works.run(Batch(request_, (Cell(1, {"x": 3.0}),)))
+    assert ("No space left" in (result.refusal or ""), result.results) == (True, ())
+    assert len(simulator.opened) == len(simulator.closed) == 3
 
 
 def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

@@ -217,7 +217,7 @@ class Children:
             "confinement": self._scratch.confinement(self._launch.writable),
         }
         with theirs:
-            subprocess.run(  # noqa: S603  # our own program, which goes on in another process
+            begun = subprocess.run(  # noqa: S603  # our own program, which goes on in another process
                 [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())],
                 input=json.dumps(settings).encode(),
                 pass_fds=[theirs.fileno()],
@@ -225,6 +225,9 @@ class Children:
                 cwd="/",
                 check=False,
             )
+        if begun.returncode:
+            ours.close()
+            raise OSError(f"the keeper of a simulator does not start (exit code {begun.returncode})")
         ours.settimeout(REPLY_SECONDS)
         self._control = ours
         reply = self._reply()

@@ -44,13 +44,6 @@ class HighwayAdapter:
             if (has_fmu or package != "fmpy") and find_spec(package) is None:
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
         scratch = Scratch(folder)
-        try:
-            for entry in (controller, vehicle):
-                if entry.get("kind") == "process":
-                    check_command(entry["command"], scratch.work)
-        except UnavailableError:
-            scratch.remove()
-            raise
         confinement = scratch.confinement()
         settings = {
             "folder": str(folder),
@@ -65,7 +58,14 @@ class HighwayAdapter:
             "series": list(declared.series),
         }
         file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
-        file.write_text(json.dumps(settings, allow_nan=False))
+        try:
+            for entry in (controller, vehicle):
+                if entry.get("kind") == "process":
+                    check_command(entry["command"], scratch.work)
+            file.write_text(json.dumps(settings, allow_nan=False))
+        except (UnavailableError, OSError):
+            scratch.remove()
+            raise
         command = [sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)]
         launch = Launch.of(command, section, _compiled(os.environ.get("NUMBA_CACHE_DIR")))
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS

@@ -35,8 +35,12 @@ class Scratch:
         self._bundle = bundle.resolve()
         self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-"))
         self.work, self.home = self.folder / "work", self.folder / "home"
-        self.home.mkdir()
-        self.renew()
+        try:
+            self.home.mkdir()
+            self.renew()
+        except OSError:
+            self.remove()
+            raise
 
     def renew(self) -> None:
         """Empties the working directory."""

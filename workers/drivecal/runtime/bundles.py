@@ -3,6 +3,7 @@
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from drivecal.adapters.kinds import simulator
@@ -36,6 +37,17 @@ class BundleSessions:
 
         Raises UnavailableError if this machine cannot run the simulator.
         """
+        try:
+            try:
+                return self._run(setup, cell)
+            except OSError:  # a full disk, or what the simulator did to its folder: a new session has another
+                self._drop(setup)
+                return self._run(setup, cell)
+        except OSError as error:
+            self._drop(setup)
+            raise _unable(error) from error
+
+    def _run(self, setup: BundleRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
@@ -75,7 +87,10 @@ class BundleSessions:
 
     def probe(self, setup: BundleRequest) -> str:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
-        return self._tools.ask(setup, self._cache.folder(setup.bundle))
+        try:
+            return self._tools.ask(setup, self._cache.folder(setup.bundle))
+        except OSError as error:
+            raise _unable(error) from error
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
@@ -93,6 +108,18 @@ class BundleSessions:
                 self._sessions.popitem(last=False)[1].close()
         self._sessions.move_to_end(setup.key)
         return self._sessions[setup.key]
+
+    def _drop(self, setup: BundleRequest) -> None:
+        """Closes the session of a setup, which may be in any state."""
+        session = self._sessions.pop(setup.key, None)
+        if session is not None:
+            with suppress(OSError):
+                session.close()
+
+
+def _unable(error: OSError) -> UnavailableError:
+    """Returns the refusal of a machine that lacks disk, processes or files: its cells are not to blame, so they wait."""
+    return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
 def _refuse_other_controllers(setup: BundleRequest) -> None:
