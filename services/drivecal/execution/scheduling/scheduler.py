@@ -181,6 +181,10 @@ class Scheduler:
         """Returns the waiting setups that this worker refuses."""
         return [setup for setup in self._queue.setups() if self._worker_health.refuses(worker, setup)]
 
+    def ask_again(self, worker: str, setup: SetupKey) -> None:
+        """Lets a worker try a setup again that it refused."""
+        self._worker_health.ask_again(worker, setup)
+
     def trouble(self) -> str | None:
         """Returns a message about workers that refuse waiting setups, or None."""
         setups = self._in_flight.setups()
