@@ -243,6 +243,9 @@ class Dispatcher:
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
             self._pool.submit(*work, tag=active.tag, priority=active.priority)
+        unwanted = () if active.job is None else active.job.take_unwanted()
+        if unwanted:
+            self._pool.withdraw(active.tag, unwanted)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:

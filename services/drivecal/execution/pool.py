@@ -98,9 +98,11 @@ class WorkPool:
         completed, self._completed = self._completed, []
         return completed
 
-    def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
-        tag is free when `held(tag)` is 0."""
+    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
+        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; `poll` still returns these
+        unless their worker dies. The tag is free when `held(tag)` is 0."""
+        if cells is not None:
+            return self._scheduler.withdraw(tag, cells)
         self._questions.forget(tag)
         if self._disputes.are_open:
             self._disputes.forget(self._scheduler.setups(tag))

@@ -249,16 +249,18 @@ class Scheduler:
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
-    def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are; these still complete unless they are lost."""
+    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
+        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; these still complete unless
+        they are lost."""
         running = 0
-        for claim in list(self._in_flight.of(tag)):
+        for claim in [claim for claim in self._in_flight.of(tag) if cells is None or claim.cell.id in cells]:
             if claim.simulation.leader is claim:
                 claim.withdrawn = True
                 running += 1
             else:
                 self._forget(claim)
-        self._queue.forget(tag)
+        if cells is None:
+            self._queue.forget(tag)
         return running
 
     def held(self, tag: str) -> int:
