@@ -108,6 +108,10 @@ class WorkPool:
             self._disputes.forget(self._scheduler.setups(tag))
         return self._scheduler.withdraw(tag)
 
+    def keep(self, tag: str, cells: Collection[int]) -> set[int]:
+        """Returns the cells of `tag` that have not come back: do not submit these. A withdrawal no longer holds for those among `cells`."""
+        return self._scheduler.keep(tag, cells) | {entry.result.id for entry in self._completed if entry.tag == tag}
+
     def held(self, tag: str) -> int:
         """Returns the number of cells of `tag` that have not come back."""
         return self._scheduler.held(tag) + sum(completion.tag == tag for completion in self._completed)

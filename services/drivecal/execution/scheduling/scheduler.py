@@ -263,6 +263,13 @@ class Scheduler:
             self._queue.forget(tag)
         return running
 
+    def keep(self, tag: str, cells: Collection[int]) -> set[int]:
+        """Returns the cells of `tag` without an answer. A withdrawal no longer holds for those among `cells`."""
+        claims = self._in_flight.of(tag)
+        for claim in claims:
+            claim.withdrawn &= claim.cell.id not in cells
+        return {claim.cell.id for claim in claims}
+
     def held(self, tag: str) -> int:
         """Cells of `tag` without an answer."""
         return len(self._in_flight.of(tag))
