@@ -162,7 +162,7 @@ def _checked(
     try:
         with _signs(f"{scenario}: the start", start_limit, tell):
             session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
-    except UnavailableError as error:
+    except (UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error))
     started = time.perf_counter() - began
     try:
@@ -172,7 +172,7 @@ def _checked(
             second, second_seconds = _run(session, parameters, series=bool(manifest.series))
         with run(3):
             elsewhere = None if other is None else _tried(manifest, session, other)
-    except NoMeasuresError as error:
+    except (NoMeasuresError, OSError) as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
         session.close()
@@ -196,7 +196,7 @@ def _checked(
 def _tried(manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]) -> OtherRun:
     try:
         outcome = session.evaluate(parameters)
-    except NoMeasuresError as error:
+    except (NoMeasuresError, OSError) as error:
         return OtherRun(error=str(error))
     return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome))
 

@@ -182,6 +182,18 @@ def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archiv
     assert len(simulator.opened) == len(simulator.closed) == 3
 
 
+def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    leaving = READY.replace("    print(json", "    if request['parameters']['x'] == 1.0: leave()\n    print(json")
+    program = f"import os, shutil\ndef leave():\n    shutil.rmtree(os.getcwd())\n    os._exit(1)\n{leaving}"
+    setup = replace(
+        request_, simulator={"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
+    )
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    answers = works.run(Batch(setup, tuple(Cell(number, {"x": float(number)}) for number in range(3)))).results
+    assert [(answer.breakdown, answer.metrics) for answer in answers] == [(None, {"a": 0.0}), ("crash", {}), (None, {"a": 2.0})]
+
+
 def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
     works.store(request_.bundle, archive)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -102,7 +103,12 @@ class Children:
         return -1 if self._control is None else self._control.fileno()
 
     def start(self, stdin: int, stdout: int, stderr: int) -> None:
-        """Starts the child with these descriptors. Raises UnavailableError if its command cannot be run."""
+        """Starts the child with these descriptors.
+
+        Raises UnavailableError if its command cannot be run, and OSError if the machine lacks processes or the scratch folder is gone.
+        """
+        if not self._scratch.work.is_dir():  # removed by its program, or by a keeper that ended: a new session has another
+            raise FileNotFoundError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
         if self._control is None:
             self._start_keeper()
         reply = None
