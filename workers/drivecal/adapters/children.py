@@ -34,6 +34,8 @@ MOST_FILES = 1_000_000
 """Limit of the files and folders in a scratch folder."""
 NOTICED_MB, NOTICED_FILES = 64, 10_000
 """Loss of the disk's free room after which the files in the scratch folder are counted."""
+SCARCE = 0.05
+"""Share of a disk: if less is free, a session whose files take more than that ends, because several fill a disk together."""
 LOOK_SECONDS = 1.0
 """Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
 REPLY_SECONDS = 30.0
@@ -60,16 +62,17 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Free megabytes and files of a disk."""
+    """Free megabytes and files of a disk, and whether it is almost full."""
 
     megabytes: int
     files: int
+    is_scarce: bool = False
 
     @classmethod
     def of(cls, folder: Path) -> Room:
         """Returns what is free on a folder's disk."""
         disk = os.statvfs(folder)
-        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail)
+        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail, disk.f_bavail < SCARCE * disk.f_blocks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,8 +180,8 @@ class Children:
         """Looks for descendants and their files. Raises NoMeasuresError if these take too much memory or disk, or are too many."""
         if self._keeper is None:
             return
-        self._look_at_disk()
         start = time.monotonic()
+        self._look_at_disk()
         family = keeper.descendants(self._keeper)
         self._family = tuple(process.pid for process in family)
         now = time.monotonic()
@@ -192,10 +195,15 @@ class Children:
 
     def _look_at_disk(self) -> None:
         room = Room.of(self._scratch.folder)
-        if room.megabytes > self._room.megabytes - NOTICED_MB and room.files > self._room.files - NOTICED_FILES:
+        is_noticed = room.megabytes <= self._room.megabytes - NOTICED_MB or room.files <= self._room.files - NOTICED_FILES
+        if not is_noticed and not room.is_scarce:
             return
         taken, files = self._scratch.written()
         self._room = room
+        if room.is_scarce and taken >> 20 > max(NOTICED_MB, room.megabytes):
+            self._overflows = True
+            detail = f"its files take {taken >> 20:,} MB of a disk that has {room.megabytes:,} MB left"
+            raise NoMeasuresError(Breakdown.ERROR, detail)
         if taken >> 20 > self._most_disk_mb or files > MOST_FILES:
             self._overflows = True
             most = f"{self._most_disk_mb:,} MB or {MOST_FILES:,} files"

@@ -57,12 +57,11 @@ class HighwayAdapter:
             "measures": list(declared.measures),
             "series": list(declared.series),
         }
-        file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
         try:
             for entry in (controller, vehicle):
                 if entry.get("kind") == "process":
                     check_command(entry["command"], scratch.work)
-            file.write_text(json.dumps(settings, allow_nan=False))
+            file = scratch.keep("highway.json", json.dumps(settings, allow_nan=False))  # may be larger than a command line
         except (UnavailableError, OSError):
             scratch.remove()
             raise

@@ -35,6 +35,7 @@ class Scratch:
         self._bundle = bundle.resolve()
         self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-"))
         self.work, self.home = self.folder / "work", self.folder / "home"
+        self._kept: set[Path] = {self.work, self.home}
         try:
             self.home.mkdir()
             self.renew()
@@ -50,10 +51,20 @@ class Scratch:
             (self.work / path.name).symlink_to(path)
 
     def empty(self) -> None:
-        """Empties the working directory and the folder of temporary files."""
+        """Removes everything but kept files, with new folders for work and temporary files."""
+        for path in self.folder.iterdir():
+            if path not in self._kept:
+                discard(path)
         self.renew()
         discard(self.home)
         self.home.mkdir()
+
+    def keep(self, name: str, text: str) -> Path:
+        """Writes a file beside the folders, which stays when these are emptied."""
+        path = self.folder / name
+        path.write_text(text)
+        self._kept.add(path)
+        return path
 
     def written(self) -> tuple[int, int]:
         """Returns how many bytes of disk all files take, and how many files and folders there are."""
