@@ -14,14 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.simulators import eventually, running
 
+from drivecal.adapters import children, process
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
-from drivecal.runtime.bundles import MOST_SESSIONS, BundleSessions
+from drivecal.runtime import bundles
+from drivecal.runtime.bundles import IDLE_SECONDS, MOST_SESSIONS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
@@ -271,6 +274,49 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
         works.run(Batch(replace(request_, scenario=name), (Cell(1, {"x": 2.0}),)))
     assert simulator.opened == scenarios
     assert simulator.closed == scenarios[:1]
+
+
+def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    now = [0.0]
+    simulator = ScriptedSimulator()
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
+    sessions.store(request_.bundle, archive)
+    sessions.run(replace(request_, scenario="old"), Cell(1, {"x": 2.0}))
+    now[0] += IDLE_SECONDS / 2
+    sessions.run(replace(request_, scenario="new"), Cell(2, {"x": 2.0}))
+    sessions.watch()
+    assert simulator.closed == []
+    now[0] += IDLE_SECONDS / 2
+    sessions.watch()
+    assert simulator.closed == ["old"]
+    now[0] += IDLE_SECONDS
+    sessions.run(replace(request_, scenario="other"), Cell(3, {"x": 2.0}))
+    assert simulator.closed == ["old", "new"]
+
+
+def test_a_simulator_that_multiplies_after_its_answer_is_ended(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (process, bundles):
+        monkeypatch.setattr(module, "WATCH_SECONDS", 0.05)
+    monkeypatch.setattr(children, "MOST_PROCESSES", 3)
+    mark = f"mark-of-{tmp_path.parent.name}-{tmp_path.name}"
+    program = f"""
+import subprocess, sys, threading, time
+def multiply():
+    time.sleep(0.3)
+    for _ in range(5):
+        subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)", {mark!r}])
+threading.Thread(target=multiply).start()
+{READY}"""
+    section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
+    setup = replace(request_, simulator=section)
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
+    sessions.store(setup.bundle, archive)
+    assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
+    eventually(lambda: bool(running(mark)))
+    eventually(lambda: not running(mark))
+    assert sessions.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
 
 
 def test_a_run_that_waits_reports_its_wall_clock_time(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

@@ -1,7 +1,10 @@
 """Simulator kind `process`: a program that answers JSON lines, started once per session. Also the base of `python` and `fmu`."""
 
 import json
+import logging
 import math
+import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,9 +28,13 @@ UNFLUSHED = ", or let the program flush its standard output after each answer, i
 """Another cause of a run without an answer, of programs that users wrote: drivecal's own drivers flush."""
 QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
+WATCH_SECONDS, WATCH_SHARE = 1.0, 0.002
+"""Shortest time between two looks at a session between its runs, and their largest share of a core."""
 SEED = 1
 """Seed in every request: equal random numbers for all parameter sets make them comparable."""
 _QUIT = b'{"quit": true}\n'
+
+log = logging.getLogger(__name__)
 
 
 def start_seconds(timeout: float) -> float:
@@ -61,6 +68,8 @@ class ProcessSession:
         self._number = self._runs = 0
         self._head = json.dumps({"scenario": scenario, "data": data, "seed": SEED}, allow_nan=False).removesuffix("}")
         self._failed_start: NoMeasuresError | None = None
+        self._lock = threading.Lock()
+        self._next_watch = 0.0
         try:
             self._start()
         except NoMeasuresError as error:
@@ -71,15 +80,33 @@ class ProcessSession:
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set."""
-        return self._children.timed(lambda: self._evaluate(parameters, series=series))
+        with self._lock:
+            return self._children.timed(lambda: self._evaluate(parameters, series=series))
+
+    def watch(self) -> None:
+        """Ends the child if it exceeds a limit between two runs. Does nothing during a run, and soon after the last look. Thread-safe."""
+        start = time.monotonic()
+        if start < self._next_watch or not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._pipes is not None:
+                self._children.look()
+        except (NoMeasuresError, OSError) as error:
+            log.warning("a simulator of %s is ended between two runs: %s", self._declared.problem, error)
+            self._stop()
+        finally:
+            now = time.monotonic()
+            self._next_watch = now + max(WATCH_SECONDS, (now - start) / WATCH_SHARE)
+            self._lock.release()
 
     def close(self) -> None:
         """Asks the child to end and ends it."""
-        if self._pipes is not None:
-            self._pipes.stop(_QUIT, QUIT_SECONDS)
-            self._pipes = None
-        self._children.close()
-        self._scratch.remove()
+        with self._lock:
+            if self._pipes is not None:
+                self._pipes.stop(_QUIT, QUIT_SECONDS)
+                self._pipes = None
+            self._children.close()
+            self._scratch.remove()
 
     def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
         if self._failed_start is not None:
@@ -129,9 +156,9 @@ class ProcessSession:
         return self._pipes
 
     def _stop(self) -> None:
-        if self._pipes is not None:
-            self._pipes.stop()
-            self._pipes = None
+        pipes, self._pipes = self._pipes, None
+        if pipes is not None:
+            pipes.stop()
 
 
 class ProcessAdapter:
