@@ -18,13 +18,15 @@ VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", 
 class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
-    `cpu_seconds`: CPU time of child processes during the run, no part of the result.
+    `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run in which a
+    simulator was started again, which is no run's.
     """
 
     measures: Mapping[str, float]
     failure: str | None = None
     series: Mapping[str, Sequence[float]] = field(default_factory=dict)
     cpu_seconds: float = field(default=0.0, compare=False)
+    start_seconds: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -253,6 +253,16 @@ def test_cpu_time_behind_a_shell_script_and_of_short_lived_programs_counts(tmp_p
         assert session.evaluate({"x": 0.0}).cpu_seconds >= 0.25
 
 
+def test_the_time_of_a_start_is_no_runs(tmp_path: Path) -> None:
+    start = "while time.process_time() < 0.4: pass"
+    with served(tmp_path, "if x == 1.0:\n    os._exit(0)", start) as session:
+        assert session.evaluate({"x": 0.0}).start_seconds == 0.0
+        lost(session, {"x": 1.0}, Breakdown.CRASH)
+        outcome = session.evaluate({"x": 0.0})
+        assert outcome.start_seconds >= 0.4
+        assert outcome.cpu_seconds < 0.3
+
+
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(600)"])
 def test_cpu_time_of_a_lost_run_counts(tmp_path: Path, body: str) -> None:
     with (

@@ -162,14 +162,14 @@ class Children:
         return total
 
     def timed(self, run: Callable[[], RunOutcome]) -> RunOutcome:
-        """Returns the outcome of a run with the CPU time of all children during it; a NoMeasuresError has it as well."""
+        """Returns the outcome of a run, to whose CPU time that of all children during it is added; a NoMeasuresError has it as well."""
         before = self.cpu_seconds()
         try:
             outcome = run()
         except NoMeasuresError as error:
             detail = self._scratch.shown(error.detail)
             raise NoMeasuresError(error.breakdown, detail, max(self.cpu_seconds() - before, 0.0)) from None
-        return replace(outcome, cpu_seconds=max(self.cpu_seconds() - before, 0.0))
+        return replace(outcome, cpu_seconds=max(outcome.cpu_seconds + self.cpu_seconds() - before, 0.0))
 
     def scan(self) -> None:
         """Looks for descendants as `look`, if the last look is long ago compared with its own time."""

@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -112,13 +113,12 @@ class ProcessSession:
         if self._failed_start is not None:
             failed, self._failed_start = self._failed_start, None
             raise failed
-        if self._pipes is not None and (self._runs >= self._most_runs or not self._pipes.is_fresh()):
-            self._pipes.stop(_QUIT, QUIT_SECONDS)
-            self._pipes = None
-        try:
-            pipes = self._pipes or self._start()
-        except UnavailableError as error:
-            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
+        pipes = self._pipes
+        wall_seconds = cpu_seconds = 0.0
+        if pipes is None or self._runs >= self._most_runs or not pipes.is_fresh():
+            wall, cpu = time.perf_counter(), self._children.cpu_seconds()
+            pipes = self._start_again()
+            wall_seconds, cpu_seconds = time.perf_counter() - wall, self._children.cpu_seconds() - cpu
         self._number, self._runs = self._number + 1, self._runs + 1
         request = f'{{"id": {self._number}, {self._head[1:]}, "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
         request += ', "series": true}\n' if series else "}\n"
@@ -133,7 +133,17 @@ class ProcessSession:
         except NoMeasuresError:
             self._stop()
             raise
-        return answers.outcome(answer, self._declared, series=series)
+        outcome = answers.outcome(answer, self._declared, series=series)
+        return replace(outcome, cpu_seconds=-cpu_seconds, start_seconds=wall_seconds)  # `timed` adds the CPU time of both
+
+    def _start_again(self) -> Pipes:
+        if self._pipes is not None:
+            self._pipes.stop(_QUIT, QUIT_SECONDS)
+            self._pipes = None
+        try:
+            return self._start()
+        except UnavailableError as error:
+            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
 
     def _start(self) -> Pipes:
         self._pipes, self._runs = Pipes(self._children), 0

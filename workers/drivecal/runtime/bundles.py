@@ -97,7 +97,7 @@ class BundleSessions:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
-        wall_milliseconds = 1000 * (time.perf_counter() - began)
+        wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds)
         repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
