@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.probe import PROBE_SECONDS, run_probe
+from drivecal.adapters.probe import run_probe
 from drivecal.adapters.process import start_seconds
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
@@ -20,7 +20,7 @@ from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import cut_text, rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 
 DRAWN = 10_000
 """Sets among which one is searched that keeps all constraints."""

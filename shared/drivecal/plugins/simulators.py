@@ -13,6 +13,11 @@ from drivecal.domain.values import Setting
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "3"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
+START_SECONDS = 60.0
+"""Shortest time limit of a simulator's start, which may load libraries and licences. Here, because the coordinator waits for it, too."""
+PROBE_SECONDS = 45.0
+"""Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:

@@ -17,10 +17,8 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import START_SECONDS, VERSIONS, Declared, NoMeasuresError, RunOutcome
 
-START_SECONDS = 60.0
-"""Shortest time limit of a start, which may load libraries and licences."""
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
 )
