@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
+from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import archives
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.runtime import cache as module
-from drivecal.runtime.cache import LEFT_SECONDS, BundleCache
+from drivecal.runtime.cache import LEFT_SECONDS, BundleCache, cache_folder
 
 
 @pytest.fixture
@@ -133,6 +135,34 @@ def test_a_link_in_place_of_a_cache_is_refused(tmp_path: Path, cache: BundleCach
     (tmp_path / "link").symlink_to(cache._folder)
     with pytest.raises(UnavailableError, match="link"):
         BundleCache(tmp_path / "link").folder(digest)
+
+
+def no_home(path: Path) -> Path:
+    if str(path).startswith("~"):
+        raise RuntimeError("Could not determine home directory.")
+    return path
+
+
+def test_the_workers_of_a_user_without_a_home_share_a_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(module.CACHE, raising=False)
+    monkeypatch.setattr(Path, "expanduser", no_home)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    first = cache_folder()
+    assert (first.parent, first.stat().st_mode & 0o777) == (tmp_path, 0o700)
+    assert cache_folder() == first
+    first.chmod(0o777)
+    assert cache_folder() != first
+    confinement = Scratch(tmp_path).confinement()
+    assert confinement is not None
+    assert all(path.startswith("/") for path in confinement["hidden"])
+
+
+def test_a_refusal_names_why_the_files_are_not_there(cache: BundleCache, archive: bytes) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        cache.store("1" * 64, archive)
+    with pytest.raises(UnavailableError) as missing:
+        cache.folder("1" * 64)
+    assert str(refused.value) in str(missing.value)
 
 
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(tmp_path: Path, archive: bytes, digest: str) -> None:

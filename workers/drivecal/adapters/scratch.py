@@ -92,7 +92,7 @@ class Scratch:
         return {
             "writable": [str(self.folder), *granted, *writable],
             "readable": [str(self._bundle), *installed],
-            "hidden": [str(path.expanduser().absolute()) for path in self._hidden()],
+            "hidden": [str(path) for path in map(_absolute, self._hidden()) if path is not None],
         }
 
     def _hidden(self) -> list[Path]:
@@ -119,6 +119,14 @@ class Scratch:
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
         remove(self.folder)
+
+
+def _absolute(path: Path) -> Path | None:
+    """Returns an absolute path; None if it is below the home of a user who has none."""
+    try:
+        return path.expanduser().absolute()
+    except RuntimeError:
+        return None
 
 
 def discard(path: Path) -> None:

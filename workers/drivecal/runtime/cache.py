@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from drivecal.bundles.archives import folder_digest, remove, unpack
-from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 
 CACHE = "DRIVECAL_BUNDLE_CACHE"
 """Environment variable: folder of unpacked bundles."""
@@ -18,16 +18,27 @@ Signature = tuple[tuple[str, int, int, int, int, int], ...]
 
 
 def cache_folder() -> Path:
-    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or a new temporary folder."""
+    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or the user's temporary folder."""
     given = os.environ.get(CACHE)
-    folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
     try:
+        folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError:
+    except (OSError, RuntimeError):  # a user without a home
         writable = False
     else:
         writable = os.access(folder, os.W_OK)
-    return folder if writable else Path(tempfile.mkdtemp(prefix="drivecal-bundles-"))
+    return folder if writable else temporary_folder("drivecal-bundles")
+
+
+def temporary_folder(name: str) -> Path:
+    """Returns a temporary folder of this name that all processes of the user share; a new one if others could change that."""
+    folder = Path(tempfile.gettempdir(), f"{name}-{os.geteuid()}")
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        _refuse_others(folder)
+    except (OSError, UnavailableError):
+        return Path(tempfile.mkdtemp(prefix=f"{name}-"))
+    return folder
 
 
 class BundleCache:
@@ -38,6 +49,8 @@ class BundleCache:
         self._folder = folder
         self._signatures: dict[str, Signature] = {}
         """Files of bundles whose digest was checked."""
+        self._failures: dict[str, str] = {}
+        """Reasons why bundles could not be unpacked."""
         self._tidied = False
 
     def has(self, digest: str) -> bool:
@@ -52,7 +65,8 @@ class BundleCache:
         """
         folder = self._folder / digest
         if not self.has(digest):
-            raise UnavailableError(f"the files of the bundle {digest} are not on this machine")
+            reason = f": {self._failures[digest]}" if digest in self._failures else ""
+            raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
         _refuse_others(self._folder)
         _refuse_others(folder)
         signature = _signature(folder)
@@ -75,6 +89,14 @@ class BundleCache:
         """
         if self.has(digest):
             return
+        try:
+            self._unpack(digest, archive)
+        except (DrivecalError, OSError) as error:
+            self._failures[digest] = str(error)
+            raise
+        self._failures.pop(digest, None)
+
+    def _unpack(self, digest: str, archive: bytes) -> None:
         self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         _refuse_others(self._folder)
         if not self._tidied:
