@@ -237,6 +237,8 @@ class SupervisedBackend(Backend, ABC):
         result: BatchResult = value
         if any(answer.breakdown is None for answer in result.results):
             worker.faults, worker.reason = 0, ""
+        if result.refusal is not None:
+            worker.bundles.clear()  # its cache may have lost them
         return [Finished(call.batch_id, result)]
 
     def _overdue(self, now: float) -> list[Finished | Lost]:

@@ -15,6 +15,7 @@ import yaml
 from drivecal.adapters.kinds import longest_seconds
 from drivecal.bundles.archives import content_digest
 from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.execution.backend import Finished
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
@@ -108,3 +109,19 @@ def test_a_batch_may_take_as_long_as_the_limits_of_its_probe_start_and_runs(tmp_
     backend.submit("worker-1", 1, Batch(setup, tuple(Cell(number, {"x": 1.0}) for number in range(cells))), None)
     [worker] = backend._workers
     assert worker.calls[0].seconds >= PROBE_SECONDS + longest_seconds(timeout) + (cells - 1) * timeout
+
+
+def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:
+    backend = WorkersHere([tmp_path])
+    names = (("x",), (), ("y",), (), ())
+    question = Batch(BundleRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint"), ())
+    refusals: list[bool] = []
+    backend.wait(0.0)
+    for number in range(1, 4):
+        backend.submit("worker-1", number, question, None)
+        [event] = backend.wait(0.0)
+        assert isinstance(event, Finished)
+        refusals.append(event.result.refusal is not None)
+        if number == 1:
+            (tmp_path / content_digest(archive())).rename(tmp_path / "gone")
+    assert refusals == [False, True, False]

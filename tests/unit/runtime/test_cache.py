@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -163,6 +165,60 @@ def test_a_refusal_names_why_the_files_are_not_there(cache: BundleCache, archive
     with pytest.raises(UnavailableError) as missing:
         cache.folder("1" * 64)
     assert str(refused.value) in str(missing.value)
+
+
+def bundle_of(folder: Path, name: str) -> tuple[str, bytes]:
+    made = folder / name
+    made.mkdir()
+    (made / "problem.yaml").write_text(f"problem: {name}\n")
+    archive = archives.pack(made)
+    return archives.content_digest(archive), archive
+
+
+def use(cache: BundleCache, digest: str, hours_ago: float) -> None:
+    with cache.hold(digest):
+        pass
+    then = time.time() - 3600 * hours_ago
+    os.utime(cache._folder / f".{digest}.lock", (then, then))
+
+
+def test_a_cache_that_grows_too_large_loses_what_was_not_used_for_long(
+    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = [bundle_of(tmp_path, name) for name in ("old", "held", "older", "new", "last")]
+    (old, _), (held, _), (older, _), (new, _), (last, archive) = stored
+    for name, content in stored[:4]:
+        cache.store(name, content)
+    for name, hours in ((old, 5), (held, 9), (older, 7), (new, 0.1), (digest, 2)):
+        use(cache, name, hours)
+    bytes_of = module._size(cache._folder / old)
+    monkeypatch.setattr(module, "MOST_BYTES", 5 * bytes_of)  # that of the fixture has two files
+    with BundleCache(cache._folder).hold(held):
+        use_again = time.time() - 9 * 3600
+        os.utime(cache._folder / f".{held}.lock", (use_again, use_again))
+        cache.store(last, archive)
+    assert [cache.has(name) for name in (old, held, older, new, last, digest)] == [False, True, False, True, True, True]
+    monkeypatch.setattr(module, "MOST_BYTES", 0)
+    another, archive = bundle_of(tmp_path, "another")
+    cache.store(another, archive)
+    assert [cache.has(name) for name in (held, digest, new, last, another)] == [False, False, True, True, True]
+
+
+def test_a_full_disk_is_emptied_of_bundles_that_nothing_uses(
+    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held, new = bundle_of(tmp_path, "held"), bundle_of(tmp_path, "new")
+    cache.store(*held)
+
+    def unpack(archive: bytes, folder: Path, name: str) -> None:
+        if cache.has(digest):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        archives.unpack(archive, folder, name)
+
+    monkeypatch.setattr(module, "unpack", unpack)
+    with cache.hold(held[0]):
+        cache.store(*new)
+    assert [cache.has(name) for name in (digest, held[0], new[0])] == [False, True, True]
 
 
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(tmp_path: Path, archive: bytes, digest: str) -> None:

@@ -6,7 +6,7 @@ import time
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from drivecal.adapters.kinds import simulator
@@ -43,6 +43,8 @@ class BundleSessions:
         self._tools = tools or Tools()
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
+        self._holds: dict[tuple[str, ...], ExitStack] = {}
+        """What keeps the files of open sessions in the cache."""
         self._used: dict[tuple[str, ...], float] = {}
         """Time of the last run of each session."""
         self._clock = clock
@@ -125,7 +127,8 @@ class BundleSessions:
     def probe(self, setup: BundleRequest) -> str:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
         try:
-            return self._tools.ask(setup, self._cache.folder(setup.bundle))
+            with self._cache.hold(setup.bundle):
+                return self._tools.ask(setup, self._cache.folder(setup.bundle))
         except OSError as error:
             raise _unable(error) from error
 
@@ -134,28 +137,36 @@ class BundleSessions:
         self._cache.store(digest, archive)
 
     def _session(self, setup: BundleRequest) -> SimulatorSession:
-        self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
-        if setup.key not in self._sessions:
-            folder = self._cache.folder(setup.bundle)
-            chosen = self._simulators(setup.simulator["kind"])
-            _refuse_other_controllers(setup)
-            declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
-            self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
-            if len(self._sessions) > MOST_SESSIONS:
-                self._drop(next(iter(self._sessions)))
-            if not self._watched:
-                self._watched = True
-                threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
-        self._sessions.move_to_end(setup.key)
+        with ExitStack() as hold:
+            if setup.key not in self._sessions:
+                hold.enter_context(self._cache.hold(setup.bundle))
+            self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
+            if setup.key not in self._sessions:
+                self._sessions[setup.key] = self._opened(setup)
+                self._holds[setup.key] = hold.pop_all()
+                if len(self._sessions) > MOST_SESSIONS:
+                    self._drop(next(iter(self._sessions)))
+            self._sessions.move_to_end(setup.key)
+        if not self._watched:
+            self._watched = True
+            threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
         return self._sessions[setup.key]
+
+    def _opened(self, setup: BundleRequest) -> SimulatorSession:
+        folder = self._cache.folder(setup.bundle)
+        chosen = self._simulators(setup.simulator["kind"])
+        _refuse_other_controllers(setup)
+        declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
+        return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
 
     def _drop(self, key: tuple[str, ...]) -> None:
         """Closes a session, which may be in any state."""
         self._used.pop(key, None)
         session = self._sessions.pop(key, None)
-        if session is not None:
-            with suppress(OSError):
-                session.close()
+        with self._holds.pop(key, ExitStack()):
+            if session is not None:
+                with suppress(OSError):
+                    session.close()
 
 
 def _watch(sessions: weakref.ref[BundleSessions]) -> None:
