@@ -181,6 +181,25 @@ def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: D
     assert ended.error.startswith("3 of 3 runs failed: random, population 6, seed 1: no parameter set has a result")
 
 
+def test_the_waiting_cells_of_a_failed_run_are_not_simulated(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    comparison = submit_comparison(
+        database, populations=[500], optimizers=[{"kind": "random"}], reductions=["off"], iterations=1
+    )
+
+    def fail(_: StagedCampaign, completed: Sequence[Completed]) -> list[Work]:
+        raise ValueError(f"a mistake after {len(completed)} cells")
+
+    monkeypatch.setattr(StagedCampaign, "record", fail)
+    backend = ComputedBackend()
+    working = dispatcher(database, backend)
+    while not get(database, comparison).state.ended:
+        working.step()
+    failed = runs_of(database, comparison)
+    assert [run.state for run in failed] == [CampaignState.FAILED] * 3
+    assert len(backend.sent) < 1500
+    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+
+
 def test_a_run_that_fails_while_its_cells_are_at_workers_leaves_nothing_behind(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:

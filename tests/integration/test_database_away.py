@@ -6,9 +6,10 @@ import logging
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -16,6 +17,8 @@ from sqlalchemy import update
 from tests.support.faults.postgres import KillablePostgres, killable_postgres
 from tests.support.server import RunningApi, serving
 
+from drivecal.configuration.settings import Settings
+from drivecal.server import serving as serving_module
 from drivecal.storage import processes
 from drivecal.storage.engine.tables import processes as process_table
 from drivecal.storage.engine.types import now
@@ -109,6 +112,33 @@ def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
         recovers(api)
     told = [record.levelname for record in caplog.records if record.name == "drivecal.storage.engine.liveness"]
     assert told == ["WARNING", "INFO"]
+
+
+@pytest.mark.slow
+def test_a_server_whose_database_does_not_answer_hears_signals(
+    postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A question that waits for the database keeps the supervisor from its signals."""
+    asked: list[Sequence[str]] = []
+
+    class Asking:
+        def __init__(self, _children: Any, missing: Callable[[], Sequence[str]], _announce: Any) -> None:
+            self._missing = missing
+
+        def run(self) -> int:
+            with postgres.frozen():
+                thread = threading.Thread(target=lambda: asked.append(self._missing()))
+                thread.start()
+                thread.join(10 * PROMISED_SECONDS)
+                return len(asked)
+
+    monkeypatch.setattr(serving_module, "Supervisor", Asking)
+    settings = Settings(database_url=postgres.new_database())
+    serving_module.prepare_database(settings).dispose()
+    with serving_module.listen("127.0.0.1", 0) as listener:
+        assert serving_module.run_server(settings, listener, serving_module.url_of(listener, "127.0.0.1"), lambda: None) == 1
+    [lacking] = asked
+    assert any("database" in reason for reason in lacking)
 
 
 def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres) -> None:

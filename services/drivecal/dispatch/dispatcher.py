@@ -226,8 +226,8 @@ class Dispatcher:
 
     def _takes_up(self, active: Active) -> bool:
         """Resumes a campaign from its rows; False if it must wait first, or has nothing left to do."""
-        if self._pool.held(active.tag) or self._clock() < active.not_before:
-            return False  # cells of a dropped job: their results come first
+        if self._clock() < active.not_before or (active.stopping is not None and self._pool.held(active.tag)):
+            return False
         if active.stopping is not None:  # results are dropped; a resumed campaign requests them again
             self._pool.give_back(active.unwritten)
             active.unwritten.clear()
@@ -237,12 +237,17 @@ class Dispatcher:
         if active.job is None:  # a worker is asked for the versions of its tools
             active.not_before = self._clock() + LOOK_SECONDS
             return False
-        self._submit(active, _without(active.job.work(), {completion.result.id for completion in active.unwritten}))
+        work = active.job.work()
+        held = self._pool.keep(active.tag, {cell.id for batch in work for cell in batch.cells})  # of a dropped job, at workers
+        self._submit(active, _without(work, held | {completion.result.id for completion in active.unwritten}))
         return True
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
             self._pool.submit(*work, tag=active.tag, priority=active.priority)
+        unwanted = () if active.job is None else active.job.take_unwanted()
+        if unwanted:
+            self._pool.withdraw(active.tag, unwanted)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:

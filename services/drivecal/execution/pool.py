@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from drivecal.contracts.work import BundleRequest, SetupKey
@@ -17,7 +17,9 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
-"""Seconds after which a refusing worker is replaced: its installation may have been repaired."""
+"""Seconds after which a refusing worker is replaced, or asked again if it is busy: its installation may have been repaired."""
+SHARE_OF_REFUSALS = 0.05
+"""Largest share of a busy worker's time for setups that it refused: a refusal may take as long as a start."""
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +47,8 @@ class WorkPool:
         self._completed: list[Completed] = []
         self._refusing_since: dict[tuple[str, SetupKey | None], float] = {}
         """Times of the first refusals, by worker and setup; None is the probe of any bundle."""
+        self._ask_again_at: dict[tuple[str, SetupKey], float] = {}
+        """Times from which busy workers are asked again, by worker and setup."""
         self._questions, self._disputes = Questions(clock), Disputes(clock)
         self._observer = Observer()
 
@@ -94,13 +98,19 @@ class WorkPool:
         completed, self._completed = self._completed, []
         return completed
 
-    def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
-        tag is free when `held(tag)` is 0."""
+    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
+        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; `poll` still returns these
+        unless their worker dies. The tag is free when `held(tag)` is 0."""
+        if cells is not None:
+            return self._scheduler.withdraw(tag, cells)
         self._questions.forget(tag)
         if self._disputes.are_open:
             self._disputes.forget(self._scheduler.setups(tag))
         return self._scheduler.withdraw(tag)
+
+    def keep(self, tag: str, cells: Collection[int]) -> set[int]:
+        """Returns the cells of `tag` that have not come back: do not submit these. A withdrawal no longer holds for those among `cells`."""
+        return self._scheduler.keep(tag, cells) | {entry.result.id for entry in self._completed if entry.tag == tag}
 
     def held(self, tag: str) -> int:
         """Returns the number of cells of `tag` that have not come back."""
@@ -124,7 +134,7 @@ class WorkPool:
             if event.batch_id in self._sent:
                 setup = self._sent[event.batch_id].batch.setup
                 self._disputes.note(setup, event.result)
-                self._note_refusal(event.result.worker, setup.key, event.result.refusal)
+                self._note_refusal(event.result.worker, setup.key, event.result.refusal, event.result.seconds)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
@@ -155,20 +165,24 @@ class WorkPool:
             self._questions.lost(event.batch_id, event.worker, event.detail)
             self._note_refusal(event.worker, None, event.detail)  # it may live
 
-    def _note_refusal(self, worker: str, setup: SetupKey | None, reason: str | None) -> None:
-        """Notes since when a worker refuses a setup, or that it does not."""
+    def _note_refusal(self, worker: str, setup: SetupKey | None, reason: str | None, seconds: float = 0.0) -> None:
+        """Notes since when a worker refuses a setup, or that it does not. `seconds`: the worker's time for its answer."""
         if reason is None:
             self._refusing_since.pop((worker, setup), None)
-        elif (worker, setup) not in self._refusing_since:
+            return
+        if setup is not None:  # `Questions` has pauses of its own
+            self._ask_again_at[worker, setup] = self._clock() + max(PATIENCE_WITH_REFUSALS, seconds / SHARE_OF_REFUSALS)
+        if (worker, setup) not in self._refusing_since:
             log.warning("%s refuses: %s", worker, reason)
             self._refusing_since[worker, setup] = self._clock()
 
     def _fill(self) -> None:
-        """Fills the free slots, and replaces idle workers that nothing can be sent to."""
+        """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
         ready = list(nodes)
         self._scheduler.meet(ready, nodes)
         self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
+        self._ask_again_at = {place: at for place, at in self._ask_again_at.items() if place[0] in nodes}
         for slot in self._backend.slots():
             question = self._questions.batch_for(slot.worker, ready)
             if question is not None:
@@ -184,8 +198,10 @@ class WorkPool:
                 self._observer.sent(dispatch)
             if not dispatches:
                 break
-        for worker in {slot.worker for slot in self._backend.slots() if slot.idle}:
+        idle = {slot.worker for slot in self._backend.slots() if slot.idle}
+        for worker in idle:
             self._replace_if_needed(worker)
+        self._ask_busy_again(idle)
 
     def _ready(self) -> list[str]:
         return [worker.id for worker in self._backend.workers() if worker.state != "starting"]
@@ -230,6 +246,14 @@ class WorkPool:
         since = min((self._refusing_since.get((worker, setup), math.inf) for setup in kept_from), default=math.inf)
         if self._clock() >= since + PATIENCE_WITH_REFUSALS:
             self._backend.replace(worker, None)
+
+    def _ask_busy_again(self, idle: Collection[str]) -> None:
+        """Lets busy workers try setups again that they refused long ago. Idle workers are replaced, which finds more that was mended."""
+        due = [place for place, at in self._ask_again_at.items() if place[0] not in idle and self._clock() >= at]
+        for worker, setup in due:
+            del self._ask_again_at[worker, setup]
+            self._refusing_since.pop((worker, setup), None)
+            self._scheduler.ask_again(worker, setup)
 
 
 def _longest(expected_seconds: float | None) -> float:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivecal.cluster.members import Node
-from drivecal.contracts.work import Batch, BatchResult
+from drivecal.contracts.work import Batch, BatchResult, BundleRequest
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import (
@@ -28,6 +28,7 @@ from drivecal.execution.backend import (
     WorkerInfo,
 )
 from drivecal.execution.worker_process import Call, WorkerProcess
+from drivecal.plugins.simulators import PROBE_SECONDS, START_SECONDS
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a backend is given up, because a new process may succeed, unless it `waits_for_workers`."""
@@ -120,8 +121,10 @@ class SupervisedBackend(Backend, ABC):
         chosen = self._named(worker)
         if not chosen.room(alone=alone):
             raise RuntimeError(f"{worker} has no slot; ask `slots` first")
-        limit = 2 * (batch.setup.timeout or 0.0) * len(batch.cells)  # simulators of users end their starts and runs themselves
-        allowed = max(self._limits.deadline_seconds + limit, self._limits.deadline_factor * (expected_seconds or 0.0))
+        allowed = max(
+            self._limits.deadline_seconds + _limits_of_simulators(batch),
+            self._limits.deadline_factor * (expected_seconds or 0.0),
+        )
         self._ship(chosen, batch.setup.bundle)
         unknown = 0.0 if batch.setup.timeout is None else math.inf
         expected = unknown if expected_seconds is None else expected_seconds
@@ -234,6 +237,8 @@ class SupervisedBackend(Backend, ABC):
         result: BatchResult = value
         if any(answer.breakdown is None for answer in result.results):
             worker.faults, worker.reason = 0, ""
+        if result.refusal is not None:
+            worker.bundles.clear()  # its cache may have lost them
         return [Finished(call.batch_id, result)]
 
     def _overdue(self, now: float) -> list[Finished | Lost]:
@@ -286,3 +291,12 @@ class SupervisedBackend(Backend, ABC):
         deadlines = [worker.deadline for worker in self._workers if worker.waited_for is not None]
         starts = [worker.start_again_at for worker in self._workers if worker.handle is None]
         return min(deadlines + starts, default=float("inf"))
+
+
+def _limits_of_simulators(batch: Batch) -> float:
+    """Returns how long a user's simulator may take for a batch (s): it ends its probe, its start and its runs itself."""
+    timeout = batch.setup.timeout
+    if timeout is None or not batch.cells:
+        return 0.0
+    probe = PROBE_SECONDS if isinstance(batch.setup, BundleRequest) and batch.setup.tools is not None else 0.0
+    return probe + max(timeout, START_SECONDS) + 2 * timeout * len(batch.cells)

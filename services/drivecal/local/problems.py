@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.probe import PROBE_SECONDS, run_probe
+from drivecal.adapters.probe import run_probe
 from drivecal.adapters.process import start_seconds
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
@@ -20,7 +20,7 @@ from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import cut_text, rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 
 DRAWN = 10_000
 """Sets among which one is searched that keeps all constraints."""
@@ -163,7 +163,7 @@ def _checked(
     try:
         with _signs(f"{scenario}: the start", start_limit, tell):
             session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
-    except UnavailableError as error:
+    except (UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error))
     started = time.perf_counter() - began
     try:
@@ -173,7 +173,7 @@ def _checked(
             second, second_seconds = _run(session, parameters, series=bool(manifest.series))
         with run(3):
             elsewhere = None if other is None else _tried(manifest, session, other)
-    except NoMeasuresError as error:
+    except (NoMeasuresError, OSError) as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
         session.close()
@@ -197,7 +197,7 @@ def _checked(
 def _tried(manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]) -> OtherRun:
     try:
         outcome = session.evaluate(parameters)
-    except NoMeasuresError as error:
+    except (NoMeasuresError, OSError) as error:
         return OtherRun(error=str(error))
     return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome))
 

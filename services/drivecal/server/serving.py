@@ -14,8 +14,7 @@ from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputErr
 from drivecal.server.supervisor import ChildProcess, Supervisor
 from drivecal.storage import processes
 from drivecal.storage.engine import locks
-from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
+from drivecal.storage.engine.database import PROMPT, Database
 
 DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
 BACKLOG = 512
@@ -77,42 +76,49 @@ def prepare_database(settings: Settings) -> Database:
     return database
 
 
-def run_server(
-    settings: Settings,
-    database: Database,
-    listener: socket.socket,
-    url: str,
-    ready: Callable[[], None],
-) -> int:
-    """Runs API and dispatcher until a signal and returns the exit code. Logs ANSWERING once the API works; calls `ready` once both do."""
-    started_at = now()
-    is_announced = False
+class Startup:
+    """What a server that was just started waits for. Logs ANSWERING once the API works."""
 
-    def missing() -> list[str]:
-        nonlocal is_announced
-        lacking = [] if _answers(url) else ["API"]
-        if not lacking and not is_announced:
-            is_announced = True
-            log.info(ANSWERING, url)
+    def __init__(self, database: Database, url: str) -> None:
+        """Call it before the dispatcher starts, whose term is compared with the last one: the clock may be set meanwhile."""
+        self._database, self._url = database, url
+        self._is_announced = False
+        with database.read() as connection:
+            self._last_term = processes.term_in_office(connection)
+
+    def missing(self) -> list[str]:
+        """Returns what is not ready yet."""
+        lacking = [] if _answers(self._url) else ["API"]
+        if not lacking and not self._is_announced:
+            self._is_announced = True
+            log.info(ANSWERING, self._url)
         try:
-            with database.read() as connection:
-                dispatcher = processes.read(connection, "dispatcher")
+            with self._database.read() as connection:
+                dispatcher = processes.read(connection, processes.DISPATCHER)
         except DrivecalError as error:
             return [*lacking, str(error)]
-        if dispatcher is None or dispatcher.heartbeat_at < started_at:
+        if dispatcher is None or dispatcher.term == self._last_term:
             return [*lacking, "dispatcher"]
         if all(worker["state"] == "starting" for worker in dispatcher.detail.get("workers", [])):
             reason = dispatcher.detail.get("degraded")
             return [*lacking, f"workers ({reason})" if reason else "workers"]
         return lacking
 
+
+def run_server(settings: Settings, listener: socket.socket, url: str, ready: Callable[[], None]) -> int:
+    """Runs API and dispatcher until a signal and returns the exit code. Calls `ready` once both work."""
+    database = Database.open(settings.database_url, PROMPT)  # a signal waits for what is asked
+    startup = Startup(database, url)
     descriptor = listener.fileno()
     api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
     children = [
         ChildProcess("API", api, settings.environment, (descriptor,)),
         ChildProcess("dispatcher", (*DISPATCHER, str(os.getpid())), settings.environment),
     ]
-    return Supervisor(children, missing, ready).run()
+    try:
+        return Supervisor(children, startup.missing, ready).run()
+    finally:
+        database.dispose()
 
 
 def _answers(url: str) -> bool:

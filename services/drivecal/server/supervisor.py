@@ -14,7 +14,8 @@ from drivecal.server.guardian import end_session
 GRACE_SECONDS = 8.0
 """Seconds for a child to end by itself; the server then ends within ten."""
 TRIES_TO_START = 3
-LOOK_SECONDS = 0.1
+LOOK_SECONDS, ASK_SECONDS = 0.1, 1.0
+"""Intervals between two looks at the children, and between two questions of what is not ready."""
 PATIENCE_SECONDS = 30.0
 KEPT_BACK = {"DRIVECAL_TOKEN"}
 """Variables that the children do not inherit: they do not need the user's own token."""
@@ -116,7 +117,7 @@ class Supervisor:
         self._signals.append(number)
 
     def _watch(self) -> int:
-        patience = time.monotonic() + PATIENCE_SECONDS
+        patience, next_question = time.monotonic() + PATIENCE_SECONDS, 0.0
         while not self._signals:
             for child in self._children:
                 code = child.ended()
@@ -129,8 +130,9 @@ class Supervisor:
                     log.warning("the %s ended unexpectedly (exit code %d); it starts again in %.1f s", name, code, pause)
                 if child.process is None and time.monotonic() >= child.start_at:
                     child.start()
-            if not self._ready:
+            if not self._ready and time.monotonic() >= next_question:
                 missing = self._missing()
+                next_question = time.monotonic() + ASK_SECONDS
                 if not missing:
                     self._ready = True
                     self._announce()

@@ -13,18 +13,25 @@ from drivecal.domain.values import Setting
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "4"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
+START_SECONDS = 60.0
+"""Shortest time limit of a simulator's start, which may load libraries and licences. Here, because the coordinator waits for it, too."""
+PROBE_SECONDS = 45.0
+"""Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
-    `cpu_seconds`: CPU time of child processes during the run, no part of the result.
+    `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run in which a
+    simulator was started again, which is no run's.
     """
 
     measures: Mapping[str, float]
     failure: str | None = None
     series: Mapping[str, Sequence[float]] = field(default_factory=dict)
     cpu_seconds: float = field(default=0.0, compare=False)
+    start_seconds: float = field(default=0.0, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

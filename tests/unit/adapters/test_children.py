@@ -56,6 +56,35 @@ def test_grandchildren_end_with_a_failed_run(tmp_path: Path, mark: str, body: st
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+LATE_KEEPER = """
+import sys
+sys.path.append({root!r})
+from drivecal.adapters import keeper
+
+has_ended, missed = keeper._has_ended, set()
+
+def asked_too_early(child):
+    ended = has_ended(child)
+    if ended and child not in missed:
+        missed.add(child)
+        return False
+    return ended
+
+keeper._has_ended = asked_too_early
+keeper.main()
+"""
+
+
+def test_a_child_that_ends_between_two_looks_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = tmp_path / "late_keeper.py"
+    late.write_text(LATE_KEEPER.format(root=str(Path(keeper.__file__).parents[2])))
+    monkeypatch.setattr(keeper, "__file__", str(late))
+    with served(tmp_path, "if x == 1.0:\n    os._exit(3)") as session:
+        for _ in range(2):
+            assert "exit code 3" in lost(session, {"x": 1.0}, Breakdown.CRASH)
+            assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
 def test_grandchildren_end_with_the_session(tmp_path: Path, mark: str) -> None:
     with served(tmp_path, f"subprocess.Popen({SLEEPER.format(mark=mark)})") as session:
         session.evaluate({"x": 1.0})
@@ -222,6 +251,16 @@ def test_cpu_time_behind_a_shell_script_and_of_short_lived_programs_counts(tmp_p
     with opened("process", tmp_path, command=["./run.sh"]) as session:
         assert session.evaluate({"x": 1.0}).cpu_seconds >= 0.2
         assert session.evaluate({"x": 0.0}).cpu_seconds >= 0.25
+
+
+def test_the_time_of_a_start_is_no_runs(tmp_path: Path) -> None:
+    start = "while time.process_time() < 0.4: pass"
+    with served(tmp_path, "if x == 1.0:\n    os._exit(0)", start) as session:
+        assert session.evaluate({"x": 0.0}).start_seconds == 0.0
+        lost(session, {"x": 1.0}, Breakdown.CRASH)
+        outcome = session.evaluate({"x": 0.0})
+        assert outcome.start_seconds >= 0.4
+        assert outcome.cpu_seconds < 0.3
 
 
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(600)"])

@@ -148,6 +148,18 @@ def test_files_that_fill_the_disk_cost_their_run_and_are_removed(
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+def test_a_session_that_holds_much_of_a_full_disk_is_ended_and_emptied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, limit in {"NOTICED_MB": 5, "LOOK_SECONDS": 0.1}.items():
+        monkeypatch.setattr(children, name, limit)
+    fill = "open(os.path.join(os.environ['TMPDIR'], '..', 'f'), 'wb').write(bytes(20_000_000))"
+    with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+        monkeypatch.setattr(children.Room, "of", lambda _: children.Room(10, 10**6, is_scarce=True))
+        assert "10 MB left" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+        assert not (scratch_of(session).folder / "f").exists()
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
 def test_a_child_is_the_first_that_a_machine_without_memory_kills(tmp_path: Path) -> None:
     with served(tmp_path, "x = float(open('/proc/self/oom_score_adj').read())") as session:
         assert session.evaluate({"x": 0.0}).measures == {"y": 2.0 * int(keeper.MOST_KILLABLE)}

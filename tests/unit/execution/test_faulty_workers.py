@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.pooled import TAGS, cells, drain, setup
 
 from drivecal.contracts.work import Cell
-from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
+from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
@@ -137,6 +139,49 @@ def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest
     assert {entry.attempts for entry in completed} == {1}
     assert pool.trouble() is None
     assert backend.now < 7 * PATIENCE_WITH_REFUSALS
+
+
+def test_busy_workers_try_what_they_refused_again() -> None:
+    backend = FakeBackend(2, {"S2": 0.1}, refusing={1: "the licence server is away", 2: "the licence server is away"})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
+    while "2 workers refuse" not in (pool.trouble() or ""):
+        pool.poll(0.1)
+    backend.refusing.clear()
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 2000, first=101)), tag="b")
+    completed: list[Completed] = []
+    while pool.held("a"):
+        completed += pool.poll(0.1)
+        assert backend.now < 2 * PATIENCE_WITH_REFUSALS
+    assert pool.held("b")
+    assert backend.replaced == []
+    completed += drain(pool)
+    assert {entry.attempts for entry in completed} == {1}
+
+
+class Picky(FakeBackend):
+    """Refuses S1, after a while."""
+
+    def _begin(self, worker: Any) -> None:
+        refuses = worker.queue[0][1].setup.scenario == "S1"
+        self.refusing = dict.fromkeys((1, 2), "no licence") if refuses else {}
+        self.overhead_seconds = 30.0 if refuses else 0.001
+        super()._begin(worker)
+
+
+def test_busy_workers_lose_little_time_with_setups_that_they_refuse() -> None:
+    backend = Picky(2, {"S2": 5.0})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
+    while "2 workers refuse" not in (pool.trouble() or ""):
+        pool.poll(1.0)
+    begin = backend.now
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=101)), tag="b")
+    while backend.now < begin + 30 / SHARE_OF_REFUSALS + 100:
+        pool.poll(1.0)
+    asked = [when for when, scenario, _ in backend.sizes if scenario == "S1" and when > begin + 60]
+    assert 1 <= len(asked) <= 4
+    assert asked[0] >= begin + 30 / SHARE_OF_REFUSALS - 60
 
 
 def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:

@@ -9,13 +9,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
+from drivecal.adapters.kinds import longest_seconds
 from drivecal.bundles.archives import content_digest
-from drivecal.contracts.work import Batch, BundleRequest
+from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.execution.backend import Finished
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
+from drivecal.plugins.simulators import PROBE_SECONDS
 from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.tools import Tools
@@ -92,3 +96,32 @@ def test_a_repaired_cache_gets_the_files_again(tmp_path: Path) -> None:
     assert answer == "2.1"
     assert pool.trouble() is None
     pool.close()
+
+
+@pytest.mark.parametrize("cells", [1, 7])
+@pytest.mark.parametrize("timeout", [5.0, 300.0])
+def test_a_batch_may_take_as_long_as_the_limits_of_its_probe_start_and_runs(tmp_path: Path, timeout: float, cells: int) -> None:
+    backend = WorkersHere([tmp_path])
+    backend.wait(0.0)
+    names = (("x",), (), ("y",), (), ())
+    simulator = SIMULATOR | {"timeout": timeout}
+    setup = BundleRequest(content_digest(archive()), "mine", "city", {}, simulator, *names, "fingerprint", tools="2.1")
+    backend.submit("worker-1", 1, Batch(setup, tuple(Cell(number, {"x": 1.0}) for number in range(cells))), None)
+    [worker] = backend._workers
+    assert worker.calls[0].seconds >= PROBE_SECONDS + longest_seconds(timeout) + (cells - 1) * timeout
+
+
+def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:
+    backend = WorkersHere([tmp_path])
+    names = (("x",), (), ("y",), (), ())
+    question = Batch(BundleRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint"), ())
+    refusals: list[bool] = []
+    backend.wait(0.0)
+    for number in range(1, 4):
+        backend.submit("worker-1", number, question, None)
+        [event] = backend.wait(0.0)
+        assert isinstance(event, Finished)
+        refusals.append(event.result.refusal is not None)
+        if number == 1:
+            (tmp_path / content_digest(archive())).rename(tmp_path / "gone")
+    assert refusals == [False, True, False]

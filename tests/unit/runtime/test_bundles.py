@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
+import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,18 +14,30 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.simulators import eventually, running
 
+from drivecal.adapters import children, process
 from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
-from drivecal.runtime.bundles import MOST_SESSIONS, BundleSessions
+from drivecal.runtime import bundles
+from drivecal.runtime.bundles import IDLE_SECONDS, MOST_SESSIONS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
 SECONDS = 0.25
+READY = """
+import json
+input()
+print('{"ready": true}', flush=True)
+while True:
+    request = json.loads(input())
+    print(json.dumps({"id": request["id"], "measures": {"a": request["parameters"]["x"]}}), flush=True)
+"""
+"""A simulator whose measure is its parameter."""
 
 
 @dataclass
@@ -125,6 +140,63 @@ def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive:
     assert result.refusal == "there is no such program"
 
 
+def full_disk() -> OSError:
+    return OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
+    setup = replace(request_, simulator={**section, "probe": [sys.executable, "--version"]})
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    with monkeypatch.context() as full:
+        full.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+        for cells in ((Cell(1, {"x": 2.0}),), ()):
+            result = works.run(Batch(setup, cells))
+            assert str(tmp_path / "missing") in (result.refusal or "")
+            assert result.results == ()
+    (answer,) = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).results
+    assert answer.metrics == {"a": 2.0}
+
+
+def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    class Spoilt(ScriptedSession):
+        def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
+            if len(self.simulator.opened) in faulty:
+                raise full_disk()
+            return super().evaluate(*arguments, **options)
+
+    class SpoiltSimulator(ScriptedSimulator):
+        def open(self, *arguments: Any) -> SimulatorSession:
+            super().open(*arguments)
+            return Spoilt(self, "city")
+
+    faulty = {1}
+    simulator = SpoiltSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+    assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
+    faulty |= {2, 3}
+    result = works.run(Batch(request_, (Cell(1, {"x": 3.0}),)))
+    assert ("No space left" in (result.refusal or ""), result.results) == (True, ())
+    assert len(simulator.opened) == len(simulator.closed) == 3
+
+
+def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    leaving = READY.replace("    print(json", "    if request['parameters']['x'] == 1.0: leave()\n    print(json")
+    program = f"import os, shutil\ndef leave():\n    shutil.rmtree(os.getcwd())\n    os._exit(1)\n{leaving}"
+    setup = replace(
+        request_, simulator={"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
+    )
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    answers = works.run(Batch(setup, tuple(Cell(number, {"x": float(number)}) for number in range(3)))).results
+    assert [(answer.breakdown, answer.metrics) for answer in answers] == [(None, {"a": 0.0}), ("crash", {}), (None, {"a": 2.0})]
+
+
 def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
     works.store(request_.bundle, archive)
@@ -204,11 +276,71 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
     assert simulator.closed == scenarios[:1]
 
 
-def test_a_run_that_waits_reports_its_wall_clock_time(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    now = [0.0]
+    simulator = ScriptedSimulator()
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
+    sessions.store(request_.bundle, archive)
+    sessions.run(replace(request_, scenario="old"), Cell(1, {"x": 2.0}))
+    now[0] += IDLE_SECONDS / 2
+    sessions.run(replace(request_, scenario="new"), Cell(2, {"x": 2.0}))
+    sessions.watch()
+    assert simulator.closed == []
+    now[0] += IDLE_SECONDS / 2
+    sessions.watch()
+    assert simulator.closed == ["old"]
+    now[0] += IDLE_SECONDS
+    sessions.run(replace(request_, scenario="other"), Cell(3, {"x": 2.0}))
+    assert simulator.closed == ["old", "new"]
+
+
+def test_the_files_of_an_open_session_stay_in_the_cache(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    now = [0.0]
+    cache = BundleCache(tmp_path / "cache")
+    sessions = BundleSessions(cache, lambda _: ScriptedSimulator(), clock=lambda: now[0])
+    sessions.store(request_.bundle, archive)
+    sessions.run(request_, Cell(1, {"x": 2.0}))
+    cache._shrink(0, 0.0)
+    assert cache.has(request_.bundle)
+    now[0] += IDLE_SECONDS
+    sessions.watch()
+    cache._shrink(0, 0.0)
+    assert not cache.has(request_.bundle)
+
+
+def test_a_simulator_that_multiplies_after_its_answer_is_ended(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (process, bundles):
+        monkeypatch.setattr(module, "WATCH_SECONDS", 0.05)
+    monkeypatch.setattr(children, "MOST_PROCESSES", 3)
+    mark = f"mark-of-{tmp_path.parent.name}-{tmp_path.name}"
+    program = f"""
+import subprocess, sys, threading, time
+def multiply():
+    time.sleep(0.3)
+    for _ in range(5):
+        subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)", {mark!r}])
+threading.Thread(target=multiply).start()
+{READY}"""
+    section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
+    setup = replace(request_, simulator=section)
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
+    sessions.store(setup.bundle, archive)
+    assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
+    eventually(lambda: bool(running(mark)))
+    eventually(lambda: not running(mark))
+    assert sessions.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
+
+
+def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
+    tmp_path: Path, archive: bytes, request_: BundleRequest
+) -> None:
     class Sleeping(ScriptedSession):
         def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
-            time.sleep(0.05)
-            return RunOutcome({"a": 1.0})
+            began = time.perf_counter()
+            time.sleep(0.5)
+            return RunOutcome({"a": 1.0}, start_seconds=time.perf_counter() - began if is_start else 0.0)
 
     class SleepingSimulator(ScriptedSimulator):
         def open(self, *_: Any) -> SimulatorSession:
@@ -216,6 +348,8 @@ def test_a_run_that_waits_reports_its_wall_clock_time(tmp_path: Path, archive: b
 
     works = worker(tmp_path, SleepingSimulator())
     works.store(request_.bundle, archive)
-    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
-    assert result.wall_milliseconds is not None
-    assert result.wall_milliseconds >= 50 > result.milliseconds
+    for is_start in (False, True):
+        (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
+        assert result.wall_milliseconds is not None
+        assert result.milliseconds < 500
+        assert (result.wall_milliseconds < 500) == is_start

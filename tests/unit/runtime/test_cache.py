@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import pytest
 
+from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import archives
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.runtime import cache as module
-from drivecal.runtime.cache import LEFT_SECONDS, BundleCache
+from drivecal.runtime.cache import LEFT_SECONDS, BundleCache, cache_folder
 
 
 @pytest.fixture
@@ -133,6 +137,88 @@ def test_a_link_in_place_of_a_cache_is_refused(tmp_path: Path, cache: BundleCach
     (tmp_path / "link").symlink_to(cache._folder)
     with pytest.raises(UnavailableError, match="link"):
         BundleCache(tmp_path / "link").folder(digest)
+
+
+def no_home(path: Path) -> Path:
+    if str(path).startswith("~"):
+        raise RuntimeError("Could not determine home directory.")
+    return path
+
+
+def test_the_workers_of_a_user_without_a_home_share_a_temporary_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(module.CACHE, raising=False)
+    monkeypatch.setattr(Path, "expanduser", no_home)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    first = cache_folder()
+    assert (first.parent, first.stat().st_mode & 0o777) == (tmp_path, 0o700)
+    assert cache_folder() == first
+    first.chmod(0o777)
+    assert cache_folder() != first
+    confinement = Scratch(tmp_path).confinement()
+    assert confinement is not None
+    assert all(path.startswith("/") for path in confinement["hidden"])
+
+
+def test_a_refusal_names_why_the_files_are_not_there(cache: BundleCache, archive: bytes) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        cache.store("1" * 64, archive)
+    with pytest.raises(UnavailableError) as missing:
+        cache.folder("1" * 64)
+    assert str(refused.value) in str(missing.value)
+
+
+def bundle_of(folder: Path, name: str) -> tuple[str, bytes]:
+    made = folder / name
+    made.mkdir()
+    (made / "problem.yaml").write_text(f"problem: {name}\n")
+    archive = archives.pack(made)
+    return archives.content_digest(archive), archive
+
+
+def use(cache: BundleCache, digest: str, hours_ago: float) -> None:
+    with cache.hold(digest):
+        pass
+    then = time.time() - 3600 * hours_ago
+    os.utime(cache._folder / f".{digest}.lock", (then, then))
+
+
+def test_a_cache_that_grows_too_large_loses_what_was_not_used_for_long(
+    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = [bundle_of(tmp_path, name) for name in ("old", "held", "older", "new", "last")]
+    (old, _), (held, _), (older, _), (new, _), (last, archive) = stored
+    for name, content in stored[:4]:
+        cache.store(name, content)
+    for name, hours in ((old, 5), (held, 9), (older, 7), (new, 0.1), (digest, 2)):
+        use(cache, name, hours)
+    bytes_of = module._size(cache._folder / old)
+    monkeypatch.setattr(module, "MOST_BYTES", 5 * bytes_of)  # that of the fixture has two files
+    with BundleCache(cache._folder).hold(held):
+        use_again = time.time() - 9 * 3600
+        os.utime(cache._folder / f".{held}.lock", (use_again, use_again))
+        cache.store(last, archive)
+    assert [cache.has(name) for name in (old, held, older, new, last, digest)] == [False, True, False, True, True, True]
+    monkeypatch.setattr(module, "MOST_BYTES", 0)
+    another, archive = bundle_of(tmp_path, "another")
+    cache.store(another, archive)
+    assert [cache.has(name) for name in (held, digest, new, last, another)] == [False, False, True, True, True]
+
+
+def test_a_full_disk_is_emptied_of_bundles_that_nothing_uses(
+    tmp_path: Path, cache: BundleCache, digest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held, new = bundle_of(tmp_path, "held"), bundle_of(tmp_path, "new")
+    cache.store(*held)
+
+    def unpack(archive: bytes, folder: Path, name: str) -> None:
+        if cache.has(digest):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        archives.unpack(archive, folder, name)
+
+    monkeypatch.setattr(module, "unpack", unpack)
+    with cache.hold(held[0]):
+        cache.store(*new)
+    assert [cache.has(name) for name in (digest, held[0], new[0])] == [False, True, True]
 
 
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(tmp_path: Path, archive: bytes, digest: str) -> None:

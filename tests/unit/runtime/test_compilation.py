@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from drivecal.runtime import compilation
 def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writable: set[Path] = {Path(compilation.__file__).parent}
     monkeypatch.setattr(os, "access", lambda path, _: Path(path) in writable)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setenv("HOME", str(tmp_path))
     compilation.prepare_cache()
@@ -22,7 +24,9 @@ def test_numba_gets_a_folder_of_its_own_only_where_it_would_find_none(tmp_path: 
     compilation.prepare_cache()
     folder = Path(os.environ["NUMBA_CACHE_DIR"])
     assert folder.is_dir()
-    folder.rmdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    compilation.prepare_cache()
+    assert Path(os.environ["NUMBA_CACHE_DIR"]) == folder
 
 
 def test_a_folder_for_kernels_begins_with_those_that_an_image_brought_along(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
@@ -33,6 +34,8 @@ MOST_FILES = 1_000_000
 """Limit of the files and folders in a scratch folder."""
 NOTICED_MB, NOTICED_FILES = 64, 10_000
 """Loss of the disk's free room after which the files in the scratch folder are counted."""
+SCARCE = 0.05
+"""Share of a disk: if less is free, a session whose files take more than that ends, because several fill a disk together."""
 LOOK_SECONDS = 1.0
 """Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
 REPLY_SECONDS = 30.0
@@ -59,16 +62,17 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Free megabytes and files of a disk."""
+    """Free megabytes and files of a disk, and whether it is almost full."""
 
     megabytes: int
     files: int
+    is_scarce: bool = False
 
     @classmethod
     def of(cls, folder: Path) -> Room:
         """Returns what is free on a folder's disk."""
         disk = os.statvfs(folder)
-        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail)
+        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail, disk.f_bavail < SCARCE * disk.f_blocks)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +106,12 @@ class Children:
         return -1 if self._control is None else self._control.fileno()
 
     def start(self, stdin: int, stdout: int, stderr: int) -> None:
-        """Starts the child with these descriptors. Raises UnavailableError if its command cannot be run."""
+        """Starts the child with these descriptors.
+
+        Raises UnavailableError if its command cannot be run, and OSError if the machine lacks processes or the scratch folder is gone.
+        """
+        if not self._scratch.work.is_dir():  # removed by its program, or by a keeper that ended: a new session has another
+            raise FileNotFoundError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
         if self._control is None:
             self._start_keeper()
         reply = None
@@ -153,14 +162,14 @@ class Children:
         return total
 
     def timed(self, run: Callable[[], RunOutcome]) -> RunOutcome:
-        """Returns the outcome of a run with the CPU time of all children during it; a NoMeasuresError has it as well."""
+        """Returns the outcome of a run, to whose CPU time that of all children during it is added; a NoMeasuresError has it as well."""
         before = self.cpu_seconds()
         try:
             outcome = run()
         except NoMeasuresError as error:
             detail = self._scratch.shown(error.detail)
             raise NoMeasuresError(error.breakdown, detail, max(self.cpu_seconds() - before, 0.0)) from None
-        return replace(outcome, cpu_seconds=max(self.cpu_seconds() - before, 0.0))
+        return replace(outcome, cpu_seconds=max(outcome.cpu_seconds + self.cpu_seconds() - before, 0.0))
 
     def scan(self) -> None:
         """Looks for descendants as `look`, if the last look is long ago compared with its own time."""
@@ -171,8 +180,8 @@ class Children:
         """Looks for descendants and their files. Raises NoMeasuresError if these take too much memory or disk, or are too many."""
         if self._keeper is None:
             return
-        self._look_at_disk()
         start = time.monotonic()
+        self._look_at_disk()
         family = keeper.descendants(self._keeper)
         self._family = tuple(process.pid for process in family)
         now = time.monotonic()
@@ -186,10 +195,15 @@ class Children:
 
     def _look_at_disk(self) -> None:
         room = Room.of(self._scratch.folder)
-        if room.megabytes > self._room.megabytes - NOTICED_MB and room.files > self._room.files - NOTICED_FILES:
+        is_noticed = room.megabytes <= self._room.megabytes - NOTICED_MB or room.files <= self._room.files - NOTICED_FILES
+        if not is_noticed and not room.is_scarce:
             return
         taken, files = self._scratch.written()
         self._room = room
+        if room.is_scarce and taken >> 20 > max(NOTICED_MB, room.megabytes):
+            self._overflows = True
+            detail = f"its files take {taken >> 20:,} MB of a disk that has {room.megabytes:,} MB left"
+            raise NoMeasuresError(Breakdown.ERROR, detail)
         if taken >> 20 > self._most_disk_mb or files > MOST_FILES:
             self._overflows = True
             most = f"{self._most_disk_mb:,} MB or {MOST_FILES:,} files"
@@ -217,7 +231,7 @@ class Children:
             "confinement": self._scratch.confinement(self._launch.writable),
         }
         with theirs:
-            subprocess.run(  # noqa: S603  # our own program, which goes on in another process
+            begun = subprocess.run(  # noqa: S603  # our own program, which goes on in another process
                 [sys.executable, "-I", "-S", keeper.__file__, str(theirs.fileno())],
                 input=json.dumps(settings).encode(),
                 pass_fds=[theirs.fileno()],
@@ -225,6 +239,9 @@ class Children:
                 cwd="/",
                 check=False,
             )
+        if begun.returncode:
+            ours.close()
+            raise OSError(f"the keeper of a simulator does not start (exit code {begun.returncode})")
         ours.settimeout(REPLY_SECONDS)
         self._control = ours
         reply = self._reply()

@@ -44,13 +44,6 @@ class HighwayAdapter:
             if (has_fmu or package != "fmpy") and find_spec(package) is None:
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")
         scratch = Scratch(folder)
-        try:
-            for entry in (controller, vehicle):
-                if entry.get("kind") == "process":
-                    check_command(entry["command"], scratch.work)
-        except UnavailableError:
-            scratch.remove()
-            raise
         confinement = scratch.confinement()
         settings = {
             "folder": str(folder),
@@ -64,8 +57,14 @@ class HighwayAdapter:
             "measures": list(declared.measures),
             "series": list(declared.series),
         }
-        file = scratch.folder / "highway.json"  # scenarios may be larger than a command line
-        file.write_text(json.dumps(settings, allow_nan=False))
+        try:
+            for entry in (controller, vehicle):
+                if entry.get("kind") == "process":
+                    check_command(entry["command"], scratch.work)
+            file = scratch.keep("highway.json", json.dumps(settings, allow_nan=False))  # may be larger than a command line
+        except (UnavailableError, OSError):
+            scratch.remove()
+            raise
         command = [sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)]
         launch = Launch.of(command, section, _compiled(os.environ.get("NUMBA_CACHE_DIR")))
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS

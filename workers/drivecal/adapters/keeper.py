@@ -136,6 +136,7 @@ class Keeper:
 
     def _start(self, descriptors: list[int]) -> None:
         settings = self._settings
+        self._statuses.clear()
         try:
             child = subprocess.Popen(  # noqa: S603  # running a user's program is the purpose
                 settings["command"],
@@ -183,7 +184,9 @@ class Keeper:
         child = self._child
         if child is None or not _has_ended(child):
             self._reap()
-        else:
+        if child is not None and (
+            child in self._statuses or _has_ended(child)
+        ):  # it may have ended since, and be reaped already
             self._report(child, self._stop(child))
 
     def _end(self, child: int) -> None:
@@ -203,8 +206,9 @@ class Keeper:
 
     def _stop(self, child: int) -> int:
         """Kills the child's group and then every descendant; returns how many are left."""
-        with contextlib.suppress(OSError):
-            os.killpg(child, signal.SIGKILL)  # the child is not reaped yet, so the number is still its own
+        if child not in self._statuses:
+            with contextlib.suppress(OSError):
+                os.killpg(child, signal.SIGKILL)  # the child is not reaped yet, so the number is still its own
         deadline = time.monotonic() + SWEEP_SECONDS
         while self._reap():
             family = descendants(os.getpid())

@@ -8,10 +8,10 @@ from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.adapters.command import CommandAdapter
 from drivecal.adapters.fmu import FmuAdapter
 from drivecal.adapters.highway import HighwayAdapter
-from drivecal.adapters.process import START_SECONDS, ProcessAdapter
+from drivecal.adapters.process import ProcessAdapter
 from drivecal.adapters.python import PythonAdapter
 from drivecal.domain.errors import NotFoundError, UnavailableError
-from drivecal.plugins.simulators import Simulator
+from drivecal.plugins.simulators import START_SECONDS, Simulator
 
 _SIMULATORS: Mapping[str, Simulator] = MappingProxyType(
     {

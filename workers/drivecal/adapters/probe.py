@@ -8,10 +8,8 @@ from drivecal.adapters.children import Children, Launch, check_command
 from drivecal.adapters.pipes import Pipes
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins.simulators import NoMeasuresError
+from drivecal.plugins.simulators import PROBE_SECONDS, NoMeasuresError
 
-PROBE_SECONDS = 45.0
-"""Time limit: below that of a batch, whose worker would be ended, and above the start of slow tools."""
 LONGEST_ANSWER = 4000
 """Largest answer in characters."""
 

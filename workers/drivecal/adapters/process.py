@@ -1,8 +1,12 @@
 """Simulator kind `process`: a program that answers JSON lines, started once per session. Also the base of `python` and `fmu`."""
 
 import json
+import logging
 import math
+import threading
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +17,8 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import START_SECONDS, VERSIONS, Declared, NoMeasuresError, RunOutcome
 
-START_SECONDS = 60.0
-"""Shortest time limit of a start, which may load libraries and licences."""
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
 )
@@ -25,9 +27,13 @@ UNFLUSHED = ", or let the program flush its standard output after each answer, i
 """Another cause of a run without an answer, of programs that users wrote: drivecal's own drivers flush."""
 QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
+WATCH_SECONDS, WATCH_SHARE = 1.0, 0.002
+"""Shortest time between two looks at a session between its runs, and their largest share of a core."""
 SEED = 1
 """Seed in every request: equal random numbers for all parameter sets make them comparable."""
 _QUIT = b'{"quit": true}\n'
+
+log = logging.getLogger(__name__)
 
 
 def start_seconds(timeout: float) -> float:
@@ -61,6 +67,8 @@ class ProcessSession:
         self._number = self._runs = 0
         self._head = json.dumps({"scenario": scenario, "data": data, "seed": SEED}, allow_nan=False).removesuffix("}")
         self._failed_start: NoMeasuresError | None = None
+        self._lock = threading.Lock()
+        self._next_watch = 0.0
         try:
             self._start()
         except NoMeasuresError as error:
@@ -71,27 +79,44 @@ class ProcessSession:
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set."""
-        return self._children.timed(lambda: self._evaluate(parameters, series=series))
+        with self._lock:
+            return self._children.timed(lambda: self._evaluate(parameters, series=series))
+
+    def watch(self) -> None:
+        """Ends the child if it exceeds a limit between two runs. Does nothing during a run, and soon after the last look. Thread-safe."""
+        start = time.monotonic()
+        if start < self._next_watch or not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._pipes is not None:
+                self._children.look()
+        except (NoMeasuresError, OSError) as error:
+            log.warning("a simulator of %s is ended between two runs: %s", self._declared.problem, error)
+            self._stop()
+        finally:
+            now = time.monotonic()
+            self._next_watch = now + max(WATCH_SECONDS, (now - start) / WATCH_SHARE)
+            self._lock.release()
 
     def close(self) -> None:
         """Asks the child to end and ends it."""
-        if self._pipes is not None:
-            self._pipes.stop(_QUIT, QUIT_SECONDS)
-            self._pipes = None
-        self._children.close()
-        self._scratch.remove()
+        with self._lock:
+            if self._pipes is not None:
+                self._pipes.stop(_QUIT, QUIT_SECONDS)
+                self._pipes = None
+            self._children.close()
+            self._scratch.remove()
 
     def _evaluate(self, parameters: Mapping[str, Setting], *, series: bool) -> RunOutcome:
         if self._failed_start is not None:
             failed, self._failed_start = self._failed_start, None
             raise failed
-        if self._pipes is not None and (self._runs >= self._most_runs or not self._pipes.is_fresh()):
-            self._pipes.stop(_QUIT, QUIT_SECONDS)
-            self._pipes = None
-        try:
-            pipes = self._pipes or self._start()
-        except UnavailableError as error:
-            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
+        pipes = self._pipes
+        wall_seconds = cpu_seconds = 0.0
+        if pipes is None or self._runs >= self._most_runs or not pipes.is_fresh():
+            wall, cpu = time.perf_counter(), self._children.cpu_seconds()
+            pipes = self._start_again()
+            wall_seconds, cpu_seconds = time.perf_counter() - wall, self._children.cpu_seconds() - cpu
         self._number, self._runs = self._number + 1, self._runs + 1
         request = f'{{"id": {self._number}, {self._head[1:]}, "parameters": {json.dumps(dict(parameters), allow_nan=False)}'
         request += ', "series": true}\n' if series else "}\n"
@@ -106,7 +131,17 @@ class ProcessSession:
         except NoMeasuresError:
             self._stop()
             raise
-        return answers.outcome(answer, self._declared, series=series)
+        outcome = answers.outcome(answer, self._declared, series=series)
+        return replace(outcome, cpu_seconds=-cpu_seconds, start_seconds=wall_seconds)  # `timed` adds the CPU time of both
+
+    def _start_again(self) -> Pipes:
+        if self._pipes is not None:
+            self._pipes.stop(_QUIT, QUIT_SECONDS)
+            self._pipes = None
+        try:
+            return self._start()
+        except UnavailableError as error:
+            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
 
     def _start(self) -> Pipes:
         self._pipes, self._runs = Pipes(self._children), 0
@@ -129,9 +164,9 @@ class ProcessSession:
         return self._pipes
 
     def _stop(self) -> None:
-        if self._pipes is not None:
-            self._pipes.stop()
-            self._pipes = None
+        pipes, self._pipes = self._pipes, None
+        if pipes is not None:
+            pipes.stop()
 
 
 class ProcessAdapter:

@@ -35,8 +35,13 @@ class Scratch:
         self._bundle = bundle.resolve()
         self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-"))
         self.work, self.home = self.folder / "work", self.folder / "home"
-        self.home.mkdir()
-        self.renew()
+        self._kept: set[Path] = {self.work, self.home}
+        try:
+            self.home.mkdir()
+            self.renew()
+        except OSError:
+            self.remove()
+            raise
 
     def renew(self) -> None:
         """Empties the working directory."""
@@ -46,10 +51,20 @@ class Scratch:
             (self.work / path.name).symlink_to(path)
 
     def empty(self) -> None:
-        """Empties the working directory and the folder of temporary files."""
+        """Removes everything but kept files, with new folders for work and temporary files."""
+        for path in self.folder.iterdir():
+            if path not in self._kept:
+                discard(path)
         self.renew()
         discard(self.home)
         self.home.mkdir()
+
+    def keep(self, name: str, text: str) -> Path:
+        """Writes a file beside the folders, which stays when these are emptied."""
+        path = self.folder / name
+        path.write_text(text)
+        self._kept.add(path)
+        return path
 
     def written(self) -> tuple[int, int]:
         """Returns how many bytes of disk all files take, and how many files and folders there are."""
@@ -77,7 +92,7 @@ class Scratch:
         return {
             "writable": [str(self.folder), *granted, *writable],
             "readable": [str(self._bundle), *installed],
-            "hidden": [str(path.expanduser().absolute()) for path in self._hidden()],
+            "hidden": [str(path) for path in map(_absolute, self._hidden()) if path is not None],
         }
 
     def _hidden(self) -> list[Path]:
@@ -104,6 +119,14 @@ class Scratch:
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
         remove(self.folder)
+
+
+def _absolute(path: Path) -> Path | None:
+    """Returns an absolute path; None if it is below the home of a user who has none."""
+    try:
+        return path.expanduser().absolute()
+    except RuntimeError:
+        return None
 
 
 def discard(path: Path) -> None:

@@ -1,11 +1,16 @@
 """Problem bundles on a worker: the open sessions of their simulators."""
 
+import logging
+import threading
 import time
+import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
 from typing import Any
 
 from drivecal.adapters.kinds import simulator
+from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
 from drivecal.bundles.fingerprints import controller_version
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
 from drivecal.domain.errors import ConflictError, UnavailableError
@@ -15,27 +20,73 @@ from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.tools import Tools
 
+log = logging.getLogger(__name__)
+
 MOST_SESSIONS = 8
 """Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
+IDLE_SECONDS = 600.0
+"""Time without a run after which a session is closed: it may hold memory and a licence."""
 
 
 class BundleSessions:
     """Runs cells of bundles in sessions that stay open."""
 
     def __init__(
-        self, cache: BundleCache, simulators: Callable[[str], Simulator] = simulator, tools: Tools | None = None
+        self,
+        cache: BundleCache,
+        simulators: Callable[[str], Simulator] = simulator,
+        tools: Tools | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`simulators`: returns a simulator by its kind; `tools`: runs probes, by default in child processes."""
         self._cache = cache
         self._tools = tools or Tools()
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
+        self._holds: dict[tuple[str, ...], ExitStack] = {}
+        """What keeps the files of open sessions in the cache."""
+        self._used: dict[tuple[str, ...], float] = {}
+        """Time of the last run of each session."""
+        self._clock = clock
+        self._running = threading.Lock()
+        self._watched = False
 
     def run(self, setup: BundleRequest, cell: Cell) -> CellResult:
         """Simulates a cell. A run without measures is a result with a `breakdown`.
 
         Raises UnavailableError if this machine cannot run the simulator.
         """
+        with self._running:
+            try:
+                try:
+                    return self._run(setup, cell)
+                except OSError:  # a full disk, or what the simulator did to its folder: a new session has another
+                    self._drop(setup.key)
+                    return self._run(setup, cell)
+            except OSError as error:
+                self._drop(setup.key)
+                raise _unable(error) from error
+            finally:
+                if setup.key in self._sessions:
+                    self._used[setup.key] = self._clock()
+                self._close_idle()
+
+    def watch(self) -> None:
+        """Holds the sessions to their limits between their runs, and closes those that are unused for long. Thread-safe."""
+        for session in list(self._sessions.values()):
+            if isinstance(session, ProcessSession):
+                session.watch()
+        if self._running.acquire(blocking=False):  # else the end of the run looks after it
+            try:
+                self._close_idle()
+            finally:
+                self._running.release()
+
+    def _close_idle(self) -> None:
+        for key in [key for key, used in self._used.items() if self._clock() >= used + IDLE_SECONDS]:
+            self._drop(key)
+
+    def _run(self, setup: BundleRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
@@ -48,7 +99,7 @@ class BundleSessions:
             milliseconds = milliseconds_since(start) + 1000 * error.cpu_seconds
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
-        wall_milliseconds = 1000 * (time.perf_counter() - began)
+        wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds)
         repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
@@ -75,24 +126,63 @@ class BundleSessions:
 
     def probe(self, setup: BundleRequest) -> str:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
-        return self._tools.ask(setup, self._cache.folder(setup.bundle))
+        try:
+            with self._cache.hold(setup.bundle):
+                return self._tools.ask(setup, self._cache.folder(setup.bundle))
+        except OSError as error:
+            raise _unable(error) from error
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
         self._cache.store(digest, archive)
 
     def _session(self, setup: BundleRequest) -> SimulatorSession:
-        self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
-        if setup.key not in self._sessions:
-            folder = self._cache.folder(setup.bundle)
-            chosen = self._simulators(setup.simulator["kind"])
-            _refuse_other_controllers(setup)
-            declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
-            self._sessions[setup.key] = chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
-            if len(self._sessions) > MOST_SESSIONS:
-                self._sessions.popitem(last=False)[1].close()
-        self._sessions.move_to_end(setup.key)
+        with ExitStack() as hold:
+            if setup.key not in self._sessions:
+                hold.enter_context(self._cache.hold(setup.bundle))
+            self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
+            if setup.key not in self._sessions:
+                self._sessions[setup.key] = self._opened(setup)
+                self._holds[setup.key] = hold.pop_all()
+                if len(self._sessions) > MOST_SESSIONS:
+                    self._drop(next(iter(self._sessions)))
+            self._sessions.move_to_end(setup.key)
+        if not self._watched:
+            self._watched = True
+            threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
         return self._sessions[setup.key]
+
+    def _opened(self, setup: BundleRequest) -> SimulatorSession:
+        folder = self._cache.folder(setup.bundle)
+        chosen = self._simulators(setup.simulator["kind"])
+        _refuse_other_controllers(setup)
+        declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
+        return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
+
+    def _drop(self, key: tuple[str, ...]) -> None:
+        """Closes a session, which may be in any state."""
+        self._used.pop(key, None)
+        session = self._sessions.pop(key, None)
+        with self._holds.pop(key, ExitStack()):
+            if session is not None:
+                with suppress(OSError):
+                    session.close()
+
+
+def _watch(sessions: weakref.ref[BundleSessions]) -> None:
+    """Watches sessions until nothing uses them any more."""
+    while (watched := sessions()) is not None:
+        try:
+            watched.watch()
+        except Exception:
+            log.exception("the sessions of simulators cannot be watched")
+        del watched
+        time.sleep(WATCH_SECONDS)
+
+
+def _unable(error: OSError) -> UnavailableError:
+    """Returns the refusal of a machine that lacks disk, processes or files: its cells are not to blame, so they wait."""
+    return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
 def _refuse_other_controllers(setup: BundleRequest) -> None:

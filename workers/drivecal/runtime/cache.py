@@ -1,33 +1,55 @@
 """Cache of unpacked bundles on a node, by digest: private to the worker's user, and checked before a simulator runs from it."""
 
+import errno
+import fcntl
 import os
+import re
 import stat
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from drivecal.bundles.archives import folder_digest, remove, unpack
-from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 
 CACHE = "DRIVECAL_BUNDLE_CACHE"
 """Environment variable: folder of unpacked bundles."""
 LEFT_SECONDS = 3600.0
 """Age at which a partly unpacked bundle belongs to no living worker: unpacking takes seconds."""
 
+MOST_BYTES = 8 << 30
+"""Size of the cache beyond which bundles that were not used for long are removed."""
+KEPT_SECONDS = 3600.0
+"""Time after its last use for which a bundle stays although the cache is too large."""
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
 Signature = tuple[tuple[str, int, int, int, int, int], ...]
 
 
 def cache_folder() -> Path:
-    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or a new temporary folder."""
+    """Returns the folder of unpacked bundles: `DRIVECAL_BUNDLE_CACHE`, or the user's cache, or the user's temporary folder."""
     given = os.environ.get(CACHE)
-    folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
     try:
+        folder = Path(given) if given else Path("~/.cache/drivecal/bundles").expanduser()
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError:
+    except (OSError, RuntimeError):  # a user without a home
         writable = False
     else:
         writable = os.access(folder, os.W_OK)
-    return folder if writable else Path(tempfile.mkdtemp(prefix="drivecal-bundles-"))
+    return folder if writable else temporary_folder("drivecal-bundles")
+
+
+def temporary_folder(name: str) -> Path:
+    """Returns a temporary folder of this name that all processes of the user share; a new one if others could change that."""
+    folder = Path(tempfile.gettempdir(), f"{name}-{os.geteuid()}")
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        _refuse_others(folder)
+    except (OSError, UnavailableError):
+        return Path(tempfile.mkdtemp(prefix=f"{name}-"))
+    return folder
 
 
 class BundleCache:
@@ -38,6 +60,8 @@ class BundleCache:
         self._folder = folder
         self._signatures: dict[str, Signature] = {}
         """Files of bundles whose digest was checked."""
+        self._failures: dict[str, str] = {}
+        """Reasons why bundles could not be unpacked."""
         self._tidied = False
 
     def has(self, digest: str) -> bool:
@@ -51,8 +75,7 @@ class BundleCache:
         bundle is not there, if others could change it, and if it was changed: then it is removed and sent again to the next worker.
         """
         folder = self._folder / digest
-        if not self.has(digest):
-            raise UnavailableError(f"the files of the bundle {digest} are not on this machine")
+        self._refuse_missing(digest)
         _refuse_others(self._folder)
         _refuse_others(folder)
         signature = _signature(folder)
@@ -67,6 +90,19 @@ class BundleCache:
             self._signatures[digest] = signature
         return folder
 
+    @contextmanager
+    def hold(self, digest: str) -> Iterator[None]:
+        """Keeps a bundle from being removed, by any worker of the node, for as long as it lasts. Raises UnavailableError as `folder`."""
+        self._refuse_missing(digest)
+        _refuse_others(self._folder)
+        lock = self._lock(digest)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH)
+            os.utime(lock)
+            yield
+        finally:
+            os.close(lock)
+
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest, and
         UnavailableError if others could change the cache.
@@ -75,15 +111,72 @@ class BundleCache:
         """
         if self.has(digest):
             return
+        try:
+            self._unpack(digest, archive)
+        except (DrivecalError, OSError) as error:
+            self._failures[digest] = str(error)
+            raise
+        self._failures.pop(digest, None)
+
+    def _unpack(self, digest: str, archive: bytes) -> None:
         self._folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         _refuse_others(self._folder)
         if not self._tidied:
             self._remove_leftovers()
         try:
-            unpack(archive, self._folder / digest, digest)
+            try:
+                unpack(archive, self._folder / digest, digest)
+            except OSError as error:
+                if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+                    raise
+                self._shrink(0, 0.0)
+                unpack(archive, self._folder / digest, digest)
         except OSError:
             if not self.has(digest):  # else another worker was faster
                 raise
+        self._shrink(MOST_BYTES, KEPT_SECONDS)
+
+    def _shrink(self, most: int, kept_seconds: float) -> None:
+        """Removes the bundles used least recently, but none in use, until the cache takes no more than `most` bytes."""
+        bundles = [path for path in self._folder.iterdir() if _DIGEST.fullmatch(path.name)]
+        sizes = {path.name: _size(path) for path in bundles}
+        taken = sum(sizes.values())
+        for used, digest in sorted((self._last_use(digest), digest) for digest in sizes):
+            if taken <= most or time.time() - used < kept_seconds:
+                return
+            if self._evict(digest):
+                taken -= sizes[digest]
+
+    def _evict(self, digest: str) -> bool:
+        """Removes a bundle unless a worker holds it."""
+        lock = self._lock(digest)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            leftover = self._folder / f".{digest}-{os.getpid()}"  # removed by `_remove_leftovers` if this process is killed now
+            (self._folder / digest).rename(leftover)
+            remove(leftover)
+        except OSError:  # held, or another worker was faster
+            return False
+        finally:
+            os.close(lock)
+        return True
+
+    def _lock(self, digest: str) -> int:
+        """Returns a descriptor of a bundle's lock file, whose time is that of the last use. Lock files stay: they are empty."""
+        return os.open(self._folder / f".{digest}.lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+
+    def _last_use(self, digest: str) -> float:
+        for path in (self._folder / f".{digest}.lock", self._folder / digest):
+            try:
+                return path.lstat().st_mtime
+            except OSError:
+                continue
+        return 0.0
+
+    def _refuse_missing(self, digest: str) -> None:
+        if not self.has(digest):
+            reason = f": {self._failures[digest]}" if digest in self._failures else ""
+            raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
 
     def _remove_leftovers(self) -> None:
         """Removes what killed workers left of bundles that they unpacked. Other names than those of `unpack` are never touched."""
@@ -110,6 +203,18 @@ def _refuse_others(folder: Path) -> None:
         raise UnavailableError(f"the bundle cache {folder} belongs to another user (uid {status.st_uid}); {remedy}")
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise UnavailableError(f"other users may write to the bundle cache {folder}; type: chmod 700 {folder}, or {remedy}")
+
+
+def _size(folder: Path) -> int:
+    """Returns how many bytes of disk a folder takes."""
+    taken = 0
+    for parent, _, files in os.walk(folder):
+        for name in files:
+            try:
+                taken += os.lstat(os.path.join(parent, name)).st_blocks * 512  # noqa: PTH118  # as in `_signature`
+            except OSError:  # removed meanwhile
+                continue
+    return taken
 
 
 def _has_digest(folder: Path, digest: str) -> bool:

@@ -6,6 +6,8 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
+from drivecal.runtime.cache import temporary_folder
+
 SHIPPED = "DRIVECAL_KERNELS"
 """Environment variable: a folder with compiled kernels inside an image. Images are read-only, so that the kernels are copied."""
 
@@ -15,7 +17,7 @@ def prepare_cache() -> None:
 
     numba stores kernels beside the sources or, if drivecal is installed read-only, in the user's cache folder. Several processes may share
     either folder, because files are replaced atomically. If neither is writable (containers, service accounts), numba would refuse to
-    compile. This process then uses a new temporary folder, at the cost of compiling at every start.
+    compile. The processes of the user then share a temporary folder.
 
     If `NUMBA_CACHE_DIR` names a folder that does not exist yet, it is created as a copy of the image's kernels (`DRIVECAL_KERNELS`). numba
     recompiles kernels of other processors.
@@ -27,8 +29,8 @@ def prepare_cache() -> None:
             _copy_kernels(shipped, Path(folder))
         return
     sources = Path(__file__).parent
-    if not os.access(sources, os.W_OK) and not _is_writable(Path("~/.cache/numba").expanduser()):
-        os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(prefix="drivecal-numba-")
+    if not os.access(sources, os.W_OK) and not _is_writable("~/.cache/numba"):
+        os.environ["NUMBA_CACHE_DIR"] = str(temporary_folder("drivecal-numba"))
 
 
 def _copy_kernels(shipped: Path, folder: Path) -> None:
@@ -43,9 +45,10 @@ def _copy_kernels(shipped: Path, folder: Path) -> None:
     shutil.rmtree(copy, ignore_errors=True)
 
 
-def _is_writable(folder: Path) -> bool:
+def _is_writable(path: str) -> bool:
     try:
+        folder = Path(path).expanduser()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # a user without a home
         return False
     return os.access(folder, os.W_OK)

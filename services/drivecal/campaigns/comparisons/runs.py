@@ -8,7 +8,7 @@ but does not show in the counts.
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
@@ -55,6 +55,8 @@ class ComparisonJob(Job):
         """The jobs of the running runs, by number."""
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
+        self._unwanted: set[int] = set()
+        """Cells of ended runs that were not answered."""
         with database.read() as connection:
             self._waiting = comparisons.open_runs(connection, campaign.sequence)
             total = _Sum.over(comparisons.tallies(connection, campaign.sequence), self._sign)
@@ -87,6 +89,11 @@ class ComparisonJob(Job):
         work += self._go_on()
         self._sum_up_when_due()
         return work
+
+    def take_unwanted(self) -> Collection[int]:
+        """Returns the unanswered cells of runs that failed, and forgets them."""
+        unwanted, self._unwanted = self._unwanted, set()
+        return unwanted
 
     def _go_on(self) -> list[Work]:
         """Starts runs if there is room, and advances runs that wait for nothing. Returns after one run finishes, so that an answered
@@ -127,6 +134,7 @@ class ComparisonJob(Job):
 
     def _end(self, number: int, state: CampaignState, error: str | None = None) -> None:
         self._jobs.pop(number, None)
+        self._unwanted |= {cell for cell, home in self._homes.items() if home == number}
         self._homes = {cell: home for cell, home in self._homes.items() if home != number}
         with self._database.transaction() as connection:
             campaigns.end(connection, number, state, error)

@@ -75,6 +75,7 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
             reading = sum(not token.may_write for token in tokens)
             log.info("a token is asked for: %d in %s, %d of them may only read", len(tokens), settings.tokens_file, reading)
         database = serving.prepare_database(settings)
+        database.dispose()
         log.info("starting; the database is %s", database.name)
 
         def ready() -> None:
@@ -83,6 +84,4 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
             else:
                 typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
 
-        code = serving.run_server(settings, database, listener, url, ready)
-        database.dispose()
-    return code
+        return serving.run_server(settings, listener, url, ready)

@@ -1,7 +1,6 @@
 """The backend on processes of this machine, connected by socket pairs. It needs no other package and starts in a second."""
 
 import itertools
-import os
 import queue
 import signal
 import socket
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
+from drivecal.cluster.machine import cpus
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
@@ -89,7 +89,7 @@ class ProcessBackend(SupervisedBackend):
         self._trial = trial
         self._arrived = threading.Condition()
         self._numbers = itertools.count(1)
-        for _ in range(limits.workers or _cpus()):
+        for _ in range(limits.workers or cpus()):
             self._hire(None)
 
     def _launch(self, worker: WorkerProcess) -> None:
@@ -129,11 +129,6 @@ class ProcessBackend(SupervisedBackend):
         if answer.error is not None:
             raise CallFailedError(answer.error)
         return answer.value
-
-
-def _cpus() -> int:
-    """Returns the number of CPUs that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _is_done(reference: SentCall) -> bool:

@@ -182,6 +182,10 @@ class Scheduler:
         """Returns the waiting setups that this worker refuses."""
         return [setup for setup in self._queue.setups() if self._worker_health.refuses(worker, setup)]
 
+    def ask_again(self, worker: str, setup: SetupKey) -> None:
+        """Lets a worker try a setup again that it refused."""
+        self._worker_health.ask_again(worker, setup)
+
     def trouble(self) -> str | None:
         """Returns a message about workers that refuse waiting setups, or None."""
         setups = self._in_flight.setups()
@@ -246,17 +250,26 @@ class Scheduler:
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
-    def withdraw(self, tag: str) -> int:
-        """Drops the cells of `tag` that are not at a worker. Returns how many are; these still complete unless they are lost."""
+    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
+        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; these still complete unless
+        they are lost."""
         running = 0
-        for claim in list(self._in_flight.of(tag)):
+        for claim in [claim for claim in self._in_flight.of(tag) if cells is None or claim.cell.id in cells]:
             if claim.simulation.leader is claim:
                 claim.withdrawn = True
                 running += 1
             else:
                 self._forget(claim)
-        self._queue.forget(tag)
+        if cells is None:
+            self._queue.forget(tag)
         return running
+
+    def keep(self, tag: str, cells: Collection[int]) -> set[int]:
+        """Returns the cells of `tag` without an answer. A withdrawal no longer holds for those among `cells`."""
+        claims = self._in_flight.of(tag)
+        for claim in claims:
+            claim.withdrawn &= claim.cell.id not in cells
+        return {claim.cell.id for claim in claims}
 
     def held(self, tag: str) -> int:
         """Cells of `tag` without an answer."""

@@ -54,6 +54,8 @@ class WorkerHealth:
         self._trusted: Counter[Trust] = Counter()
         """Number of ready workers by trust."""
         self._refusals: dict[Hashable, dict[str, str]] = {}
+        self._asked_again: set[tuple[str, Hashable]] = set()
+        """Workers that may try a setup again that they refused."""
 
     @property
     def ready(self) -> int:
@@ -67,10 +69,12 @@ class WorkerHealth:
             return
         self._ready = now
         self._shown = {worker: shown for worker, shown in self._shown.items() if worker in now}
+        self._asked_again = {place for place in self._asked_again if place[0] in now}
         self._trusted = Counter(map(self._trust, now))
 
     def answered(self, worker: str, setup: Hashable, result: BatchResult) -> None:
         """Notes the result of a batch."""
+        self._asked_again.discard((worker, setup))
         refusing = self._refusals.pop(setup, {})
         still = {name: reason for name, reason in refusing.items() if name in self._ready and name != worker}
         if result.refusal is not None:
@@ -93,8 +97,12 @@ class WorkerHealth:
             self._note(worker, _Shown(self._shown.get(worker, _NOTHING).proven))
 
     def refuses(self, worker: str, setup: Hashable) -> bool:
-        """Whether the worker refused the setup."""
-        return worker in self._refusals.get(setup, {})
+        """Whether the worker refused the setup, and was not asked again since."""
+        return worker in self._refusing(setup)
+
+    def ask_again(self, worker: str, setup: Hashable) -> None:
+        """Lets a worker try a setup again that it refused; the reason is shown until it answers."""
+        self._asked_again.add((worker, setup))
 
     def may_try(self, worker: str, setup: Hashable, avoid: Collection[str]) -> bool:
         """Whether this worker may try a cell that broke down at those in `avoid`: only the most trusted others may."""
@@ -129,10 +137,14 @@ class WorkerHealth:
 
     def _any_able(self, trust: Trust, setup: Hashable, avoid: Collection[str]) -> bool:
         """Whether a worker of this trust is not in `avoid` and does not refuse."""
-        number, refusing = self._trusted[trust], self._refusals.get(setup, {})
+        number, refusing = self._trusted[trust], self._refusing(setup)
         if number == 0 or number > len(avoid) + len(refusing):
             return number > 0
         return number > sum(self._trust(worker) == trust for worker in {*avoid, *refusing} & self._ready)
+
+    def _refusing(self, setup: Hashable) -> Collection[str]:
+        refusals = self._refusals.get(setup, {})
+        return [worker for worker in refusals if (worker, setup) not in self._asked_again]
 
     def _note(self, worker: str, shown: _Shown) -> None:
         if worker in self._ready:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
 
+from drivecal.highway.certification import memory
 from drivecal.highway.certification.memory import Memory
 
 
@@ -17,8 +16,7 @@ from drivecal.highway.certification.memory import Memory
 def test_the_default_limit_follows_the_memory_of_the_machine(
     gigabytes: int, cpus: int, megabytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    machine = {"SC_PHYS_PAGES": gigabytes * 2**30 // 4096, "SC_PAGE_SIZE": 4096}
-    monkeypatch.setattr(os, "sysconf", machine.__getitem__)
-    monkeypatch.setattr(os, "cpu_count", lambda: cpus)
+    monkeypatch.setattr(memory, "memory_bytes", lambda: gigabytes * 2**30)
+    monkeypatch.setattr(memory, "cpus", lambda: cpus)
     assert Memory().limit == megabytes * 2**20
     assert Memory(7).limit == 7 * 2**20

@@ -1,20 +1,20 @@
 """Memory limit of all tries of a worker, and the choice of what they forget. Light: no compiled code."""
 
-import os
 from typing import Protocol
 from weakref import WeakSet
 
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.cluster.machine import cpus, memory_bytes
+
 LARGEST_DEFAULT = 1024
 """Megabytes."""
 
 
 def default_megabytes() -> int:
-    """Returns the default limit of a worker: a quarter of the machine's memory per CPU, 1 GB at most."""
-    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**20
-    return max(1, min(LARGEST_DEFAULT, machine // (4 * (os.cpu_count() or 1))))
+    """Returns the default limit of a worker: a quarter of the machine's or container's memory per CPU, 1 GB at most."""
+    return max(1, min(LARGEST_DEFAULT, memory_bytes() // 2**20 // (4 * cpus())))
 
 
 class Evictable(Protocol):

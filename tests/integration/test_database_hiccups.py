@@ -1,0 +1,147 @@
+"""A database that fails now and then: campaigns end as if it had not, and workers go on."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection
+from tests.support.computed import ComputedBackend
+from tests.support.databases import migrated
+from tests.support.effort import tries
+from tests.support.runs import everything, get, post_map, submit
+
+from drivecal.contracts.work import Batch
+from drivecal.dispatch.dispatcher import Dispatcher
+from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.errors import UnavailableError
+from drivecal.execution.backend import Finished, Lost
+from drivecal.execution.leasing import StoredLeases
+from drivecal.execution.pool import WorkPool
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+
+MAP = {
+    scenario: {f"P{i}": {"influential": False} for i in range(1, 12) if i not in left}
+    for scenario, left in {"S1": (1, 2), "S2": (3, 4)}.items()
+}
+
+
+class ShakyDatabase:
+    """Fails before a transaction begins, before it is committed, and right after, with a probability."""
+
+    def __init__(self, database: Database, draw: random.Random, share: float) -> None:
+        self._database, self._draw = database, draw
+        self.share = share
+        self.failures = Counter[str]()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        self._moment("before a transaction")
+        with self._database.transaction() as connection:
+            yield connection
+            self._moment("before a commit")
+        self._moment("after a commit")
+
+    def _moment(self, name: str) -> None:
+        if self._draw.random() < self.share:
+            self.failures[name] += 1
+            raise UnavailableError(name)
+
+
+class Patience:
+    """Stops a dispatcher when its campaign has ended, and waits for nothing."""
+
+    def __init__(self, database: Database, campaign: StoredCampaign) -> None:
+        self._database, self._campaign = database, campaign
+        self._left = 5_000
+
+    def is_set(self) -> bool:
+        self._left -= 1
+        assert self._left, "the campaign does not end"
+        return get(self._database, self._campaign).state.ended
+
+    def wait(self, _seconds: float) -> None:
+        pass
+
+
+class SlowBackend(ComputedBackend):
+    """Its first batch takes until `release`; a worker has one batch at a time."""
+
+    held: int | None = None
+    is_released = False
+
+    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
+        super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
+        self.held = batch_id if self.held is None else self.held
+
+    def wait(self, timeout: float) -> list[Finished | Lost]:
+        if self.is_released:
+            return super().wait(timeout)
+        slow = [entry for entry in self._outstanding if entry[0] == self.held]
+        self._outstanding = [entry for entry in self._outstanding if entry[0] != self.held]
+        events = super().wait(timeout)
+        self._outstanding += slow
+        return events
+
+
+def dispatcher(database: Any, backend: ComputedBackend) -> Dispatcher:
+    ticks = iter(range(10**9))
+    return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
+
+
+def shaky(database: Database, seed: int, share: float) -> Any:
+    return ShakyDatabase(database.fenced(Leadership.begin(database).fence), random.Random(seed), share)
+
+
+@pytest.mark.parametrize("seed", range(tries(1, 5)))
+def test_hiccups_change_no_result_and_simulate_nothing_twice(tmp_path: Any, seed: int) -> None:
+    ended, sent = [], []
+    for share in (0.0, 0.1):
+        (tmp_path / str(share)).mkdir()
+        database = migrated(f"sqlite:///{tmp_path / str(share) / 'drivecal.db'}")
+        campaign = submit(
+            database,
+            stored_map=post_map(database, MAP),
+            catalogue=["S1", "S2"],
+            optimizer={"kind": "genetic", "population": 8, "iterations": 2, "seed": 3},
+            reduction={"audit": 0.2, "confirm": 20},
+        )
+        own, backend = shaky(database, seed, share), ComputedBackend(seed)
+        patience: Any = Patience(database, campaign)
+        dispatcher(own, backend).run(patience)
+        assert bool(own.failures) == (share > 0)
+        ended.append(everything(database, campaign))
+        sent.append(Counter(backend.sent))
+        database.dispose()
+    assert ended[0] == ended[1]
+    assert sent[0] == sent[1]
+
+
+def test_workers_go_on_beside_a_slow_cell_after_a_hiccup(database: Database) -> None:
+    campaign = submit(database, optimizer={"kind": "random", "population": 400, "iterations": 1, "seed": 3})
+    own, backend = shaky(database, 0, 0.0), SlowBackend()
+    working = dispatcher(own, backend)
+    while not backend.sent:
+        working.step()
+    own.share = 1.0
+    with pytest.raises(UnavailableError):
+        working.step()
+    working._forget_jobs()
+    own.share = 0.0
+    for _ in range(60):
+        working.step()
+    cells = get(database, campaign).cells
+    assert 0 < cells.pending < cells.requested / 2
+    backend.is_released = True
+    patience: Any = Patience(database, campaign)
+    working.run(patience)
+    assert get(database, campaign).cells.pending == 0
+    assert max(Counter(backend.sent).values()) == 1
