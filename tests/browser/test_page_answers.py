@@ -155,10 +155,9 @@ def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening
     new = submit_checked(shown.api.database, SPEC | {"name": "newest"})
     expect(page.get_by_role("checkbox", name=new.id[:8])).to_be_visible()
     listed = shown.api.http.get("/api/v1/campaigns").json()["items"]
-    while page.get_by_role("button", name="Load older ones").count():
+    for count in range(2, len(listed)):
         page.get_by_role("button", name="Load older ones").click()
-        page.wait_for_event("response", lambda answer: "/campaigns?limit" in answer.url)
-    expect(boxes).to_have_count(len(listed))
+        expect(boxes).to_have_count(count + 1)
     page.get_by_label("State").select_option("queued")
     expect(boxes).to_have_count(1)
     shown.api.http.post(f"/api/v1/campaigns/{new.id}/cancel").raise_for_status()
@@ -193,9 +192,9 @@ def test_a_late_count_of_an_earlier_form_does_not_replace_the_newer(shown: Shown
     page = opening(f"{shown.api.url}/#/nowhere")
     late: list[Route] = []
     page.route(re.compile("validate_only=true"), lambda route: route.continue_() if late else late.append(route))
-    page.goto(f"{shown.api.url}/#/submit?problem=cart")
+    with page.expect_request(re.compile("validate_only")):
+        page.goto(f"{shown.api.url}/#/submit?problem=cart")
     expect(page.get_by_text("Counting …").first).to_be_visible()
-    page.wait_for_event("request", lambda request: "validate_only" in request.url)
     page.get_by_label("population").fill("10")
     page.get_by_label("iterations").fill("2")
     expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()

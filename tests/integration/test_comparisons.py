@@ -321,7 +321,7 @@ def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None
         count - answered for count, answered in zip(searched, predicted, strict=True)
     ]
     assert min(predicted) > 0
-    assert [one.simulated_best for one in after] == [one.simulated_best for one in before], "what was confirmed counts"
+    assert [run.simulated_best for run in after] == [run.simulated_best for run in before], "confirmed sets count"
 
 
 def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(database: Database) -> None:

@@ -54,6 +54,8 @@ def submit(database: Database, limits: Limits, specification: CampaignSpecificat
 def accepted_before(database: Database, key: str | None, digests: Sequence[str]) -> StoredCampaign | None:
     """Returns the campaign that the same request made before, None without one. It is looked up before the request is checked: what it
     names may be gone. Raises ConflictError if the key belongs to another request."""
+    if key is None:
+        return None
     with database.read() as connection:
         sequence = admission.earlier(connection, key, digests)
         return None if sequence is None else campaigns.by_sequence(connection, sequence)

@@ -77,7 +77,7 @@ def prepare_database(settings: Settings) -> Database:
 
 
 class Startup:
-    """What a server that was just started waits for. Logs ANSWERING once the API works."""
+    """Looks for what a new server still waits for. Logs ANSWERING once the API works."""
 
     def __init__(self, database: Database, url: str) -> None:
         """Call it before the dispatcher starts, whose term is compared with the last one: the clock may be set meanwhile."""

@@ -184,9 +184,8 @@ class Keeper:
         child = self._child
         if child is None or not _has_ended(child):
             self._reap()
-        if child is not None and (
-            child in self._statuses or _has_ended(child)
-        ):  # it may have ended since, and be reaped already
+        # The child may have ended since, and be reaped already.
+        if child is not None and (child in self._statuses or _has_ended(child)):
             self._report(child, self._stop(child))
 
     def _end(self, child: int) -> None:

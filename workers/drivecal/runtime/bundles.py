@@ -44,7 +44,7 @@ class BundleSessions:
         self._simulators = simulators
         self._sessions: OrderedDict[tuple[str, ...], SimulatorSession] = OrderedDict()
         self._holds: dict[tuple[str, ...], ExitStack] = {}
-        """What keeps the files of open sessions in the cache."""
+        """Locks of open sessions, which keep their files in the cache."""
         self._used: dict[tuple[str, ...], float] = {}
         """Time of the last run of each session."""
         self._clock = clock
@@ -174,7 +174,7 @@ def _watch(sessions: weakref.ref[BundleSessions]) -> None:
     while (watched := sessions()) is not None:
         try:
             watched.watch()
-        except Exception:
+        except Exception:  # a thread that ends would leave all sessions without limits between runs
             log.exception("the sessions of simulators cannot be watched")
         del watched
         time.sleep(WATCH_SECONDS)

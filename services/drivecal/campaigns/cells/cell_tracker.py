@@ -94,9 +94,9 @@ class CellTracker:
 
         The transaction must not be the one that stores new predictions: these are committed before their sample is drawn.
 
-        With `share_runs`, a cell takes a run that another campaign simulated or certified in the meantime, the latter unless the cell has
-        to be simulated. It still counts as that, because the campaign did not see that run when it planned. Without it, every cell is
-        simulated for this campaign alone. `benches` lists the cells' benches besides the campaign's own.
+        With `share_runs`, a cell takes a run that another campaign simulated in the meantime, or certified if the cell may be. It counts as
+        simulated or certified, because the campaign did not see that run when it planned. Without it, every cell is simulated for this
+        campaign alone. `benches` lists the cells' benches besides the campaign's own.
         """
         self._requests = {
             setup_id: bench.requests[scenario]

@@ -375,7 +375,7 @@ def skipped_text(released: Mapping[str, Released]) -> str | None:
     parts = [
         f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
         for reason, counts in (
-            ("because too little was known yet, or every answer", early),
+            ("because too little was known yet, or every answer was known", early),
             ("because predicting would have cost more than it saves, or every answer was known", late),
         )
         if any(counts.values())

@@ -371,7 +371,7 @@ class Scheduler:
         return []
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
-        """Completes all claims to a simulation; those that no certificate may answer wait on if one did."""
+        """Completes the claims to a simulation. After the answer of a certificate, those that have to be simulated wait on."""
         simulation = leader.simulation
         completed = [Completed(leader.tag, worker, answer, attempts)]
         self._forget(leader)
