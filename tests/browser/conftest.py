@@ -19,12 +19,12 @@ Opening = Callable[..., Page]
 AXE = PROJECT / "services" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 TABS = ("overview", "ranking", "evaluations", "curves", "influence", "savings", "trust")
 """Views of a campaign."""
-expect.set_options(timeout=30_000)
+expect.set_options(timeout=90_000)
 
 
 LOST = "WebSocket"
 """Part of the complaint about a server that is gone."""
-GONE = (LOST, "ERR_CONNECTION_REFUSED", "ERR_CONNECTION_RESET")
+GONE = (LOST, "ERR_CONNECTION_", "ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED_ENCODING")
 """Complaints of a page whose server ends, between two requests or in one."""
 DESKTOP, PHONE = ViewportSize(width=1280, height=900), ViewportSize(width=390, height=844)
 
@@ -118,7 +118,7 @@ def opening(browser: Browser, kept: Kept) -> Iterator[Opening]:
     def new_page(origin: str) -> Page:
         context = browser.new_context(viewport=DESKTOP)
         page = context.new_page()
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(90_000)
         page.on("console", lambda one: kept.seen.complaints.append(one.text) if one.type in {"error", "warning"} else None)
         page.on("pageerror", lambda error: kept.seen.complaints.append(str(error)))
         own = {urlsplit(origin).netloc, ""}

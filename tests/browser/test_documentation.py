@@ -31,7 +31,7 @@ def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, o
     expect(page.get_by_role("heading", level=1)).to_contain_text("Tokens")
     # The theme's script answers the key as soon as it runs, which nothing on the page shows: the key is pressed until the search opens.
     words = page.get_by_role("combobox", name="Search")
-    for _ in range(100):
+    for _ in range(600):
         page.keyboard.press("/")
         if words.is_visible():
             break

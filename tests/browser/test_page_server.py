@@ -149,6 +149,8 @@ def test_views_come_back_with_a_server_that_was_started_again(tmp_path: Path, op
         expect(page.get_by_text("Finished.")).to_be_visible()
         stays = opening(f"{api.url}/#/campaigns/{campaign.id}/ranking")
         expect(stays.get_by_role("grid")).to_be_visible()
+        for view in (page, stays):  # the other views are fetched behind the first
+            view.wait_for_function("performance.getEntriesByType('resource').some(({ name }) => name.includes('/Evaluation-'))")
         address = api.url
     for each in (page, stays):
         expect(each.get_by_text("Connection lost")).to_be_visible()

@@ -45,6 +45,7 @@ SMALL: dict[str, dict[str, Any]] = {
 MakeServer = Callable[..., Coordinator]
 
 
+@pytest.mark.timeout(1200)
 def test_a_small_campaign_outlives_all_processes_of_its_server(server_on: MakeServer, tmp_path: Path) -> None:
     """The short form of what follows: one kill, and a worker without Ray."""
     expected = carried_out(tmp_path, SMALL)

@@ -95,8 +95,8 @@ def usual_work(api: ApiProcess) -> None:
             api.http.get(path).raise_for_status()
         refused(api.http.get(f"/api/v1/campaigns/{NOBODY}"))
 
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(ask, range(40)))
+    with ThreadPoolExecutor(16) as pool:
+        list(pool.map(ask, range(80)))
 
 
 def chunks(megabytes: int | None) -> Iterator[bytes]:

@@ -13,6 +13,7 @@ import httpx
 import pytest
 from sqlalchemy import func, select
 from tests.support.found import carry_out
+from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.api.http import limits, protocol
@@ -256,5 +257,4 @@ def test_connections_are_not_taken_without_number(small: RunningApi, monkeypatch
     assert status == 503
     for wire in wires:
         wire.__exit__()
-    time.sleep(0.2)
-    assert small.http.get("/healthz").status_code == 200
+    until(lambda: small.http.get("/healthz").status_code == 200, "room for others")

@@ -31,7 +31,7 @@ from drivecal.configuration.settings import load_settings
 TOKEN = "writer-0123456789abcdef"
 HEADERS = {"Authorization": f"Bearer {TOKEN}"}
 EXAMPLES = tries(2, 100)
-LONGEST_SECONDS = tries(300, 3600)
+LONGEST_SECONDS = tries(900, 3600)
 """For all operations together."""
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
 MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]

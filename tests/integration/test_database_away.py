@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,12 @@ from tests.support.server import RunningApi, serving
 from drivecal.configuration.settings import Settings
 from drivecal.server import serving as serving_module
 from drivecal.storage import processes
+from drivecal.storage.engine.database import PROMPT
 from drivecal.storage.engine.tables import processes as process_table
 from drivecal.storage.engine.types import now
 
 PROMISED_SECONDS = 5.0
-SPARE_SECONDS = 1.0
+SPARE_SECONDS = 15.0
 """For a busy machine."""
 SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 READING = ["/api/v1/campaigns", "/api/v1/campaigns/" + "0" * 32, "/api/v1/workers", "/api/v1/references"]
@@ -141,7 +143,8 @@ def test_a_server_whose_database_does_not_answer_hears_signals(
     assert any("database" in reason for reason in lacking)
 
 
-def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres) -> None:
+def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.api.app.PROMPT", replace(PROMPT, lock=30))
     with serving(postgres.new_database()) as api, api.database.transaction() as connection:
         connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")
         waiting: list[httpx.Response] = []

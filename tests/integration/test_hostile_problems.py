@@ -77,7 +77,7 @@ def attacker(server: Server, mark: str) -> dict[str, Any]:
     return {
         "problem": "attacker",
         "parameters": {"attack": {"choices": sorted(ATTACKS)}},
-        "simulator": {"kind": "python", "file": "attacks.py", "timeout": 5, "memory_mb": 300},
+        "simulator": {"kind": "python", "file": "attacks.py", "timeout": 15, "memory_mb": 300},
         "scenarios": {"only": data},
         "measures": {"y": "m"},
         "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
@@ -86,7 +86,7 @@ def attacker(server: Server, mark: str) -> dict[str, Any]:
 
 def ended(client: Client, identifier: str) -> EvaluatedCell:
     """The cell of a single evaluation, once it has ended."""
-    until(lambda: client.evaluation(identifier).state not in {"queued", "running"}, identifier, 120)
+    until(lambda: client.evaluation(identifier).state not in {"queued", "running"}, identifier, 300)
     return client.evaluation(identifier).items[0]
 
 

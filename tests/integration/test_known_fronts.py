@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import yaml
 from tests.support.computed import ComputedBackend
@@ -174,7 +175,8 @@ def test_a_killed_search_ends_with_the_front_of_an_uninterrupted_one(
         family = server.family()
         server.process.kill()
         for process in family:
-            process.kill()
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
         server.process.wait()
     with started(tmp_path) as server, Client(server.url) as client:
         assert client.wait(killed).state == "succeeded"

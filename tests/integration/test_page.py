@@ -126,7 +126,7 @@ def test_where_the_page_was_not_built_it_says_why(api: RunningApi, tmp_path: Pat
 
 def test_a_token_is_shown_once_and_a_cookie_stands_for_it(guarded: RunningApi) -> None:
     own = {"Origin": guarded.url}
-    with httpx.Client(base_url=guarded.url) as browser:
+    with httpx.Client(base_url=guarded.url, timeout=60) as browser:
         assert browser.get("/api/v1/session").status_code == 401
         begun = browser.post("/api/v1/session", headers=own | {"Authorization": f"Bearer {READ}"})
         assert begun.json() == {"name": "reader", "may_write": False}

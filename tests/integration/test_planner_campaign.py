@@ -38,7 +38,9 @@ def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
         ended = client.wait(client.submit(SPEC).id)
         query: dict[str, str | int] = {"measures": "true", "limit": 1000}
         rows = (
-            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query).raise_for_status().json()["items"]
+            httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query, timeout=60)
+            .raise_for_status()
+            .json()["items"]
         )
     assert (ended.state, ended.error, ended.cells.failed) == ("succeeded", None, 0)
     assert {row["outcome"] for row in rows} == {"simulated"}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 import yaml
 from tests.support.serve import Server, serving, until
@@ -56,12 +57,15 @@ def calibrated(home: Path) -> Iterator[tuple[Client, dict[str, Example]]]:
             client.wait(campaign)
         begun = {name: client.submit(spec).id for name, spec in specs.items()}
         until(
-            lambda: all((client.campaign(campaign).iteration or 0) >= 1 for campaign in begun.values()), "two iterations of all"
+            lambda: all((client.campaign(campaign).iteration or 0) >= 1 for campaign in begun.values()),
+            "two iterations of all",
+            240,
         )
         family = server.family()
         server.process.kill()
         for process in family:
-            process.kill()
+            with suppress(psutil.NoSuchProcess):
+                process.kill()
         server.process.wait()
     states = stored_states(home)
     with started(home) as server, Client(server.url) as client:

@@ -48,5 +48,5 @@ def test_cpu_time_wall_time_and_savings_of_a_simulator_that_sleeps(tmp_path: Pat
     assert first.seconds.simulating < 0.25 * waited, "CPU time"
     assert first.seconds.wall >= waited
     assert [account.clock for account in accounts] == ["wall", "wall"]
-    assert accounts[0].simulated_seconds == pytest.approx(waited, rel=0.5)
-    assert accounts[1].repeated_saved_seconds == pytest.approx(waited, rel=0.5)
+    assert 0.99 * waited <= accounts[0].simulated_seconds <= first.seconds.wall
+    assert accounts[1].repeated_saved_seconds == pytest.approx(accounts[0].simulated_seconds, rel=0.05)

@@ -3,6 +3,7 @@ minimised between 0 and 100, with continuous, integer and choice parameters, a g
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -151,7 +152,7 @@ def test_predictions_are_released_in_the_problem_s_units(database: Database) -> 
             optimizer={"kind": "genetic", "population": 300, "iterations": 6, "seed": 2},
             reduction={"mode": "predicted", "tolerance": 2, "limit": 0.05},
         ),
-        backend(),
+        ComputedBackend(answer=lambda scenario, cell: replace(computed(scenario, cell), milliseconds=500.0)),
     )
     predicted = [row for row in rows_of(database, ended) if row.outcome == "predicted"]
     assert len(predicted) == ended.cells.predicted > 50

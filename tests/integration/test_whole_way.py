@@ -14,7 +14,7 @@ import pytest
 from tests.support import server as api
 from tests.support.faults.oracle import NAME, InThisProcess
 from tests.support.runs import working
-from tests.support.serve import serving
+from tests.support.serve import serving, until
 
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts
@@ -68,6 +68,8 @@ def _carry_out(url: str) -> Gone:
 @pytest.fixture(scope="module")
 def two_workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gone]:
     with serving(tmp_path_factory.mktemp("two"), workers=2) as server:
+        with Client(server.url) as client:
+            until(lambda: [worker.state for worker in client.workers().items] == ["idle", "idle"], "two workers", 240)
         yield _carry_out(server.url)
 
 

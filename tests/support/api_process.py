@@ -53,7 +53,7 @@ def api_process(database_url: str, folder: Path, **settings: str) -> Iterator[Ap
             yield ApiProcess(url, http, psutil.Process(started.pid))
     finally:
         started.terminate()
-        started.wait(timeout=20)
+        started.wait(timeout=60)
 
 
 def _wait(http: httpx.Client, started: subprocess.Popen[bytes], log: Path) -> None:

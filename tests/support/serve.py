@@ -56,7 +56,7 @@ class Server:
 
     def alive(self) -> bool:
         try:
-            return httpx.get(f"{self.url}/healthz", timeout=5.0).status_code == 200
+            return httpx.get(f"{self.url}/healthz", timeout=60).status_code == 200
         except httpx.HTTPError:
             return False
 
@@ -79,4 +79,12 @@ def serving(folder: Path, workers: int = 1, port: int = 0, **settings: str) -> I
 
 def gone(family: list[psutil.Process]) -> bool:
     """True where none of these processes runs any more."""
-    return not [one for one in family if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+    return not any(map(alive, family))
+
+
+def alive(process: psutil.Process) -> bool:
+    """Whether a process runs: it may also end between two questions."""
+    try:
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import socket
 import threading
 import time
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,12 +37,17 @@ class RunningApi:
     database: Database
 
 
+_PORTS = itertools.count(20_000 + 120 * (os.getpid() % 100))
+
+
 def free_port() -> int:
-    """A port that nothing listens on at the moment."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
+    """A port that nothing listens on, below those that Linux gives to connections: a client that asks a server which is down could get its
+    port, and connect to itself."""
+    while True:
+        port = next(_PORTS)
+        with socket.socket() as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str:

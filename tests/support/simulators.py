@@ -127,6 +127,15 @@ def lost(session: SimulatorSession, parameters: Mapping[str, Setting], breakdown
     return error.value.detail
 
 
+def hung(session: Any, parameters: Mapping[str, Setting], seconds: float = 2.0) -> str:
+    """As `lost`, by a hang. Only this run has so short a limit: others of the test may meet a machine that stands still for a while."""
+    limit, session._timeout = session._timeout, seconds
+    try:
+        return lost(session, parameters, Breakdown.HANG)
+    finally:
+        session._timeout = limit
+
+
 def compiled(compiler: str, source: Path, target: Path, *options: str) -> Path:
     """Compiles a C or C++ file."""
     assert shutil.which(compiler), f"the tests need a compiler: {compiler}"

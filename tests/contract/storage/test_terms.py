@@ -8,6 +8,7 @@ from functools import partial
 import pytest
 from sqlalchemy import Connection, text
 from tests.contract.storage.conftest import Backend
+from tests.support.serve import until
 from tests.support.storage import campaign
 
 from drivecal.domain.campaigns import CampaignState
@@ -67,8 +68,13 @@ def test_nobody_is_elected_while_a_transaction_of_the_one_before_runs(backend: B
         assert not elected.wait(0.5)
         if backend == "postgresql":
             waiting = "SELECT count(*) FROM pg_stat_activity WHERE wait_event_type = 'Lock' AND query LIKE '%FOR UPDATE%'"
-            with database.read() as looking:
-                assert looking.scalar(text(waiting)) == 1
+
+            def waits() -> bool:
+                with database.read() as looking:
+                    return bool(looking.scalar(text(waiting)) == 1)
+
+            until(waits, "the election waits for the lock")
+            assert not elected.is_set()
     other.join(30)
     assert elected.is_set()
     with database.read() as connection:

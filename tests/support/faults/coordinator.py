@@ -14,6 +14,7 @@ from pathlib import Path
 
 import httpx
 import psutil
+from tests.support.effort import LONG
 from tests.support.faults import cage
 from tests.support.faults.patience import Patience
 from tests.support.serve import environment
@@ -24,12 +25,12 @@ from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.processes import StoredProcess
 
-READY_SECONDS = 60.0
+READY_SECONDS = 60.0 if LONG else 240.0
 """In which a server is to be ready again, whatever was killed; this and the others without what the machine does for others."""
-STOP_SECONDS = 10.0
+STOP_SECONDS = 10.0 if LONG else 60.0
 """In which SIGTERM ends it."""
-ORPHAN_SECONDS = 5.0
-"""In which nothing is left of what was killed."""
+ORPHAN_SECONDS = 5.0 if LONG else 60.0
+"""In which nothing is left of what was killed. The long forms hold the promises; the short ones run beside others on slow machines."""
 
 
 class Coordinator:
@@ -126,7 +127,7 @@ class Coordinator:
     def answers(self, path: str) -> httpx.Response | None:
         """The answer to GET, None where there is none."""
         try:
-            return httpx.get(self.url + path, timeout=5.0)
+            return httpx.get(self.url + path, timeout=30.0)
         except httpx.HTTPError:
             return None
 

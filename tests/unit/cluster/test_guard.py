@@ -26,8 +26,8 @@ def guarded(folder: Path, name: str, seconds: str) -> subprocess.Popen[str]:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_node_whose_raylet_gives_up_ends_and_says_so(tmp_path: Path) -> None:
-    process = guarded(tmp_path, "raylet", "2")
-    _, said = process.communicate(timeout=60)
+    process = guarded(tmp_path, "raylet", "5")
+    _, said = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "ERROR" in said
     assert "raylet" in said

@@ -313,23 +313,26 @@ def test_a_simulator_that_multiplies_after_its_answer_is_ended(
 ) -> None:
     for module in (process, bundles):
         monkeypatch.setattr(module, "WATCH_SECONDS", 0.05)
+    monkeypatch.setattr(process, "WATCH_SHARE", 1.0)
     monkeypatch.setattr(children, "MOST_PROCESSES", 3)
-    mark = f"mark-of-{tmp_path.parent.name}-{tmp_path.name}"
+    mark, go = f"mark-of-{'-'.join(tmp_path.parts[-3:])}", tmp_path / "go"
     program = f"""
-import subprocess, sys, threading, time
+import os, subprocess, sys, threading, time
 def multiply():
-    time.sleep(0.3)
+    while not os.path.exists({str(go)!r}): time.sleep(0.05)
     for _ in range(5):
         subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)", {mark!r}])
-threading.Thread(target=multiply).start()
+threading.Thread(target=multiply, daemon=True).start()
 {READY}"""
     section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator=section)
     sessions = BundleSessions(BundleCache(tmp_path / "cache"))
     sessions.store(setup.bundle, archive)
     assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
-    eventually(lambda: bool(running(mark)))
+    assert running(mark)
+    go.touch()
     eventually(lambda: not running(mark))
+    go.unlink()
     assert sessions.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
 
 
