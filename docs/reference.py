@@ -27,6 +27,7 @@ from drivecal.bundles import highway, manifest
 from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
+from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.highway.planner.spaces import RANGES
 from drivecal.highway.scenarios.definitions import DEFINITIONS
 
@@ -43,8 +44,6 @@ CAMPAIGN = (
     specification.SensitivitySpecification,
     specification.RobustnessSpecification,
     specification.ValidationSpecification,
-    specification.ObjectiveSpecification,
-    specification.ConstraintSpecification,
 )
 OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecification, specification.InfluenceMapSpecification)
 PROBLEM = (
@@ -59,20 +58,21 @@ PROBLEM = (
     highway.HighwayScenario,
     highway.OpenScenario,
 )
-ROWS = (
-    tables.EvaluationRow,
-    tables.Generation,
-    tables.Solution,
-    tables.OptimumRow,
-    tables.FrontRow,
-    tables.InfluenceRow,
-    tables.RobustnessRow,
-    tables.ValidationRow,
-    comparison.ComparedRun,
-    comparison.ComparedGroup,
-    comparison.ComparedPair,
-    comparison.ReductionEffect,
-)
+ROWS: Mapping[str, type[BaseModel]] = {
+    "evaluations": tables.EvaluationRow,
+    "generations": tables.Generation,
+    "solutions": tables.Solution,
+    "optima": tables.OptimumRow,
+    "front": tables.FrontRow,
+    "influence": tables.InfluenceRow,
+    "robustness": tables.RobustnessRow,
+    "validation": tables.ValidationRow,
+    "comparison": comparison.ComparedRun,
+    "comparison-groups": comparison.ComparedGroup,
+    "comparison-pairs": comparison.ComparedPair,
+    "comparison-effects": comparison.ReductionEffect,
+}
+"""Rows by the name of their table."""
 ROWS_TEXT = """\
 # Tables
 
@@ -107,6 +107,14 @@ PARAMETERS
 ## Scenarios
 
 SCENARIOS
+
+## Measures
+
+Objectives and constraints can name them.
+
+MEASURES
+
+## Score
 
 The score rates comfort from 0 to 7. A collision, leaving the road, an unstable vehicle and a missed task score 0. The evaluator `reference`
 rates peaks, jerk and offsets; `learned`
@@ -203,15 +211,15 @@ def default_of(schema: Schema, name: str, required: Sequence[str]) -> str:
     return code(value if isinstance(value, str) else json.dumps(value))
 
 
-def fields(model: type[BaseModel], heading: str) -> str:
-    """Returns a section with the fields of a model."""
+def fields(model: type[BaseModel], heading: str, title: str = "") -> str:
+    """Returns a section with the fields of a model, headed by its name without a `title`."""
     schema, notes = model.model_json_schema(), field_notes(model)
     required = schema.get("required", [])
     rows = [
         (code(name), kind(field), default_of(field, name, required), notes.get(name, ""))
         for name, field in schema.get("properties", {}).items()
     ]
-    return f"{heading} {model.__name__}\n\n{prose(model.__doc__)}\n\n{table(('field', 'value', 'default', 'meaning'), rows)}\n"
+    return f"{heading} {title or model.__name__}\n\n{prose(model.__doc__)}\n\n{table(('field', 'value', 'default', 'meaning'), rows)}\n"
 
 
 def command_line() -> str:
@@ -282,7 +290,7 @@ def problem_file() -> str:
 
 def table_columns() -> str:
     """Returns the page of the rows of all tables."""
-    return ROWS_TEXT + "\n".join(fields(model, "##") for model in ROWS)
+    return ROWS_TEXT + "\n".join(fields(model, "##", name) for name, model in ROWS.items())
 
 
 def rest() -> str:
@@ -356,6 +364,7 @@ def motorway() -> str:
     texts = {
         "PARAMETERS": table(("parameter", "range", "meaning"), parameters),
         "SCENARIOS": table(("id", "scenario"), scenarios),
+        "MEASURES": table(("measure", "unit"), [(code(name), unit) for name, unit in CLOSED_LOOP_MEASURES.items()]),
     }
     return re.sub("|".join(texts), lambda match: texts[match[0]], MOTORWAY_TEXT)
 

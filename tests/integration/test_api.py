@@ -379,15 +379,15 @@ def test_an_evaluation_that_cannot_run_is_refused_by_field(api: RunningApi) -> N
 
 
 def test_the_inventory_lists_scenarios_parameters_and_references(api: RunningApi) -> None:
-    scenarios = api.http.get("/api/v1/scenarios").json()["items"]
-    assert [one["id"] for one in scenarios if one["catalogue"] == "highway"] == ["S1", "S2", "S3", "S4", "S5", "S6"]
-    spaces = {one["name"]: one["parameters"] for one in api.http.get("/api/v1/parameters").json()["items"]}
+    page = api.http.get("/api/v1/scenarios").json()
+    assert [row["id"] for row in page["items"] if row["catalogue"] == "highway"] == ["S1", "S2", "S3", "S4", "S5", "S6"]
+    assert (page["scores"], page["measures"]["offset_peak_m"]) == (["comfort"], "m")
+    spaces = {space["name"]: space["parameters"] for space in api.http.get("/api/v1/parameters").json()["items"]}
     first = spaces["highway"][0]
     assert (first["name"], first["lower"], first["upper"], first["step"]) == ("P1", -15, 14, 0.5)
-    assert [one["n_values"] for one in spaces["highway_table9"]] == [2**k for k in (6, 5, 8, 11, 4, 4, 8, 11, 5, 5, 8)]
+    assert [entry["n_values"] for entry in spaces["highway_table9"]] == [2**k for k in (6, 5, 8, 11, 4, 4, 8, 11, 5, 5, 8)]
     carry_out(api.database, submit(api)["id"])
-    references = api.http.get("/api/v1/references").json()["items"]
-    runs = {one["scenario"]: one["runs"] for one in references}
+    runs = {row["scenario"]: row["runs"] for row in api.http.get("/api/v1/references").json()["items"]}
     assert all(runs[scenario] > 0 for scenario in ("S1", "S6"))
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivecal.analysis.chosen import Chosen
-from drivecal.analysis.solutions import EQUAL
+from drivecal.analysis.goals import EQUAL
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Reason

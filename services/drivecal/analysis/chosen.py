@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from drivecal.analysis.solutions import EQUAL
+from drivecal.analysis.goals import EQUAL
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.results import Light, Reason
 from drivecal.domain.scales import unit_text

@@ -6,9 +6,9 @@ from statistics import fmean, stdev
 from typing import NamedTuple
 
 from drivecal.analysis.convergence import alternatives_at, best_at
+from drivecal.analysis.goals import EQUAL
+from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 
-EQUAL = 1e-9
-"""Objectives that differ by no more than this are equal."""
 CONFIDENCE = 0.95
 
 
@@ -88,27 +88,7 @@ def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
     return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -EQUAL
 
 
-@dataclass(frozen=True, slots=True)
-class RunGroup:
-    """Runs that differ only in their seeds; see `drivecal.contracts.comparison.ComparedGroup`."""
-
-    optimizer: str
-    population: int
-    reduction: str
-    seeds: int
-    best: float | None
-    mean: float | None
-    minimum: float | None
-    rating: float | None
-    alternatives: float | None
-    simulations: float | None
-    converged: int
-    iterations_to_converge: float | None
-    simulations_to_converge: float | None
-    successes: int
-
-
-def groups(courses: Sequence[Course], sign: int = 1) -> list[RunGroup]:
+def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
     """Runs with equal optimizer, population and reduction together, in the order of the first of each."""
     best = best_of_all(courses, sign)
     courses_by_group: dict[tuple[str, int, str], list[Course]] = {}
@@ -120,11 +100,11 @@ def groups(courses: Sequence[Course], sign: int = 1) -> list[RunGroup]:
 
 def _group(
     optimizer: str, population: int, reduction: str, members: Sequence[Course], best: float | None, sign: int
-) -> RunGroup:
+) -> ComparedGroup:
     optima = [member.optimum for member in members if member.optimum is not None]
     begun = [member for member in members if member.best]
     converged = [member for member in members if member.converged_at is not None]
-    return RunGroup(
+    return ComparedGroup(
         optimizer=optimizer,
         population=population,
         reduction=reduction,
@@ -179,29 +159,7 @@ def pairs(courses: Sequence[Course]) -> list[Pair]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """Effect of a reduction; see `drivecal.contracts.comparison.ReductionEffect`."""
-
-    optimizer: str | None
-    population: int | None
-    reduction: str
-    base: str
-    pairs: int
-    mean_difference: float
-    lower_95: float | None
-    upper_95: float | None
-    better: int
-    equal: int
-    worse: int
-    sign_test: float
-    different_upper_95: float
-    simulations: int
-    base_simulations: int
-    saved_share: float
-
-
-def effects(pairs: Sequence[Pair], sign: int = 1) -> list[Effect]:
+def effects(pairs: Sequence[Pair], sign: int = 1) -> list[ReductionEffect]:
     """Effects by reduction, optimizer and population, and, if there are several such groups, of each reduction over all of them."""
     wanted: dict[tuple[str, str | None, int | None], list[Pair]] = {}
     for course in pairs:
@@ -214,7 +172,9 @@ def effects(pairs: Sequence[Pair], sign: int = 1) -> list[Effect]:
     return [_effect(*key, listed, sign) for key, listed in wanted.items()]
 
 
-def _effect(reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair], sign: int) -> Effect:
+def _effect(
+    reduction: str, optimizer: str | None, population: int | None, listed: Sequence[Pair], sign: int
+) -> ReductionEffect:
     from scipy import stats  # more than a second, which only those pay who compare
 
     differences = [course.difference for course in listed]
@@ -227,7 +187,7 @@ def _effect(reduction: str, optimizer: str | None, population: int | None, liste
         margin = quantile * stdev(differences) / len(differences) ** 0.5
     interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")
     with_it, without = (sum(run.simulated for run in runs) for runs in zip(*((p.run, p.base) for p in listed), strict=True))
-    return Effect(
+    return ReductionEffect(
         optimizer=optimizer,
         population=population,
         reduction=reduction,

@@ -7,7 +7,8 @@ reference's score, and the ranking is computed again. This repeats until the fir
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet, FrontMember, Ranking
+from drivecal.analysis.goals import EQUAL
+from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 
 CONFIRMED = "confirmed by simulation"
 """Beginning of the verdict if the best set has only scores of its own."""

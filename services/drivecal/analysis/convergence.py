@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 
+from drivecal.analysis.goals import EQUAL
+
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
 UNCHANGED_ALTERNATIVES = 5
@@ -47,4 +49,4 @@ def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[f
 def _equal(first: float | None, other: float | None) -> bool:
     if first is None or other is None:
         return first is other
-    return abs(first - other) <= 1e-9
+    return abs(first - other) <= EQUAL

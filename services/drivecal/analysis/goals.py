@@ -4,7 +4,7 @@ A value of a cell is the campaign's score, another score (a formula over measure
 data, so that its results can be read without its problem.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import isclose
@@ -17,6 +17,8 @@ from drivecal.domain.scales import Scale
 
 SCORE = "score"
 """Key of the campaign's own score, which cells store."""
+EQUAL = 1e-9
+"""Objectives and sums of violations that differ by no more than this are equal."""
 AggregateKind = Literal["mean", "min", "max", "quantile"]
 
 
@@ -137,6 +139,11 @@ class Judged:
     amounts: tuple[float, ...]
     violation: float
 
+    @property
+    def broken(self) -> int:
+        """The sum of violations in units of EQUAL, as rankings compare it."""
+        return round(self.violation / EQUAL)
+
 
 @dataclass(frozen=True)
 class Goals:
@@ -189,6 +196,11 @@ class Goals:
             tuple(Objective(**_parts(each)) for each in document["objectives"]),
             tuple(Bound(**_parts(each)) for each in document["constraints"]),
         )
+
+
+def computed(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
+    """Returns what computes the values of a run that cells do not store; None if goals need none."""
+    return goals.values if goals is not None and goals.computed else None
 
 
 def _document(goal: Goal) -> dict[str, Any]:

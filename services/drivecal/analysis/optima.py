@@ -49,12 +49,6 @@ class Optimum:
     to_worse: float | None
 
 
-def optima(best: Floats, worse: Floats) -> list[Optimum]:
-    """Groups the best sets, shape (n, n_p), with all other evaluated sets, shape (m, n_p), in the unit cube."""
-    numbers = regions(best, NEIGHBOURS)
-    return [Optimum(int(region), distance) for region, distance in zip(numbers, to_nearest(best, worse), strict=True)]
-
-
 def to_nearest(points: Floats, others: Floats) -> list[float | None]:
     """Returns the distance of the nearest of `others` from each of `points`, in shares of the ranges; None without others."""
     if not len(others):

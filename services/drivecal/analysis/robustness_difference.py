@@ -1,6 +1,6 @@
 """Differences between two robustness studies of the same sets, as in a plain and a hybrid vehicle."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivecal.contracts.tables import RobustnessRow
@@ -26,8 +26,8 @@ class StudyDifference:
 
 def pairs_of(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> list[tuple[RobustnessRow, RobustnessRow]]:
     """The sets that both have, in the order of the first."""
-    known = {_key(row): row for row in others}
-    return [(row, known[_key(row)]) for row in rows if _key(row) in known]
+    known = {key_of(row.parameters): row for row in others}
+    return [(row, known[key_of(row.parameters)]) for row in rows if key_of(row.parameters) in known]
 
 
 def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -> StudyDifference:
@@ -50,12 +50,14 @@ def difference(rows: Sequence[RobustnessRow], others: Sequence[RobustnessRow]) -
         mean_degree=(sum(row.degree for row, _ in pairs) / count, sum(other.degree for _, other in pairs) / count),
         scores=_changes([(here, there) for here, there in scores if there is not None]),
         tau=float(kendalltau(*zip(*ranks, strict=True)).statistic) if len(ranks) > 1 else None,
-        same_recommended=[_key(row) for row in rows if row.recommended] == [_key(row) for row in others if row.recommended],
+        same_recommended=[key_of(row.parameters) for row in rows if row.recommended]
+        == [key_of(row.parameters) for row in others if row.recommended],
     )
 
 
-def _key(row: RobustnessRow) -> tuple[tuple[str, float | str], ...]:
-    return tuple(sorted(row.parameters.items()))
+def key_of(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
+    """Returns a key of a parameter set, by which rows of two studies are compared."""
+    return tuple(sorted(parameters.items()))
 
 
 def _changes(pairs: Sequence[tuple[float, float]]) -> tuple[int, int, int]:

@@ -9,11 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import Goals, Judged
+from drivecal.analysis.goals import EQUAL, Goals, Judged
 from drivecal.domain.evaluations import CellScore
-
-EQUAL = 1e-9
-"""Objectives that differ by no more than this are equal: alternatives of each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +39,7 @@ class EvaluatedSet:
     @property
     def violation(self) -> int:
         """Sum of the violations of constraints, in units of EQUAL."""
-        return 0 if self.judgement is None else round(self.judgement.violation / EQUAL)
+        return 0 if self.judgement is None else self.judgement.broken
 
     @property
     def shares_violated(self) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
 from drivecal.analysis.chosen import Chosen, at_ends, baseline_breaks_more, every_score_is_known, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, verdict_in
-from drivecal.analysis.solutions import EQUAL
+from drivecal.analysis.goals import EQUAL
 from drivecal.bundles.scoring import REMEDY
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer

@@ -100,6 +100,15 @@ def matches(if_none_match: str | None, tag: str) -> bool:
     return "*" in given or tag.removeprefix("W/") in given
 
 
+def takes_gzip(accept_encoding: str) -> bool:
+    """Returns whether a client accepts gzip (RFC 9110, Section 12.5.3)."""
+    for part in accept_encoding.lower().split(","):
+        name, *parameters = (word.strip() for word in part.split(";"))
+        if name == "gzip":
+            return not any(parameter.replace(" ", "").rstrip("0.") == "q=" for parameter in parameters)
+    return False
+
+
 def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}

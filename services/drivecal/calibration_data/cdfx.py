@@ -67,8 +67,6 @@ def _instance(tree: Element, characteristic: Characteristic, quality: Quality | 
         ):
             if text:
                 _add(entry, tag, text)
-        if quality.remark:
-            _add(SubElement(entry, "REMARK"), "P", quality.remark)
         for figure, text in quality.figures:
             _add(entry, "SD", text).set("GID", figure)
 

@@ -51,7 +51,6 @@ class Quality:
     campaign: str
     data: str = ""
     """Digest of the problem's files."""
-    remark: str = ""
     figures: tuple[tuple[str, str], ...] = ()
 
 

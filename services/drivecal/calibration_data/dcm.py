@@ -61,8 +61,6 @@ def _header(quality: Quality) -> Iterator[tuple[str, str]]:
     if quality.data:
         yield "data", quality.data
     yield from quality.figures
-    if quality.remark:
-        yield "remark", quality.remark
 
 
 def _block(characteristic: Characteristic) -> Iterator[str]:

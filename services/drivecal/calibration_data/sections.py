@@ -15,6 +15,8 @@ from drivecal.domain.errors import InvalidInputError, Problem
 LARGEST = 1e6
 """Largest number that a parameter of drivecal may have."""
 MOST_PARAMETERS = 200
+SINGLE = 2.0**-23
+"""Relative precision of a number of 32 bits."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 
 
@@ -90,9 +92,9 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
             problems.append(Problem(shown(name), "two characteristics have this name", "change the file of --names"))
         else:
             try:
-                result.parameters[name] = _entry(characteristic, span, name, result.guessed)
+                result.parameters[name] = entry = _entry(characteristic, span, name, result.guessed)
                 if characteristic.value is not None:
-                    result.baseline[name] = _value(characteristic, name)
+                    result.baseline[name] = _value(characteristic, name, entry)
             except InvalidInputError as error:
                 problems += error.problems
     if result.left_out and not result.parameters and not problems:
@@ -103,7 +105,7 @@ def sections_of(characteristics: Sequence[Characteristic], names: Mapping[str, s
     return result
 
 
-def _value(characteristic: Characteristic, name: str) -> float | str:
+def _value(characteristic: Characteristic, name: str, entry: Mapping[str, Any]) -> float | str:
     """Returns a value as a problem has it. Raises InvalidInputError if the parameter cannot have it."""
     value, choices = characteristic.value, characteristic.choices
     if isinstance(value, float) and choices:
@@ -116,7 +118,14 @@ def _value(characteristic: Characteristic, name: str) -> float | str:
         if not value.is_integer():
             raise InvalidInputError(Problem(name, f"its value {value:g} is not whole", "correct the value, or the A2L"))
         return int(value)
-    return value if value is not None else ""
+    return _settled(value, entry) if isinstance(value, float) else value or ""
+
+
+def _settled(value: float, entry: Mapping[str, Any]) -> float:
+    """Returns a value with nine decimals. One that equals an end of the range or a step in single precision becomes that end or step."""
+    lower, upper, step = entry["lower"], entry["upper"], entry.get("step")
+    places = [lower, upper] if step is None else [lower + round((value - lower) / step) * step]
+    return _short(next((place for place in places if math.isclose(value, place, rel_tol=SINGLE)), value))
 
 
 def _entry(characteristic: Characteristic, span: float, name: str, guessed: list[str]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.goals import computed
 from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.domain.campaigns import StageName
@@ -125,9 +126,8 @@ def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[in
     resolved = resolved_spec(stored)
     goals = resolved.goals
     standing = Ranking(resolved.weights, resolved.scale.sign, goals)
-    valued = goals.values if goals is not None and goals.computed else None
     stage, evaluator = StageName.CALIBRATION, resolved.evaluator
-    standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=valued))
+    standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=computed(goals)))
     front = [member.solution for member in standing.front()] if goals is not None and goals.is_vector else []
     ranked = [solution.parameter_set for solution in (*front, *standing.ranking())]
     return list(dict.fromkeys(ranked))[:count]

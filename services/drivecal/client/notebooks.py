@@ -1,4 +1,4 @@
-"""A followed campaign in notebooks, displayed anew with each change."""
+"""A followed campaign in notebooks, displayed again with each change."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator

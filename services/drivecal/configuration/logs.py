@@ -102,11 +102,6 @@ def begin(**known: Value) -> None:
     note(**known)
 
 
-def noted() -> dict[str, Any]:
-    """Returns the fields of the current context."""
-    return structlog.contextvars.get_contextvars()
-
-
 def _finish(process: Process, _logger: object, _method: str, line: _Line) -> _Line:
     """Orders the fields of a line: common fields first, the rest by name."""
     record: logging.LogRecord = line["_record"]

@@ -66,7 +66,7 @@ class Settings(BaseSettings):
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
     """Largest number of open event streams; further ones are refused (429)."""
     backend: Literal["ray", "processes"] | None = None
-    """What workers run on: Ray, or plain processes of this machine; none: Ray if it is installed."""
+    """Kind of the workers: processes of Ray, or plain ones of this machine; none: Ray if it is installed."""
     ray_address: Line | None = None
     """Address of a Ray cluster; without it the dispatcher starts a local Ray."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None

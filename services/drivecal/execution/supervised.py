@@ -28,7 +28,7 @@ from drivecal.execution.backend import (
     WorkerInfo,
 )
 from drivecal.execution.worker_process import Call, WorkerProcess
-from drivecal.plugins.simulators import PROBE_SECONDS, START_SECONDS
+from drivecal.plugins.simulators import PROBE_SECONDS, start_limit
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a backend is given up, because a new process may succeed, unless it `waits_for_workers`."""
@@ -299,4 +299,4 @@ def _limits_of_simulators(batch: Batch) -> float:
     if timeout is None or not batch.cells:
         return 0.0
     probe = PROBE_SECONDS if isinstance(batch.setup, BundleRequest) and batch.setup.tools is not None else 0.0
-    return probe + max(timeout, START_SECONDS) + 2 * timeout * len(batch.cells)
+    return probe + start_limit(timeout) + 2 * timeout * len(batch.cells)

@@ -119,7 +119,7 @@ class WorkerProcess:
         return call
 
     def busy_seconds(self) -> float:
-        """How long the running call has been running."""
+        """Time (s) since the running call began."""
         begun = self.deadline - self.calls[0].seconds if self.calls else self.deadline
         return max(0.0, time.monotonic() - begun)
 

@@ -4,7 +4,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,15 +12,14 @@ import numpy as np
 
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.probe import run_probe
-from drivecal.adapters.process import start_seconds
 from drivecal.bundles.archives import remove, unpack
 from drivecal.bundles.checks import choices_of
-from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
+from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.manifest import Manifest, ParameterEntry
 from drivecal.bundles.scoring import cut_text, rate
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession, start_limit
 
 DRAWN = 10_000
 """Sets among which one is searched that keeps all constraints."""
@@ -48,9 +47,8 @@ class CheckedScenario:
     """Result of a scenario's two runs, and of another set.
 
     `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
-    has the worth of a failed run. `cut`: true values of the scores that are worse than a failed run's worth, and count as it. `values`:
-    what the formulas give, before anything is cut off. `seconds`: of each run, wall-clock;
-    `start_seconds`: until the simulator was ready. `other`: None if no other set was tried.
+    has the worth of a failed run. `cut`: true values of the scores that are worse than a failed run's worth, and count as it.
+    `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready. `other`: None if no other set was tried.
     """
 
     scenario: str
@@ -59,7 +57,6 @@ class CheckedScenario:
     scores: Mapping[str, float] = field(default_factory=dict)
     undefined: Mapping[str, str] = field(default_factory=dict)
     cut: Mapping[str, float] = field(default_factory=dict)
-    values: Mapping[str, float] = field(default_factory=dict)
     repeats: bool | None = None
     start_seconds: float = 0.0
     seconds: tuple[float, ...] = ()
@@ -151,7 +148,7 @@ def _checked(
 ) -> CheckedScenario:
     limit = manifest.simulator.timeout
     source = "`simulator.timeout` in problem.yaml"
-    start_limit = f"the limit is {start_seconds(limit):g} s ({source}, or 60 if that is less)"
+    start = f"the limit is {start_limit(limit):g} s ({source}, or 60 if that is less)"
 
     def run(number: int) -> AbstractContextManager[None]:
         return _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell)
@@ -161,7 +158,7 @@ def _checked(
     declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units)
     began = time.perf_counter()
     try:
-        with _signs(f"{scenario}: the start", start_limit, tell):
+        with _signs(f"{scenario}: the start", start, tell):
             session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
     except (UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error))
@@ -185,7 +182,6 @@ def _checked(
         scores=scores,
         undefined=undefined,
         cut=cut,
-        values=_values(manifest, first),
         repeats=_bits(first) == _bits(second),
         start_seconds=started,
         seconds=(first_seconds, second_seconds),
@@ -222,17 +218,6 @@ def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], d
     )
 
 
-def _values(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
-    """Returns the values of the formulas, of those that have one."""
-    values = {}
-    for name, entry in manifest.scores.items():
-        formula = Formula(entry.formula, manifest.measures)
-        if outcome.failure is None and formula.names <= outcome.measures.keys():
-            with suppress(UndefinedError):
-                values[name] = formula(outcome.measures)
-    return values
-
-
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
     """Returns a warning for each score that is cut off, with its true value."""
     runs = [
@@ -256,7 +241,8 @@ def doubtful_ranges(manifest: Manifest, checked: Sequence[CheckedScenario]) -> l
     """Returns a warning for each score whose range is far from what was measured, with the values."""
     warnings = []
     for name, entry in manifest.scores.items():
-        values = [result.values[name] for result in checked if name in result.values]
+        valued = [run for run in checked if run.failure is None and name in run.scores and name not in run.undefined]
+        values = [run.cut.get(name, run.scores[name]) for run in valued]
         if not values:
             continue
         (lower, upper), least, most = entry.range, min(values), max(values)

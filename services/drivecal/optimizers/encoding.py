@@ -30,11 +30,6 @@ class BitEncoding:
         self.bits: Indices = np.array([(n - 1).bit_length() for n in n_values.tolist()], dtype=np.int64)
         """Bits per parameter, k, shape (n_searched,)."""
 
-    @property
-    def n_bits(self) -> int:
-        """The length of a chromosome."""
-        return int(self.bits.sum())
-
     @cached_property
     def _largest(self) -> Indices:
         return np.array([2**k - 1 for k in self.bits.tolist()], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Why a stored set may, or may not, answer a cell: the parameters in which they differ, and the regions in which their values lie.
+"""Reasons why a stored set may, or may not, answer a cell: the parameters in which they differ, and the regions in which their values lie.
 
 Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not. Pure.
 """

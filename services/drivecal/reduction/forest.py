@@ -1,6 +1,6 @@
 """The default predictor: a forest of extremely randomised trees (Geurts, Ernst and Wehenkel 2006). The trees are scikit-learn's.
 
-Its forests are not used: they check and convert the same data anew for every tree, which takes several times as long as the trees do,
+Its forests are not used: they check and convert the same data again for every tree, which takes several times as long as the trees do,
 holds the interpreter's lock meanwhile, and delays the next batch of a campaign while all workers wait.
 """
 
@@ -26,7 +26,7 @@ class BaggedTrees:
         self._scores: Floats = np.empty(0)
         self._trees: list[ExtraTreeRegressor] = []
         self._drawn: Indices = np.empty((0, 0), dtype=np.int64)
-        """How often each tree's bootstrap sample holds each known answer, shape (n_trees, n_known)."""
+        """Number of times that each tree's bootstrap sample holds each known answer, shape (n_trees, n_known)."""
         self._leaves: Indices = np.empty((0, 0), dtype=np.int64)
         """The leaf of each known answer in each tree, shape (n_trees, n_known)."""
 

@@ -71,3 +71,8 @@ class ReferenceKeys:
 def billionths_matrix(parameter_sets: Sequence[ParameterSet]) -> npt.NDArray[np.int64]:
     """The values of parameter sets with the same names, shape (n, n_p): in billionths, texts as `domain.values.code`."""
     return np.array([parameter_set.codes for parameter_set in parameter_sets], dtype=np.int64).reshape(len(parameter_sets), -1)
+
+
+def keys_under(influence_map: InfluenceMap, scenario: str, names: Sequence[str], values: npt.NDArray[np.int64]) -> list[bytes]:
+    """Returns the keys of sets of the parameters `names` under a map, in a scenario."""
+    return ReferenceKeys(influence_map, scenario, names).keys(values)

@@ -96,7 +96,7 @@ class ScoreEntry(Model):
     formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
     """Arithmetic over measures."""
     direction: Literal["maximise", "minimise"]
-    """Which scores are better."""
+    """Direction of better scores."""
     range: Annotated[tuple[Number, Number], Field(strict=False)]
     """Usual values; scores may lie beyond, but none counts worse than `failed`."""
     tolerance: Annotated[float, Field(ge=0, le=1e6)] = 0.0

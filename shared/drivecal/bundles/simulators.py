@@ -27,7 +27,7 @@ class SimulatorEntry(Model):
     timeout: Annotated[float, Field(gt=0, le=86_400)] = 60.0
     """Longest run, s of wall-clock time."""
     memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 2000
-    """Of the processes of a run."""
+    """Memory limit of a run's processes, MB."""
     deterministic: bool = False
     """Equal inputs give equal measures."""
     probe: Command | None = None

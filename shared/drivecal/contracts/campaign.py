@@ -237,7 +237,7 @@ class Campaign(CellsByStage):
     requested_action: str | None = None
     """`pause`, `resume` or `cancel` if requested and not done yet."""
     degraded: str | None = None
-    """Why it is slow or stands still for now."""
+    """Reason why it is slow or stands still for now."""
     stage: str | None = None
     iteration: int | None = None
     """Iteration of the search, counted from 0."""

@@ -109,8 +109,8 @@ class ComparedRun(Answer):
     """The best objective of a set whose every score was simulated for itself. If references answer cells, a search prefers sets whose
     scores are too good: `best` is what it believed, this is what it has. Runs with reuse have their best set simulated after the search,
     and the next one if it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
-    are not that far, ended before, are of an earlier release or note that their best set is not confirmed, it is a lower bound. What is
-    said of groups, pairs and successes is said of this."""
+    are not that far, ended before, are of an earlier release or note that their best set is not confirmed, it is a lower bound.
+    Groups, pairs and successes use this value."""
     rating: float | None
     """The weighted continuous rating of the best set, which tells optima of the same objective apart; as the search believed, as are
     `alternatives` and `mean`."""
@@ -126,8 +126,8 @@ class ComparedRun(Answer):
 class ComparedGroup(Answer):
     """The runs of one optimizer, population size and reduction.
 
-    `best`, `mean`, `minimum`: over the final optima (`ComparedRun.simulated_best`) of its `seeds` runs that have one; the means of
-    iterations and simulations to convergence are over the `converged` ones.
+    `best`, `mean`, `minimum`: over the final optima (`simulated_best` of the table `comparison`) of its `seeds` runs that have one; the
+    means of iterations and simulations to convergence are over the `converged` ones.
     """
 
     optimizer: str
@@ -150,8 +150,8 @@ class ComparedGroup(Answer):
 
 
 class ComparedPair(Answer):
-    """Two ended runs that differ in the reduction alone. `best`, `base_best`: their final optima (`ComparedRun.simulated_best`);
-    `difference`: that of `run` less that of `base_run`; `saved`: simulations."""
+    """Two ended runs that differ in the reduction alone. `best`, `base_best`: their final optima (`simulated_best` of the table
+    `comparison`); `difference`: that of `run` less that of `base_run`; `saved`: simulations."""
 
     optimizer: str
     population: int

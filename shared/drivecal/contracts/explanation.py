@@ -133,7 +133,7 @@ class Prediction(Answer):
 
 
 class Explanation(Answer):
-    """Why a cell was answered as it was.
+    """Reason for the answer of a cell.
 
     `reference` is the donor (repeated, reused), the donor that was not trusted (audited, confirmation), or the nearest stored set
     (blocked): fewest blocking parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of

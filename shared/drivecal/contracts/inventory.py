@@ -92,8 +92,11 @@ class BrokenPluginAnswer(Answer):
 
 
 class ScenarioPage(Page[ScenarioAnswer]):
-    """All scenarios. `broken`: the catalogues that cannot be used."""
+    """All scenarios, and what goals of their campaigns can name: `scores`, and `measures` with their units. `broken`: the catalogues that
+    cannot be used."""
 
+    scores: list[str] = Field(default_factory=list)
+    measures: dict[str, str] = Field(default_factory=dict)
     broken: list[BrokenPluginAnswer] = Field(default_factory=list)
 
 

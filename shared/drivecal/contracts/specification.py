@@ -108,7 +108,7 @@ class OptimizerSpecification(BaseModel):
     population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] = 1000
     """Parameter sets in each iteration."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 20
-    """How often the optimizer proposes a population."""
+    """Number of populations that the optimizer proposes."""
     start: Literal["lhs", "halton"] = "lhs"
     """Draw of the start population: Latin hypercube or Halton sequence."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
@@ -124,18 +124,18 @@ class ReductionSpecification(Model):
 
     `off`: only equal sets of one population share a run; `exact`: equal parameter sets; `influence`: by an influence map (the paper's
     Figure 6); `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an
-    analysis or a map. Shares of errors are expected ones among the answers of a lot that are released (AOQL), by scenario.
+    analysis or a map. `limit` and `max_error` bound expected numbers of released errors (AOQL), by scenario.
     """
 
     mode: ReductionMode = "predicted"
     tolerance: Annotated[float, Field(ge=0)] | None = None
     """Largest error of a prediction that counts as none; null: the score's own tolerance, or 0 if it has steps."""
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
-    """Largest share of errors among released predictions."""
+    """Largest expected number of errors released, per prediction in lots: samples and rejected lots included."""
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
     """Share of reused and certified cells that is simulated as a check."""
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
-    """Largest share of wrong answers among released reused ones; 1 makes no lots."""
+    """Largest expected number of wrong answers released, per answer by a reference in lots; 1 makes no lots."""
     narrow: bool = False
     """Searches only the smallest common area, where some scenario is influenced (Section III)."""
     certified: bool = True
@@ -188,7 +188,7 @@ class GoalSpecification(Model):
     """The score's or measure's own if left out."""
     scenarios: Literal["all"] | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "all"
     weights: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e6)]], Field(max_length=1000)] = {}
-    """Of the scenarios; the campaign's if left out."""
+    """By scenario; the campaign's if left out."""
     failed: Number | None = None
     """Worth of a measure of failed runs; null: a set with a failed run has no result here. A score has its own."""
 
@@ -306,11 +306,11 @@ class ProblemSpecification(Model):
     baseline: Values | None = None
     """The set that results are compared with; null: the problem's own."""
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)] = {}
-    """Of the scenarios in the objective, 1 if left out; 0 leaves a scenario out."""
+    """By scenario, in the objective: 1 if left out; 0 leaves a scenario out."""
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()
     evaluator: Identifier = "reference"
-    """What rates runs: `reference` or `learned` on the motorway, a score's name in a problem of yours (`reference`: its first one)."""
+    """Rates runs: `reference` or `learned` on the motorway, a score's name in a problem of yours (`reference`: its first one)."""
     sensitivity: MaybeSensitivity = None
     """A new analysis, a stored map, or neither."""
 
@@ -353,8 +353,9 @@ class CampaignSpecification(ProblemSpecification):
 class RerunSpecification(Model):
     """Changes of a rerun; everything else, with references and influence map, comes from the first campaign.
 
-    Weights of 0 leave scenarios out. Another `evaluator` rates the stored runs again, without a simulation; a map that was computed from
-    the first one's ratings is then computed again, mostly from stored runs.
+    Weights of 0 leave scenarios out, missing ones are 1; without any, command line and Python client send the first campaign's. Another
+    `evaluator` rates the stored runs again, without a simulation; a map that was computed from the first one's ratings is then computed
+    again, mostly from stored runs.
     """
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]

@@ -263,7 +263,7 @@ class FrontRow(Answer):
     reused: list[str]
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     answers: Annotated[dict[str, str], Spread("answer_")] = Field(default_factory=dict)
-    """How the set was answered in each scenario: simulated, repeated or certified; reused: its score is that of a reference; confirmed: a
+    """Kind of the answer in each scenario: simulated, repeated or certified; reused: its score is that of a reference; confirmed: a
     copied or predicted score that a simulation of this very set replaced; stored: by a run of another campaign."""
     parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int | None
@@ -388,8 +388,8 @@ class ValidationRow(Answer):
     histogram_step: Annotated[float, JSON_ONLY] = 1.0
     """Difference of neighbouring numbers in the histogram, in units of the score."""
     interval_over: str = "variants"
-    """What the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are too
-    narrow, because variants of one base are alike."""
+    """Unit that the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are
+    too narrow, because variants of one base are alike."""
 
 
 SolutionPage = Page[Solution]

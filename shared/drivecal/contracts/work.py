@@ -217,7 +217,7 @@ class BatchResult:
     seconds: float
     """Wall-clock time on the worker, loading the setup included: what batches are sized by."""
     refusal: str | None = None
-    """Why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
+    """Reason why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
     remembered: CertificateMemory | None = None
     learned: tuple[RecordedRun, ...] = ()
     """Recorded runs, if the batch says `share`."""

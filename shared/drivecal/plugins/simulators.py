@@ -19,6 +19,11 @@ PROBE_SECONDS = 45.0
 """Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
 
 
+def start_limit(timeout: float) -> float:
+    """Returns the time limit of a start (s) of a simulator with this limit of a run."""
+    return max(timeout, START_SECONDS)
+
+
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.

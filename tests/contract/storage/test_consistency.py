@@ -20,6 +20,7 @@ from drivecal.campaigns.results import verification
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
+from drivecal.reduction.keys import keys_under
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps, reference_keys, setups
@@ -206,7 +207,7 @@ def _make_keys(database: Database) -> None:
         counted = setups.counts(connection)
         evaluator = connection.scalar(text("SELECT min(evaluator) FROM ratings"))
     for one in counted:
-        keys_of = partial(verification._keys_of, stored_map(first), one.scenario)
+        keys_of = partial(keys_under, stored_map(first), one.scenario)
         reference_keys.sync(database, first.sequence, one.id, str(evaluator), 227, keys_of)
 
 

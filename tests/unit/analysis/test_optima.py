@@ -9,7 +9,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import cdist
 from tests.support.effort import examples
 
-from drivecal.analysis.optima import distances, one_per_region_first, optima, regions
+from drivecal.analysis.optima import distances, one_per_region_first, regions, to_nearest
 
 
 @given(seed=st.integers(0, 500), n=st.integers(2, 25))
@@ -38,11 +38,10 @@ def test_a_region_of_many_sets_is_one_whatever_their_order() -> None:
     assert len(set(regions(line, 0.0004).tolist())) == 2_000
 
 
-def test_each_optimum_tells_how_far_the_next_worse_set_is() -> None:
-    found = optima(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.0, 0.2], [0.5, 0.5]]))
-    assert [one.region for one in found] == [0, 1]
-    assert np.allclose([one.to_worse or np.nan for one in found], [0.2 / np.sqrt(2), 0.5])
-    assert optima(np.array([[0.3]]), np.zeros((0, 1)))[0].to_worse is None
+def test_each_set_has_the_distance_of_the_nearest_other() -> None:
+    away = to_nearest(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.0, 0.2], [0.5, 0.5]]))
+    assert np.allclose([np.nan if distance is None else distance for distance in away], [0.2 / np.sqrt(2), 0.5])
+    assert to_nearest(np.array([[0.3]]), np.zeros((0, 1))) == [None]
 
 
 def test_every_region_is_seen_before_any_is_seen_twice() -> None:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+import structlog
 from starlette.types import Message, Receive, Scope, Send
 
 from drivecal.api.http import sessions
 from drivecal.api.http.authorisation import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
-from drivecal.configuration import logs
 from drivecal.configuration.tokens import TokenFile, parse
 
 ANNA, PLANT = b"anna-0123456789abcdef", b"plant-0123456789abcdef"
@@ -318,7 +318,7 @@ def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:
 
     async def app(scope: Scope, receive: Receive, send: Send) -> None:
         del scope, receive, send
-        noted.append(logs.noted())
+        noted.append(structlog.contextvars.get_contextvars())
 
     async def never(*_: object) -> Any:
         raise AssertionError("nothing is read or sent")

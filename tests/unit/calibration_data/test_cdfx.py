@@ -21,7 +21,6 @@ QUALITY = Quality(
     "process",
     "c" * 32,
     "d" * 64,
-    "looked at",
     (("score city", "6"),),
 )
 words = st.text(string.ascii_letters + "äß<>&'_.", min_size=1, max_size=40)
@@ -50,7 +49,7 @@ def test_values_and_history_are_where_other_tools_look_for_them() -> None:
     assert {instance.findtext("CATEGORY") for instance in instances} == {"VALUE"}
     entry = instances[0].find("SW-CS-HISTORY/CS-ENTRY")
     assert entry is not None
-    assert [child.tag for child in entry] == ["STATE", "DATE", "CSUS", "CSPR", "CSWP", "CSTO", "CSPI", "CSDI", "REMARK", "SD"]
+    assert [child.tag for child in entry] == ["STATE", "DATE", "CSUS", "CSPR", "CSWP", "CSTO", "CSPI", "CSDI", "SD"]
     assert (entry.findtext("STATE"), entry.findtext("CSPI")) == ("calibrated", "c" * 32)
     assert [(figure.get("GID"), figure.text) for figure in entry.findall("SD")] == [("score city", "6")]
 

@@ -62,6 +62,24 @@ def test_values_are_those_of_the_parameter_or_refused() -> None:
     assert [problem.field for problem in refused.value.problems] == ["mode", "n", "tiny"]
 
 
+@pytest.mark.parametrize(
+    ("value", "step", "expected"),
+    [
+        (0.30000001192092896, 0.1, 0.3),  # 0.3 in single precision
+        (0.30000001192092896, None, 0.300000012),
+        (2.4000000953674316, None, 2.4),  # the upper end
+        (2.4000000953674316, 0.1, 2.4),
+        (0.34, 0.1, 0.34),  # off the grid: left to the check of the problem
+        (1 / 3, None, 0.333333333),
+    ],
+)
+def test_a_start_value_is_on_the_grid_if_only_single_precision_put_it_beside(
+    value: float, step: float | None, expected: float
+) -> None:
+    sections = sections_of([Characteristic("a", value, lower=0.0, upper=2.4, step=step)], {}, 0.5)
+    assert sections.baseline == {"a": expected}
+
+
 def test_labels_that_are_no_names_are_bound_by_a_map_or_refused() -> None:
     given = [Characteristic("_gap[0]", 1.0), Characteristic("v0", 1.0)]
     assert list(sections_of(given, {"_gap[0]": "gap"}, 0.5).parameters) == ["gap", "v0"]

@@ -148,12 +148,12 @@ def test_a_run_without_a_result_fails_with_its_reason(write: Write) -> None:
 
 
 def test_a_hang_is_named_with_its_limit_while_it_lasts_and_at_its_end(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.local.problems.SECONDS_BETWEEN_SIGNS", 0.1)
-    manifest = MANIFEST.replace("DETERMINISTIC}", "DETERMINISTIC, timeout: 1}").replace(", road: {gap: 60}", "")
+    monkeypatch.setattr("drivecal.local.problems.SECONDS_BETWEEN_SIGNS", 0.01)
+    manifest = MANIFEST.replace("DETERMINISTIC}", "DETERMINISTIC, timeout: 2}").replace(", road: {gap: 60}", "")
     folder = write("import time\ndef evaluate(p, s):\n    time.sleep(600)\n", manifest)
     result = command("problem", "check", folder, "--json")
     assert "city: run 1 has taken" in result.stderr
-    assert "1 s (`simulator.timeout` in problem.yaml)" in result.stderr
+    assert "2 s (`simulator.timeout` in problem.yaml)" in result.stderr
     (scenario,) = json.loads(result.stdout)["scenarios"]
     assert (result.exit_code, "`simulator.timeout` in problem.yaml" in scenario["error"]) == (1, True)
 

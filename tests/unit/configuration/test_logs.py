@@ -77,7 +77,7 @@ def test_requests_at_the_same_time_do_not_see_each_others_context() -> None:
     for line in documents(stream):
         number = line["message"][-1]
         assert (line["request"], line["token"]) == (number, f"token {number}")
-    assert logs.noted() == {}
+    assert structlog.contextvars.get_contextvars() == {}
 
 
 def test_an_exception_is_one_field_of_one_line() -> None:

@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 import yaml
 
-from drivecal.adapters.kinds import longest_seconds
+from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.execution.backend import Finished
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
-from drivecal.plugins.simulators import PROBE_SECONDS
+from drivecal.plugins.simulators import PROBE_SECONDS, start_limit
 from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.tools import Tools
@@ -108,7 +108,7 @@ def test_a_batch_may_take_as_long_as_the_limits_of_its_probe_start_and_runs(tmp_
     setup = BundleRequest(content_digest(archive()), "mine", "city", {}, simulator, *names, "fingerprint", tools="2.1")
     backend.submit("worker-1", 1, Batch(setup, tuple(Cell(number, {"x": 1.0}) for number in range(cells))), None)
     [worker] = backend._workers
-    assert worker.calls[0].seconds >= PROBE_SECONDS + longest_seconds(timeout) + (cells - 1) * timeout
+    assert worker.calls[0].seconds >= PROBE_SECONDS + REPLY_SECONDS + start_limit(timeout) + cells * timeout
 
 
 def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:

@@ -33,14 +33,14 @@ def test_every_index_survives_the_way_to_bits_and_back(n_values: Indices, seed: 
     encoding = BitEncoding(n_values)
     indices = some_indices(n_values, seed)
     chromosomes = encoding.chromosomes(encoding.patterns(indices))
-    assert chromosomes.shape == (len(indices), encoding.n_bits)
+    assert chromosomes.shape == (len(indices), int(encoding.bits.sum()))
     assert np.array_equal(encoding.indices(encoding.from_chromosomes(chromosomes)), indices)
 
 
 @given(grids, seeds)
 def test_every_chromosome_survives_the_way_to_patterns_and_back(n_values: Indices, seed: int) -> None:
     encoding = BitEncoding(n_values)
-    chromosomes = np.random.default_rng(seed).random((20, encoding.n_bits)) < 0.5
+    chromosomes = np.random.default_rng(seed).random((20, int(encoding.bits.sum()))) < 0.5
     assert np.array_equal(encoding.chromosomes(encoding.from_chromosomes(chromosomes)), chromosomes)
 
 

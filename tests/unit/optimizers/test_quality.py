@@ -73,7 +73,7 @@ def best_of_pymoo(objective: Callable[[Indices], Floats], n_values: Indices, ite
 
     class Decoded(Problem):  # type: ignore[misc]  # pymoo ships no types
         def __init__(self) -> None:
-            super().__init__(n_var=encoding.n_bits, n_obj=1, xl=0, xu=1, vtype=bool)
+            super().__init__(n_var=int(encoding.bits.sum()), n_obj=1, xl=0, xu=1, vtype=bool)
 
         def _evaluate(self, x: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
             out["F"] = -objective(encoding.indices(encoding.from_chromosomes(x.astype(np.bool_))))

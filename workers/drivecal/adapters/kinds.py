@@ -4,14 +4,13 @@ import sys
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.adapters.command import CommandAdapter
 from drivecal.adapters.fmu import FmuAdapter
 from drivecal.adapters.highway import HighwayAdapter
 from drivecal.adapters.process import ProcessAdapter
 from drivecal.adapters.python import PythonAdapter
 from drivecal.domain.errors import NotFoundError, UnavailableError
-from drivecal.plugins.simulators import START_SECONDS, Simulator
+from drivecal.plugins.simulators import Simulator
 
 _SIMULATORS: Mapping[str, Simulator] = MappingProxyType(
     {
@@ -31,8 +30,3 @@ def simulator(kind: str) -> Simulator:
     if sys.platform != "linux":
         raise UnavailableError(f"simulators of kind {kind} need Linux; this system is {sys.platform}")
     return _SIMULATORS[kind]
-
-
-def longest_seconds(timeout: float) -> float:
-    """Returns the longest wall-clock time of a run: the end of the last child, a start, and the run itself."""
-    return REPLY_SECONDS + max(timeout, START_SECONDS) + timeout

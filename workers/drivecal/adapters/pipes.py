@@ -33,7 +33,7 @@ _OUT_OF_MEMORY = (b"MemoryError", b"bad_alloc", b"annot allocate memory", b"ut o
 
 
 class Pipes:
-    """One start of a child with pipes for its standard input, output and error. Every fault is a NoMeasuresError."""
+    """A start of a child with pipes for its standard input, output and error. Every fault is a NoMeasuresError."""
 
     def __init__(self, children: Children, *, silent: bool = False) -> None:
         """Starts the child. `silent`: without standard input, and its standard output is kept as messages.

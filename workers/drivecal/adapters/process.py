@@ -17,7 +17,7 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import START_SECONDS, VERSIONS, Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, start_limit
 
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
@@ -34,11 +34,6 @@ SEED = 1
 _QUIT = b'{"quit": true}\n'
 
 log = logging.getLogger(__name__)
-
-
-def start_seconds(timeout: float) -> float:
-    """Returns the time limit of a start (s) of a simulator with this limit of a run."""
-    return max(timeout, START_SECONDS)
 
 
 class ProcessSession:
@@ -148,7 +143,7 @@ class ProcessSession:
         greeting = json.dumps({"drivecal": 1, "problem": self._declared.problem}).encode() + b"\n"
         try:
             answer = answers.document(
-                self._pipes.ask(greeting, start_seconds(self._timeout), START_LIMIT + self._advice), "the answer"
+                self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
             if "error" in answer:
                 raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")

@@ -60,7 +60,7 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
 
 @router.get("/importance")
 def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
-    """How much the objective, or the score of one scenario, depends on each parameter among the sets of the search."""
+    """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
     return importance(database, campaign, resolved_spec(campaign), query.scenario)

@@ -55,7 +55,7 @@ def list_runs(campaign_id: str, query: TableQuery, database: DatabaseDependency,
 
 @router.get("/campaigns/{campaign_id}/comparison-groups", responses=page_or_file(ComparedGroup))
 def list_groups(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """One row per optimizer, population size and reduction, over the seeds."""
+    """A row per optimizer, population size and reduction, over the seeds."""
     return listed(f"comparison-groups-{campaign_id}", query, accept, ComparedGroup, _compared(database, campaign_id).groups())
 
 

@@ -55,8 +55,8 @@ def read(evaluation_id: str, response: Response, database: DatabaseDependency) -
 
 @router.get("/{evaluation_id}/explain")
 def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Explanation:
-    """Why a cell was answered from the reference table, or why it was not: by its number in a campaign's table, or by the id of a single
-    evaluation in one scenario."""
+    """The reason why a cell was answered from the reference table, or was not: by its number in a campaign's table, or by the id of a
+    single evaluation in one scenario."""
     with database.read() as connection:
         return explain(connection, number_of(connection, evaluation_id))
 

@@ -56,7 +56,7 @@ def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDe
 
 @router.get("/trade-off")
 def show_trade_off(campaign_id: str, query: TradeOffQuery, database: DatabaseDependency) -> TradeOff:
-    """How two sets of the front differ, by their ranks under the same `weights`."""
+    """Differences of two sets of the front, by their ranks under the same `weights`."""
     _, resolved, front = _front(database, campaign_id, everything=query.everything)
     return trade_off(database, weighted(front, query.weights)[0], resolved, query.first, query.second)
 

@@ -31,8 +31,10 @@ from drivecal.contracts.inventory import (
 )
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.errors import NotFoundError
+from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
+from drivecal.domain.scales import COMFORT
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import BundleSetup, DrivenSetup
 from drivecal.optimizers.abilities import supported
@@ -63,7 +65,9 @@ def scenarios(database: DatabaseDependency, problem: str | None = None) -> Scena
         _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
     ]
     items = [ScenarioAnswer.model_validate(heading) for heading in headings]
-    return ScenarioPage(items=items, broken=_broken(registry.CATALOGUES))
+    return ScenarioPage(
+        items=items, scores=[COMFORT.name], measures=dict(CLOSED_LOOP_MEASURES), broken=_broken(registry.CATALOGUES)
+    )
 
 
 @router.get("/scenarios/{scenario_id}")

@@ -14,6 +14,7 @@ from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 
 from drivecal.api.http.authorisation import HELP, PAGE
+from drivecal.api.responses import matches, takes_gzip
 
 router = APIRouter(include_in_schema=False)
 
@@ -116,10 +117,10 @@ def _names(folder: Path) -> set[str]:
 def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, guard: Mapping[str, str] = GUARD) -> Response:
     asset = _read(path, path.stat().st_mtime_ns)
     headers = {**guard, "Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
-    if asset.tag in if_none_match:
+    if matches(if_none_match, asset.tag):
         return Response(status_code=304, headers=headers)
     content = asset.content
-    if "gzip" in accept_encoding and len(asset.compressed) < len(content):
+    if takes_gzip(accept_encoding) and len(asset.compressed) < len(content):
         content, headers["Content-Encoding"] = asset.compressed, "gzip"
     headers["Content-Type"] = TYPES[path.suffix]
     return Response(content, headers=headers)

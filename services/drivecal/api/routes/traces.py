@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Request, Response
 from drivecal.api.dependencies import DatabaseDependency, LimitsDependency
 from drivecal.api.http.authorisation import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import SECONDS_BETWEEN_POLLS
+from drivecal.api.responses import SECONDS_BETWEEN_POLLS, matches, takes_gzip
 from drivecal.api.routes.evaluations import number_of
 from drivecal.campaigns.cells.tracing import is_to_be_made, no_trace, request_trace
 from drivecal.contracts.evaluation import PendingTrace, SeriesAnswer, TraceAnswer
@@ -62,17 +62,8 @@ def read_trace(
 def _answer(content: bytes, if_none_match: str | None, accept_encoding: str) -> Response:
     tag = f'"{sha256(content).hexdigest()[:32]}"'
     headers = {"ETag": tag, "Vary": "Accept-Encoding"}
-    if if_none_match is not None and tag in if_none_match:
+    if matches(if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    if _takes_gzip(accept_encoding):
+    if takes_gzip(accept_encoding):
         return Response(content, headers=headers | {"Content-Encoding": "gzip"}, media_type="application/json")
     return Response(gzip.decompress(content), headers=headers, media_type="application/json")
-
-
-def _takes_gzip(accept_encoding: str) -> bool:
-    """Returns whether a client accepts gzip (RFC 9110, Section 12.5.3)."""
-    for part in accept_encoding.lower().split(","):
-        name, *parameters = (word.strip() for word in part.split(";"))
-        if name == "gzip":
-            return not any(parameter.replace(" ", "").rstrip("0.") == "q=" for parameter in parameters)
-    return False

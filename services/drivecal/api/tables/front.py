@@ -1,11 +1,12 @@
 """Rows and summary of a campaign's front."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
+from drivecal.analysis.robustness_difference import key_of
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
@@ -56,7 +57,7 @@ def front_table(
                 wins=None if winning is None else winning[place].share,
                 weights=None if winning is None else [list(corner) for corner in winning[place].corners],
                 alternatives=member.alternatives,
-                degree=degrees.get(_key(parameters)),
+                degree=degrees.get(key_of(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
                 reused=list(solution.reused),
                 answers=answers[solution.parameter_set],
@@ -197,9 +198,5 @@ def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tup
             continue
         document = studies.get(connection, study.campaign_sequence, StageName.ROBUSTNESS)
         if document is not None:
-            return {_key(item["parameters"]): item["degree"] for item in document["items"]}
+            return {key_of(item["parameters"]): item["degree"] for item in document["items"]}
     return {}
-
-
-def _key(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
-    return tuple(sorted(parameters.items()))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection
 
 from drivecal.analysis.better_sets import Earlier, Later
-from drivecal.analysis.goals import SCORE, CellValue
+from drivecal.analysis.goals import SCORE, CellValue, computed
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.expressions import Formula
@@ -78,12 +78,13 @@ def ranking(
     other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
     goals = resolved.goals if weights is None and score is None else None
-    valued = goals.values if goals is not None and goals.computed else None
     standing = Ranking(used, scale.sign, goals)
     with database.read() as connection:
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
-            standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued))
+            standing.add(
+                results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=computed(goals))
+            )
         else:
             standing.add(_rated(connection, campaign, resolved.evaluator, other))
     return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)

@@ -191,7 +191,7 @@ class CellTracker:
         }
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
-        """The cells whose lease expired before their results arrived. A result obtained for another cell has no lease of its own."""
+        """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""
         numbers = {
             completion.result.id: completion.lease
             for completion in completed

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
-import numpy as np
-import numpy.typing as npt
 from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.bench import Bench
@@ -15,7 +13,7 @@ from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.measures import MEASURES
 from drivecal.reduction.assignment import Policy, RequestedCell, assign
-from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
+from drivecal.reduction.keys import ReferenceKeys, billionths_matrix, keys_under
 from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -66,12 +64,8 @@ def sync_reference_keys(database: Database, view: View) -> None:
         setup_ids = ensure_setups(connection, view.bench)
     evaluator = view.bench.evaluator_id
     for scenario, setup_id in setup_ids.items():
-        keys_of = partial(_keys_of, view, scenario)
+        keys_of = partial(keys_under, view.influence_map or InfluenceMap({}), scenario)
         reference_keys.sync(database, view.influence_map_sequence, setup_id, evaluator, view.watermark, keys_of)
-
-
-def _keys_of(view: View, scenario: str, names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:
-    return ReferenceKeys(view.influence_map or InfluenceMap({}), scenario, names).keys(values)
 
 
 @MEASURES.timed("lookup")

@@ -16,7 +16,7 @@ class ScoreFaults:
     def __init__(self, bench: Bench, counts: MutableMapping[str, int]) -> None:
         self._bench, self._counts = bench, counts
         self.undefined: str | None = None
-        """Why a score has no value, of the first such result; None before."""
+        """Reason why the first such score has no value; None before."""
         self.cut: str | None = None
         """Scenario and true value of the first score that was cut off; None before."""
 
@@ -36,7 +36,7 @@ class ScoreFaults:
         ]
         if not self._bench.rates or not worst:
             return
-        measures = runs.metrics_of(connection, {donor.run for _, donor in worst})
+        measures = runs.metrics(connection, {donor.run for _, donor in worst})
         for scenario, donor in worst:
             rated = self._bench.rate(scenario, measures[donor.run], None)
             if rated is not None:

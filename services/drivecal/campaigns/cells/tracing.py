@@ -92,7 +92,7 @@ def _driven(setup: Mapping[str, Any], catalogue: str | list[str], scenario: str)
 
 
 def no_trace(connection: Connection, made: StoredCampaign) -> str:
-    """Why a finished single evaluation left no trace, and whether to request it again."""
+    """Returns the reason why a finished single evaluation left no trace, and whether to request it again."""
     cell = _cell(connection, made)
     cause = made.error or (cell and (cell.detail or cell.failure)) or made.state.value
     text = f"it could not be driven again: {cause}"

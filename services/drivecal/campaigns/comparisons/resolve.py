@@ -42,7 +42,7 @@ class ComparisonProblem:
     specification: ComparisonSpecification
     runs: tuple[Run, ...]
     problems: tuple[CalibrationProblem, ...]
-    """Returns the expected runs with the first seed, which represent the other seeds."""
+    """Problems of the first seed's runs; they represent the other seeds."""
 
     @property
     def proposed(self) -> int:

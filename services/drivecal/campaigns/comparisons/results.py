@@ -1,7 +1,7 @@
 """Reads the results of a comparison's runs: the rows of Table 5, of Figures 7 and 8, and of the pairs."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from sqlalchemy import Connection
 
@@ -42,7 +42,7 @@ class ComparisonResults:
 
     def groups(self) -> list[ComparedGroup]:
         """Returns a row per optimizer, population and reduction."""
-        return [ComparedGroup(**asdict(group)) for group in analysis.groups(self.courses, self.sign)]
+        return analysis.groups(self.courses, self.sign)
 
     def pairs(self) -> list[ComparedPair]:
         """Returns a row per pair of runs that differ only in the reduction."""
@@ -51,7 +51,7 @@ class ComparisonResults:
 
     def effects(self) -> list[ReductionEffect]:
         """The effects over all pairs."""
-        return [ReductionEffect(**asdict(effect)) for effect in analysis.effects(analysis.pairs(self.courses), self.sign)]
+        return analysis.effects(analysis.pairs(self.courses), self.sign)
 
 
 def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonResults:

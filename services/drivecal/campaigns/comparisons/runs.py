@@ -189,7 +189,7 @@ class _Sum:
     sign: int = 1
     stages: dict[StageName, Counter[str]] = field(default_factory=dict)
     audits: dict[str, Counter[str]] = field(default_factory=dict)
-    """Returns the sums over all runs by scenario. Shared cells count for each run."""
+    """Sums over all runs by scenario. Shared cells count for each run."""
     best: Best | None = None
     """The best set of all runs, of equal ones the first run's."""
     baseline: Baseline | None = None

@@ -30,7 +30,6 @@ from drivecal.contracts.campaign import ExpectedRuns
 from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
@@ -195,11 +194,9 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
         diagnostics.add("reduction.narrow", "there is no influence map to narrow the search space by", remedy)
-    if constraints is not None and isinstance(specification.sensitivity, SensitivitySpecification):
-        try:
-            resolvers.plan_analysis(specification.sensitivity, constraints, tuple(weights))
-        except InvalidInputError as error:
-            diagnostics.problems.extend(error.problems)
+    analysed = specification.sensitivity
+    if constraints is not None and isinstance(analysed, SensitivitySpecification):
+        diagnostics.attempt(lambda: resolvers.plan_analysis(analysed, constraints, tuple(weights)))
     diagnostics.raise_if_any()
     if workbench.make is None or space is None or constraints is None:
         raise AssertionError("a part is missing without a finding")

@@ -19,7 +19,6 @@ from drivecal.contracts.specification import (
     VehicleSpecification,
 )
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
@@ -70,12 +69,8 @@ def _repairing(optimizer: Optimizer, area: SearchArea, constraints: Constraints)
 def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
     """Scenarios by id, in the catalogues' order: (catalogue's name, scenario)."""
     if isinstance(catalogue, str):
-        try:
-            loaded = registry.catalogue(catalogue)
-        except InvalidInputError as error:
-            diagnostics.problems.extend(error.problems)
-            return {}
-        return {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
+        loaded = diagnostics.attempt(lambda: registry.catalogue(catalogue))
+        return {} if loaded is None else {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
     every: dict[str, list[tuple[str, Scenario]]] = {}
     for offered in registry.catalogues():
         for name, scenario in offered.scenarios.items():

@@ -120,10 +120,8 @@ def search_space(
     specification: CampaignSpecification, function: Parameterised, diagnostics: Diagnostics
 ) -> ParameterSpace | None:
     """The space of a campaign with its fixed values; None if it is invalid, with its problems in `diagnostics`."""
-    try:
-        listed = search_parameters(specification.parameters, function)
-    except InvalidInputError as error:
-        diagnostics.problems.extend(error.problems)
+    listed = diagnostics.attempt(lambda: search_parameters(specification.parameters, function))
+    if listed is None:
         return None
     by_name = {parameter.name: parameter for parameter in listed}
     fixed: dict[str, Value] = {}

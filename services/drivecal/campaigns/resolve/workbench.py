@@ -39,7 +39,7 @@ class Workbench:
     """Everything that a specification's problem offers; parts that do not exist are None, with their problems in the diagnostics."""
 
     settled: Mapping[str, Any]
-    """What the settings of a specification mean: the digest of a bundle, its scenarios, its score."""
+    """Meaning of the settings of a specification: the digest of a bundle, its scenarios, its score."""
     scenarios: tuple[str, ...] = ()
     function: Parameterised | None = None
     vehicle: Vehicle | None = None

@@ -148,7 +148,7 @@ def _trusted(case: _Case) -> int | None:
 
 
 def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
-    """Why no reuse was possible; if the self-check stopped it, after which iteration and by which audits."""
+    """Returns the reason why no reuse was possible; if the self-check stopped it, after which iteration and by which audits."""
     specification, cell = case.specification, case.cell
     if specification is None:
         return "exact_only", None

@@ -11,7 +11,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
-from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
+from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, computed
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -141,10 +141,9 @@ def front_of(
     goals = goals_of(resolved)
     constraints = _constraints(database, campaign, resolved) if everything else None
     ranking = Ranking(resolved.weights, resolved.scale.sign, goals)
-    valued = goals.values if goals.computed else None
     with database.read() as connection:
         stored = results.answers(
-            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued
+            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=computed(goals)
         )
         own = list(stored)
         ranking.add(own)

@@ -7,8 +7,9 @@ from itertools import takewhile
 import numpy as np
 import numpy.typing as npt
 
+from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.optima import Optimum, regions, to_nearest
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.plugins.ports import Floats
 from drivecal.storage.engine.database import Database

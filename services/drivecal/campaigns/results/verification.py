@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 
-import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, ValidationError
 from sqlalchemy import Column, Connection, func, select
 
@@ -22,9 +20,8 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec, stored_scale
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
-from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.setups import fingerprint_of
-from drivecal.reduction.keys import ReferenceKeys
+from drivecal.reduction.keys import keys_under
 from drivecal.storage import campaigns, comparisons
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -175,16 +172,12 @@ def _check_reference_keys(connection: Connection, every: int) -> Iterator[str]:
         scenario = scenarios[index.setup_id]
         try:
             influence_map = stored_map(influence_maps.get(connection, maps[sequence]))
-            wrong = reference_keys.wrong_keys(connection, index, partial(_keys_of, influence_map, scenario), every)
+            wrong = reference_keys.wrong_keys(connection, index, partial(keys_under, influence_map, scenario), every)
         except _UNREADABLE as error:
             yield f"reference keys of {scenario} under map {maps[sequence]} cannot be recomputed: {_first_line(error)}"
         else:
             if wrong:
                 yield f"{wrong:,} reference keys of {scenario} under map {maps[sequence]} are not those of their runs"
-
-
-def _keys_of(influence_map: InfluenceMap, scenario: str, names: tuple[str, ...], values: npt.NDArray[np.int64]) -> list[bytes]:
-    return ReferenceKeys(influence_map, scenario, names).keys(values)
 
 
 def _first_line(error: Exception) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirmation, front_verdict, verdict_in
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet
+from drivecal.analysis.goals import EQUAL
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text

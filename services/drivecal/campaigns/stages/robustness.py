@@ -9,14 +9,14 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import Judged
-from drivecal.analysis.optima import one_per_region_first, optima
+from drivecal.analysis.goals import EQUAL, Judged, computed
+from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
-from drivecal.analysis.solutions import EQUAL, EvaluatedSet, Ranking
+from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, unit_cube
+from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
 from drivecal.contracts.specification import RobustnessSpecification
@@ -86,8 +86,7 @@ class RobustnessStage(StudyStage):
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         self._goals = problem.goals
-        valued = self._goals.values if self._goals is not None and self._goals.computed else None
-        super().__init__(database, campaign, problem, view, valued)
+        super().__init__(database, campaign, problem, view, computed(problem.goals))
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
@@ -114,12 +113,13 @@ class RobustnessStage(StudyStage):
         best_sets = [sets[solution.parameter_set] for solution in best]
         listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
         space = self._problem.space
-        known = optima(unit_cube(space, listed), unit_cube(space, [sets[solution.parameter_set] for solution in worse]))
-        regions = np.array([solution.region for solution in known[len(named) :]], dtype=np.int64)
-        chosen = [len(named) + position for position in one_per_region_first(regions, self._wanted.solutions)]
+        places = unit_cube(space, listed)
+        beside = Alternatives(places, unit_cube(space, [sets[solution.parameter_set] for solution in worse]), regions(places))
+        known = beside.shown(0, len(beside))
+        chosen = one_per_region_first(beside.regions[len(named) :], self._wanted.solutions)
         return [
             Examined(listed[position], known[position].region, known[position].to_worse)
-            for position in (*range(len(named)), *chosen)
+            for position in (*range(len(named)), *(len(named) + place for place in chosen))
         ]
 
     def _within(self, standing: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
@@ -237,7 +237,7 @@ class RobustnessStage(StudyStage):
     def _violation(self, number: int) -> float:
         """Returns by how much a set breaks constraints, rounded as in rankings."""
         judged = self._judged[number]
-        return 0.0 if judged is None else round(judged.violation / EQUAL)
+        return 0.0 if judged is None else judged.broken
 
     def _recommend(self, objectives: Floats, ratings: Floats, known: Sequence[Robustness]) -> tuple[int, str] | None:
         """The most robust of the sets with the best objective, or of those that no other dominates, and the reason. `ratings`: higher is

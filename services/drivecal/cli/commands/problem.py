@@ -9,7 +9,7 @@ import typer
 
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
-from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.problem_templates import write_problem
 from drivecal.client.problems import read_bundle_with_notes
 from drivecal.contracts.inventory import ProblemAnswer
@@ -166,7 +166,7 @@ def _print_problem(problem: ProblemAnswer) -> None:
     for condition in problem.constraints:
         typer.echo(f"constraint  {condition}")
     if problem.baseline:
-        typer.echo(f"baseline    {_pairs(problem.baseline)}")
+        typer.echo(f"baseline    {parameters_text(problem.baseline)}")
     typer.echo(f"scenarios   {' '.join(problem.scenarios)}")
     typer.echo(f"measures    {', '.join(f'{name} ({unit})' for name, unit in problem.measures.items())}")
     scores = [[name, score["direction"], score["formula"]] for name, score in problem.scores.items()]
@@ -185,9 +185,9 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
     if report["tools"] is not None:
         typer.echo(f"probe     {' '.join(report['tools'].split())}")
     if report["parameters"] is not None:
-        typer.echo(f"tried at  {_pairs(report['parameters'])}")
+        typer.echo(f"tried at  {parameters_text(report['parameters'])}")
     if report["other_parameters"] is not None:
-        typer.echo(f"set 2     {_pairs(report['other_parameters'])}")
+        typer.echo(f"set 2     {parameters_text(report['other_parameters'])}")
     ran = [result for result in checked if result.error is None]
     if ran:
         scores, measures = list(ran[0].scores), sorted({name for result in ran for name in result.measures})
@@ -224,10 +224,6 @@ def _sentence(result: "CheckedScenario") -> str:
         parts.append("two runs of the same parameters gave different measures: fix their seed, or set `deterministic: false`")
     parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
     return "; ".join(parts)
-
-
-def _pairs(values: Mapping[str, Any]) -> str:
-    return " ".join(f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}" for name, value in values.items())
 
 
 def _size(size: int) -> str:

@@ -111,9 +111,10 @@ def _ranks(text: str) -> tuple[int, int]:
 @app.command()
 def export(
     identifier: CampaignArgument,
-    table: Annotated[TableName, typer.Option(help="Which table.")] = "evaluations",
+    table: Annotated[TableName, typer.Option(help=f"One of {', '.join(get_args(TableName))}.")] = "evaluations",
     form: Annotated[
-        Format | None, typer.Option("--format", help="In which format; by default that of the file's ending, or csv.")
+        Format | None,
+        typer.Option("--format", help=f"One of {', '.join(get_args(Format))}; by default the file's ending, or csv."),
     ] = None,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
     row: Annotated[

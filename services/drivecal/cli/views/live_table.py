@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration, print_columns
-from drivecal.cli.views.progress import stage_text
-from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.cli.views.progress import current_cells, stage_text
+from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import UnavailableError
 
 BARS = "▁▂▃▄▅▆▇█"
@@ -42,11 +42,6 @@ def sparkline(values: Sequence[float], width: int = SPARKLINE_WIDTH) -> str:
         values = [values[(place + 1) * len(values) // width - 1] for place in range(width)]
     least, span = min(values, default=0.0), max(values, default=0.0) - min(values, default=0.0)
     return "".join(BARS[round((value - least) / span * (len(BARS) - 1)) if span else 0] for value in values)
-
-
-def current_cells(campaign: Campaign) -> CellCounts | StageCellCounts:
-    """Returns the cells of the stage at which a campaign is."""
-    return campaign.by_stage().get(campaign.stage or "", campaign.cells)
 
 
 def document(rows: Sequence[SearchedCampaign]) -> dict[str, Any]:

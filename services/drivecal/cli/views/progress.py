@@ -14,7 +14,7 @@ from rich.table import Column
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
 from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.events import CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
@@ -162,6 +162,11 @@ def stage_text(campaign: Campaign) -> str:
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
+def current_cells(campaign: Campaign) -> CellCounts | StageCellCounts:
+    """Returns the cells of the stage at which a campaign is."""
+    return campaign.by_stage().get(campaign.stage or "", campaign.cells)
+
+
 def _plain(text: str, _colour: str = "") -> str:
     return text
 
@@ -171,8 +176,8 @@ def _marked(text: str, colour: str = "") -> str:
 
 
 def _detail(campaign: Campaign, written: Callable[..., str] = _plain) -> str:
-    cells = getattr(campaign, f"{campaign.stage}_cells", campaign.cells)  # those of the calibration have no stage in their name
-    parts = [written(f"{name} {count:,}", OUTCOME_COLOURS[name]) for name, count in by_outcome(cells).items() if count]
+    cells = by_outcome(current_cells(campaign))
+    parts = [written(f"{name} {count:,}", OUTCOME_COLOURS[name]) for name, count in cells.items() if count]
     if campaign.best:
         parts.append(f"best {campaign.best.objective:.3f}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":

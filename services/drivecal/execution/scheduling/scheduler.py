@@ -63,7 +63,6 @@ class Dispatch:
 class Replacement:
     """A worker to replace; see `Backend.replace`."""
 
-    worker: str
     fault: str | None
 
 
@@ -176,7 +175,7 @@ class Scheduler:
         """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
         down at it and no other worker can try."""
         fault = self._worker_health.fault(worker)
-        return Replacement(worker, fault) if fault is not None or self._is_alone(worker) else None
+        return Replacement(fault) if fault is not None or self._is_alone(worker) else None
 
     def kept_from(self, worker: str) -> list[SetupKey]:
         """Returns the waiting setups that this worker refuses."""

@@ -1,4 +1,4 @@
-"""How sure the results of a review sheet are: robustness, origin of the answers, trust, lots, audits, validations."""
+"""Confidence in the results of a review sheet: robustness, origin of the answers, trust, lots, audits, validations."""
 
 import json
 

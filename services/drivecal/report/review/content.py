@@ -67,7 +67,7 @@ def read_sheet(text: str, name: str) -> Sheet:
     address = urlsplit(query[1].replace("&amp;", "&"))
     place = _PLACE.fullmatch(address.path)
     if place is None:
-        raise InvalidInputError(Problem(name, "it names no campaign", "write it anew with `drivecal review ID -o FILE`"))
+        raise InvalidInputError(Problem(name, "it names no campaign", "write it again with `drivecal review ID -o FILE`"))
     same = digest_of(text.replace(digest[1], UNSEALED)) == digest[1]
     return Sheet(place[1], dict(parse_qsl(address.query)), version[1], digest[1], same)
 

@@ -31,7 +31,7 @@ def summary(findings: ReportData) -> list[str]:
     if findings.solutions and findings.solutions[0].reused:
         where = ", ".join(findings.solutions[0].reused)
         first += f" The best set's score in {where} is a reference's; a search prefers those that are too good."
-        first += " The command for it, under Versions and repetition, tells."
+        first += " The command under Versions and repetition simulates it."
     sentences = [first, *search.convergence(findings.generations)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)

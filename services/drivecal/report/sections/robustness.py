@@ -5,6 +5,7 @@ from typing import Any
 
 from drivecal.analysis.better_sets import sign_of
 from drivecal.analysis.robustness import vehicles_text
+from drivecal.analysis.robustness_difference import key_of
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
@@ -90,14 +91,14 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: Cam
 def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
     """Returns the ranking by robustness with the nominal one."""
     nominal, settings = by_nominal(main.rows, sign), main.study.settings
-    elsewhere = [{_key(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
+    elsewhere = [{key_of(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
             *(nominal[row.rank], fixed(row.objective, 4), fixed(row.rating, 3)),
             *row.scores.values(),
             Number(degree(row)),
-            *(vehicle.get(_key(row.parameters)) for vehicle in elsewhere),
+            *(vehicle.get(key_of(row.parameters)) for vehicle in elsewhere),
             Number(f"{row.radius:.4g}"),
             _limited(row, settings),
         ]
@@ -115,9 +116,9 @@ def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
 
 
 def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
-    regions = {_key(optimum.parameters): optimum.region for optimum in optima}
+    regions = {key_of(optimum.parameters): optimum.region for optimum in optima}
     rows = [
-        [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(_key(row.parameters)), fixed(row.to_worse, 3)]
+        [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(key_of(row.parameters)), fixed(row.to_worse, 3)]
         for row in studied.rows
     ]
     caption = "The sets: parameter values in their units, regions as above, distance to the nearest worse set"
@@ -127,7 +128,3 @@ def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
 def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:
     distances = limits(row, settings)
     return ", ".join(f"{name} ({'no result' if away is None else f'{away:.2g}'})" for name, away in distances.items()) or None
-
-
-def _key(parameters: Mapping[str, float | str]) -> tuple[tuple[str, float | str], ...]:
-    return tuple(sorted(parameters.items()))

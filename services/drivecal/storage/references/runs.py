@@ -123,13 +123,6 @@ def look_up_exact(
     return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
 
 
-def metrics_of(connection: Connection, run_ids: Collection[int]) -> dict[int, Mapping[str, float | None]]:
-    """Returns the stored metrics of runs by their id."""
-    read = metrics_reader(connection)
-    rows = rows_among(connection, select(runs.c.id, runs.c.metrics), runs.c.id, sorted(run_ids))
-    return {row.id: read(row.metrics) for row in rows}
-
-
 def proofs(connection: Connection, run_ids: Sequence[int]) -> dict[int, int]:
     """Returns the evaluations that runs repeat by a certificate, without a simulation, by run id."""
     query = (
@@ -194,10 +187,10 @@ def scores(connection: Connection, run_ids: Sequence[int], evaluator: str) -> di
     return {run_id: score for (run_id, by), (score, _) in _ratings(connection, run_ids).items() if by == evaluator}
 
 
-def metrics(connection: Connection, run_ids: Sequence[int]) -> dict[int, dict[str, float | None]]:
+def metrics(connection: Connection, run_ids: Collection[int]) -> dict[int, dict[str, float | None]]:
     """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
     query = select(runs.c.id, runs.c.metrics)
-    rows, read = rows_among(connection, query, runs.c.id, [int(run_id) for run_id in run_ids]), metrics_reader(connection)
+    rows, read = rows_among(connection, query, runs.c.id, sorted(run_ids)), metrics_reader(connection)
     return {number: read(stored) for number, stored in rows}
 
 

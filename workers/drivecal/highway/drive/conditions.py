@@ -29,7 +29,7 @@ class Moment(NamedTuple):
 
 
 class Events:
-    """What has happened in a run: actions that have begun or are done, and how far each vehicle has travelled (m)."""
+    """Events of a run so far: actions that have begun or are done, and how far each vehicle has travelled (m)."""
 
     def __init__(self) -> None:
         self.begun: set[str] = set()

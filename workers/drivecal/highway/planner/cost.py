@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One calibrated term: the raw magnitude at which its feature is 1 and the parameter value at which its weight is 1."""
+    """A calibrated term: the raw magnitude at which its feature is 1 and the parameter value at which its weight is 1."""
 
     name: str
     typical: float

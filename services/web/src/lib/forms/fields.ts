@@ -13,10 +13,10 @@ export const BUILT_IN: Choices = fields.names;
 const HELP: Readonly<Record<string, string>> = fields.help;
 
 /** The scores and measures that goals of a problem can name. */
-export function goalChoices(shape: Pick<Shape, "digest" | "scores" | "measures"> | null): Choices {
-  if (!shape || shape.digest === null) return {};
-  const scores = shape.scores.map(({ name }) => name);
-  return Object.fromEntries(["objectives", "constraints"].flatMap((goals) => [[`${goals}[].score`, scores], [`${goals}[].measure`, shape.measures]]));
+export function goalChoices(shape: Pick<Shape, "goals"> | null): Choices {
+  if (!shape) return {};
+  const { scores, measures } = shape.goals;
+  return Object.fromEntries(["objectives", "constraints"].flatMap((field) => [[`${field}[].score`, scores], [`${field}[].measure`, measures]]));
 }
 
 /** The names that can be chosen at a path. */

@@ -11,7 +11,7 @@ const SHAPE: Shape = {
   ],
   baseline: { gain: 0.5, stage: 1, rooms: 3, mode: "normal" },
   scenarios: [{ id: "winter", title: "" }, { id: "spring", title: "" }],
-  scores: [], measures: [],
+  scores: [], goals: { scores: [], measures: [] },
 };
 
 test("a range is written only where it differs, and then with all parameters as they are", () => {

@@ -28,8 +28,9 @@ test("the built-in problem has the parameters of its driving function and the sc
   const parameter = { name: "P1", unit: "s", lower: 0, upper: 1, step: 0.1, n_values: 11, description: "Horizon", kind: "grid", choices: [] };
   const spaces: ParameterSpacePage = { items: [{ driving_function: "other", name: "highway", parameters: [] }, { driving_function: "frenet", name: "highway", parameters: [parameter] }], next_cursor: null, broken: [] };
   const scenario = { id: "S1", catalogue: "highway", title: "Free road", manoeuvre: "", duration: 1, step: 0.1, vehicles: 0 };
-  const scenarios: ScenarioPage = { items: [scenario, { ...scenario, catalogue: "mine", id: "M1" }], next_cursor: null, broken: [] };
+  const scenarios: ScenarioPage = { items: [scenario, { ...scenario, catalogue: "mine", id: "M1" }], next_cursor: null, scores: ["comfort"], measures: { offset_peak_m: "m" }, broken: [] };
   const shape = highwayShape(spaces, scenarios);
   expect(shape.parameters).toMatchObject([{ name: "P1", meaning: "Horizon", step: 0.1 }]);
   expect(shape.scenarios).toEqual([{ id: "S1", title: "Free road" }]);
+  expect(shape.goals).toEqual({ scores: ["comfort"], measures: ["offset_peak_m"] });
 });

@@ -40,9 +40,10 @@ export interface Shape {
   constraints: readonly string[];
   baseline: Readonly<Record<string, number | string>> | null;
   scenarios: { id: string; title: string }[];
+  /** Scores that a campaign can choose. */
   scores: ShapeScore[];
-  /** Names of measures; empty if they are not known here. */
-  measures: readonly string[];
+  /** Names for objectives and constraints. */
+  goals: { scores: readonly string[]; measures: readonly string[] };
 }
 
 /** A pushed problem. */
@@ -57,7 +58,7 @@ export function shapeOf(problem: ProblemAnswer): Shape {
     parameters: Object.entries(problem.parameters).map(([name, entry]) => declared(name, entry)),
     scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: dataText(data) })),
     scores: Object.entries(problem.scores).map(([name, entry]) => ({ name, ...(entry as Omit<ShapeScore, "name">) })),
-    measures: Object.keys(problem.measures),
+    goals: { scores: Object.keys(problem.scores), measures: Object.keys(problem.measures) },
   };
 }
 
@@ -92,7 +93,7 @@ export function highwayShape(spaces: ParameterSpacePage, scenarios: ScenarioPage
     parameters: (space?.parameters ?? []).map((entry) => ({ name: entry.name, kind: entry.kind as Kind, unit: entry.unit, meaning: entry.description, lower: entry.lower, upper: entry.upper, step: entry.kind === "grid" ? entry.step : null, choices: entry.choices })),
     scenarios: scenarios.items.filter((entry) => entry.catalogue === listed).map((entry) => ({ id: entry.id, title: entry.title })),
     scores,
-    measures: [],
+    goals: { scores: scenarios.scores, measures: Object.keys(scenarios.measures) },
   };
 }
 
