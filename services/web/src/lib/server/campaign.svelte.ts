@@ -1,6 +1,6 @@
 /** One campaign as it is now: read once, moved on by what the live connection tells, read again where more than its progress changed. */
 
-import { Refusal, Tagged, all } from "./api";
+import { Refusal, Tagged, all, isUnreached } from "./api";
 import { follow } from "./live.svelte";
 import { Rate } from "../charts/rate";
 import type { Campaign, CampaignEvent, Generation } from "./types";
@@ -103,6 +103,7 @@ export class CampaignState {
     } catch (error) {
       // While the server is away, the page keeps what it knows.
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
+      if (isUnreached(error) && this.stop !== null) this.soon(); // the live connection may not have noticed
     } finally {
       this.reading = false;
       if (this.missed && this.stop !== null) this.soon();
