@@ -68,6 +68,7 @@ def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
     fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
+@pytest.mark.slow
 def test_menus_and_numbers_lie_on_the_screen(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at("overview"), phone=True)
     for menu, content in (

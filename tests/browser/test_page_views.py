@@ -68,38 +68,32 @@ def views(shown: Shown) -> list[str]:
     compared, study = f"campaigns/{shown.comparison.id}", f"campaigns/{shown.study.id}"
     beside = f"compare?a={shown.study.id}&b={shown.campaign.id}"
     three = f"compare?ids={shown.campaign.id},{shown.study.id},{shown.campaign.id}"
-    paths = (
-        "",
-        "submit",
-        "submit?kind=comparison",
-        "workers",
-        "problems",
-        "compare",
-        both,
-        three,
-        beside,
-        compared,
-        f"{compared}/runs",
-        study,
-        "evaluations/1",
-    )
+    alone = ("", "submit", "submit?kind=comparison", "workers", "problems", "compare")
+    paths = (*alone, both, three, beside, compared, f"{compared}/runs", study, "evaluations/1")
     return [*(f"{shown.api.url}/#/{path}" for path in paths), *(shown.at(tab) for tab in TABS)]
 
 
-def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening) -> None:
+PARTS = pytest.mark.parametrize("part", [1, 3], ids=["all", "some"])
+
+
+@pytest.mark.slow("all")
+@PARTS
+def test_every_view_can_be_used_by_everybody(shown: Shown, opening: Opening, part: int) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=("409",))
     broken: dict[str, Any] = {}
     charts = [f"{shown.at('evaluations')}?chart={kind}" for kind in ("scatter", "slices", "map", "importance")]
-    for address in [*views(shown), *charts]:
+    for address in [*views(shown), *charts][::part]:
         page.goto(address)
         expect(page.locator("main h1")).to_be_visible()
         broken[address] = barriers_everywhere(page)
     assert {address: rules for address, rules in broken.items() if rules} == {}
 
 
-def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening) -> None:
+@pytest.mark.slow("all")
+@PARTS
+def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening, part: int) -> None:
     page = opening(f"{shown.api.url}/#/nowhere", expected=(*AWAY, "409"))
-    for address in views(shown):
+    for address in views(shown)[::part]:
         away_and_back(page, address)
 
 

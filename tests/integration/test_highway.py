@@ -193,6 +193,7 @@ def test_a_vehicle_drifts_into_the_lane_at_a_place(folder: Path) -> None:
     assert 80 <= seen <= 100  # 240 m at 30 m/s
 
 
+@pytest.mark.slow
 def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     outcomes = [result(folder, drive([BRAKING], 20.0), controller) for controller in CONTROLLERS.values()]
     assert all(outcome == outcomes[0] for outcome in outcomes)

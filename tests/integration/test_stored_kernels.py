@@ -76,6 +76,7 @@ def control(observation, parameters):
 """
 
 
+@pytest.mark.slow("planner")
 @pytest.mark.parametrize("kind", SESSIONS)
 def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, tmp_path: Path) -> None:
     controller, vehicle = SESSIONS[kind]

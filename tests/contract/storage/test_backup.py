@@ -327,7 +327,7 @@ def test_a_backup_of_a_newer_release_is_not_restored(
     target.dispose()
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_a_killed_restore_leaves_the_database_empty(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str
 ) -> None:
