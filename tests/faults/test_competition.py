@@ -11,7 +11,7 @@ from pathlib import Path
 import psycopg
 import pytest
 from sqlalchemy import func, make_url, select
-from tests.support.faults.coordinator import READY_SECONDS, Coordinator, alive, coordinator, suspended
+from tests.support.faults.coordinator import READY_SECONDS, Coordinator, coordinator, suspended
 from tests.support.faults.findings import Found
 from tests.support.faults.lives import (
     PATIENCE_SECONDS,
@@ -22,6 +22,7 @@ from tests.support.faults.lives import (
     wait_until_ended,
 )
 from tests.support.faults.workload import ANALYSING, post, submit
+from tests.support.serve import alive
 
 from drivecal.storage.engine.tables import campaigns
 

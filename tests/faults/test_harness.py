@@ -12,11 +12,10 @@ from dataclasses import replace
 import psutil
 import pytest
 from tests.support.faults import cage
-from tests.support.faults.coordinator import alive
 from tests.support.faults.findings import OF_A_CAMPAIGN, TABLES, Found, assert_equal
 from tests.support.faults.lives import moments
 from tests.support.faults.patience import Patience
-from tests.support.serve import until
+from tests.support.serve import alive, until
 
 ORPHAN = "import os, time; os.fork() and os._exit(7); os.setsid(); os.fork() and os._exit(0); time.sleep(600)"
 """A process that leaves its parents, its session and its terminal, as a daemon does."""

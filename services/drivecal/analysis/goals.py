@@ -198,7 +198,7 @@ class Goals:
         )
 
 
-def computed(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
+def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
     """Returns what computes the values of a run that cells do not store; None if goals need none."""
     return goals.values if goals is not None and goals.computed else None
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import computed
+from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.domain.campaigns import StageName
@@ -127,7 +127,7 @@ def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[in
     goals = resolved.goals
     standing = Ranking(resolved.weights, resolved.scale.sign, goals)
     stage, evaluator = StageName.CALIBRATION, resolved.evaluator
-    standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=computed(goals)))
+    standing.add(results.answers(connection, campaign.sequence, stage, corrected_by=evaluator, valued=valued_by(goals)))
     front = [member.solution for member in standing.front()] if goals is not None and goals.is_vector else []
     ranked = [solution.parameter_set for solution in (*front, *standing.ranking())]
     return list(dict.fromkeys(ranked))[:count]

@@ -17,7 +17,7 @@ import psutil
 from tests.support.effort import LONG
 from tests.support.faults import cage
 from tests.support.faults.patience import Patience
-from tests.support.serve import environment
+from tests.support.serve import alive, environment
 from tests.support.server import free_port
 
 from drivecal.domain.errors import DrivecalError
@@ -246,14 +246,6 @@ def coordinator(
         yield one
     finally:
         one.close()
-
-
-def alive(process: psutil.Process) -> bool:
-    """Neither gone nor a zombie."""
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 @contextmanager

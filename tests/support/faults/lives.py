@@ -13,11 +13,12 @@ import httpx
 import psutil
 from sqlalchemy import func, select
 from tests.support.effort import LONG
-from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, alive, suspended
+from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
+from tests.support.serve import alive
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection
 
 from drivecal.analysis.better_sets import Earlier, Later
-from drivecal.analysis.goals import SCORE, CellValue, computed
+from drivecal.analysis.goals import SCORE, CellValue, valued_by
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.expressions import Formula
@@ -83,7 +83,7 @@ def ranking(
         if other is None:
             stage, corrected_by = StageName.CALIBRATION, resolved.evaluator
             standing.add(
-                results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=computed(goals))
+                results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued_by(goals))
             )
         else:
             standing.add(_rated(connection, campaign, resolved.evaluator, other))

@@ -11,7 +11,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
-from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, computed
+from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -143,7 +143,7 @@ def front_of(
     ranking = Ranking(resolved.weights, resolved.scale.sign, goals)
     with database.read() as connection:
         stored = results.answers(
-            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=computed(goals)
+            connection, campaign.sequence, StageName.CALIBRATION, corrected_by=resolved.evaluator, valued=valued_by(goals)
         )
         own = list(stored)
         ranking.add(own)

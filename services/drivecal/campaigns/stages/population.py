@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import computed
+from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.domain.campaigns import StageName
@@ -43,7 +43,7 @@ class PopulationAnswers:
 
     def read(self, connection: Connection, campaign: int, iteration: int | None) -> list[CellScore]:
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
-        return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=computed(self._goals)))
+        return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=valued_by(self._goals)))
 
     def objectives(self) -> Floats:
         """The weighted score (Eq. 6), or the first objective, of each individual, shape (population,); NaN without a result."""

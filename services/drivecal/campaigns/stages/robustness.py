@@ -9,7 +9,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import EQUAL, Judged, computed
+from drivecal.analysis.goals import EQUAL, Judged, valued_by
 from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
@@ -86,7 +86,7 @@ class RobustnessStage(StudyStage):
 
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         self._goals = problem.goals
-        super().__init__(database, campaign, problem, view, computed(problem.goals))
+        super().__init__(database, campaign, problem, view, valued_by(problem.goals))
         wanted = problem.specification.robustness
         if wanted is None:
             raise ValueError("the campaign has no robustness stage")
