@@ -166,9 +166,9 @@ def compile_program(folder: Path) -> None:
     compiled("cc", folder / "acc.c", folder / "acc", "-ffp-contract=off", "-lm")
 
 
-def compile_fmu(folder: Path) -> None:
+def compile_fmu(folder: Path, source: str = FMU) -> None:
     """Adds the ACC as an FMU."""
-    (folder / "fmu.c").write_text(FMU)
+    (folder / "fmu.c").write_text(source)
     names = [name for name in dir(FMU2Slave) if name.startswith("fmi2") and f" {name}(" not in FMU and f"*{name}(" not in FMU]
     (folder / "rest.c").write_text("".join(f"int {name}(void) {{ return 3; }}\n" for name in names))
     library = compiled(

@@ -3,9 +3,10 @@
 `HighwaySimulator` is the section `simulator`; `HighwayScenario` is the data of a scenario. `highway_checks` checks the whole.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, StringConstraints, Tag
+from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
 
 from drivecal.bundles.highway_actions import Action, Lane, Position, Seconds, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
@@ -21,6 +22,16 @@ Duration = Annotated[float, Field(gt=0, le=3600)]
 Metres = Annotated[float, Field(gt=0, le=50)]
 ParameterName = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
+CLASSES: Mapping[str, tuple[float, float, float]] = {
+    "passenger": (5.0, 1.8, 0.1),
+    "truck": (7.1, 2.4, 0.05),
+    "trailer": (16.5, 2.55, 0.05),
+    "bus": (12.0, 2.5, 0.0),
+    "coach": (14.0, 2.6, 0.05),
+    "delivery": (6.5, 2.16, 0.05),
+    "motorcycle": (2.2, 0.9, 0.1),
+}
+"""SUMO's length (m), width (m) and speed deviation by class of vehicles."""
 
 
 class ControllerEntry(Model):
@@ -151,7 +162,7 @@ def _form(value: object) -> str:
 
 
 class HighwaySimulator(SimulatorEntry):
-    """A controlled vehicle among SUMO's vehicles. `step`: of the traffic (s), a multiple of 0.01; longer ones would miss collisions."""
+    """A controlled vehicle among SUMO's vehicles. `step`: of the traffic (s), a multiple of 0.01, in which all move evenly."""
 
     kind: Literal["highway"]
     controller: AnyController
@@ -189,7 +200,8 @@ class Driver(Model):
     """Driver of a vehicle or flow of the traffic; missing fields have SUMO's defaults, without randomness.
 
     `constant` keeps its speed whatever happens. `desired_speed` (m/s) holds whatever the limit is; without it, a vehicle wants the lane's
-    limit times `speed_factor`, at most `max_speed`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
+    limit times `speed_factor`, at most `max_speed`. `length`, `width`: by default those of a passenger car here, else SUMO's of the
+    `vehicle_class`. `parameters`: further numeric attributes of SUMO's vehicle type, e.g. `lcAssertive`.
     """
 
     model: Literal["IDM", "Krauss", "EIDM", "ACC", "CACC", "W99", "constant"] = "IDM"
@@ -210,6 +222,16 @@ class Driver(Model):
     parameters: Annotated[
         dict[Identifier, Annotated[float, Field(ge=-1e6, le=1e6)]], Field(max_length=50, default_factory=dict)
     ]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _sized(cls, data: Any) -> Any:
+        """Adds the size of the class of vehicles, if it is missing."""
+        vehicle_class = data.get("vehicle_class", "passenger") if isinstance(data, dict) else "passenger"
+        if vehicle_class == "passenger" or not isinstance(vehicle_class, str) or vehicle_class not in CLASSES:
+            return data
+        length, width, _ = CLASSES[vehicle_class]
+        return {"length": length, "width": width} | data
 
 
 class TrafficEntry(Placed, Driver):

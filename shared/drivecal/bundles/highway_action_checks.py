@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from drivecal.bundles.highway import TrafficEntry
-from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Trigger
+from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Trigger
 from drivecal.contracts.input_errors import nearest
 from drivecal.domain.errors import Problem
 
@@ -86,8 +86,9 @@ def _content(field: str, vehicle: TrafficEntry, action: Action) -> Iterator[Prob
             key = "continuous" if action.continuous else "factor"
             yield Problem(f"{field}.{key}", "there is no vehicle to compare with", "add `like`, or leave it out")
         return
-    if not isinstance(action, CutIn):
+    if isinstance(action, Drift):
         yield from _at_most_one(field, action, ("seconds", "lateral_acceleration"))
+    if not isinstance(action, CutIn):
         return
     yield from _at_most_one(field, action, ("seconds", "metres", "lateral_speed"))
     if (action.lane is None) == (action.by is None):

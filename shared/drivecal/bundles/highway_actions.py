@@ -19,11 +19,12 @@ EGO = "ego"
 class Condition(Model):
     """A condition of an action: a `quantity` is `above` or `below` a value, or other actions, by id, have `begun` or are `done`.
 
-    Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start) of `vehicle`, by default
-    the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead), `headway` (s, if `to` is
-    ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres` between centres. `distance` (m):
-    least of the last step, from the vehicle's centre to the place at `s` (m) of the scenario's route, `d` (m) to the left of its line.
-    `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago.
+    Quantities: `time` (s), `speed` (m/s), `s` (m, along the scenario's route) and `travelled` (m, since the start, by its speed) of
+    `vehicle`, by default the one that acts; from it to the vehicle `to`, by default ego: `gap` (m, along the road, whichever is ahead),
+    `headway` (s, if `to` is ahead), `ttc` (s, if they approach each other). These are measured between bumpers, or with `centres`
+    between centres. `distance` (m): least of the last step, from the vehicle's centre to the place at `s` (m) of the scenario's route,
+    `d` (m) to the left of its line.
+    `rising`: it was not fulfilled in the step before. `delay`: it is fulfilled as it was so many seconds ago, in whole steps.
     """
 
     quantity: Literal["time", "speed", "s", "travelled", "gap", "headway", "ttc", "distance"] | None = None
@@ -98,4 +99,10 @@ class Drift(Trigger):
     lateral_acceleration: Annotated[float, Field(gt=0, le=20)] | None = None
 
 
-Action = Annotated[Brake | CutIn | Drift, Field(discriminator="do")]
+class Wait(Trigger):
+    """The vehicle does nothing. The action is done as soon as it begins, and other actions may wait for that."""
+
+    do: Literal["wait"]
+
+
+Action = Annotated[Brake | CutIn | Drift | Wait, Field(discriminator="do")]

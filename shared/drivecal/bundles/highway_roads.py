@@ -7,7 +7,7 @@ file does: what is driven is the network. It names the digest of its source, so 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway import Declared, Driver, FlowEntry, HighwayScenario, HighwaySimulator, Placed, TrafficEntry
@@ -29,6 +29,8 @@ MOST_ROUTES = 100
 """Different routes of a bundle's scenarios; checking one takes up to a second."""
 MOST_EDGES = 20_000
 """Edges of these routes together."""
+LARGEST_JUMP = 2.0
+"""Metres between two lanes that SUMO's vehicles may skip without a note."""
 
 
 def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[dict[str, bytes], tuple[str, ...]]:
@@ -66,8 +68,8 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
 
 
 def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
-    """Returns what the files of scenarios say and is ignored, and a note on each route that ends before its scenario's duration, at the
-    ego vehicle's start speed.
+    """Returns what the files of scenarios say and is ignored, and notes on each route that ends before its scenario's duration, at the
+    ego vehicle's start speed, or on which SUMO's vehicles jump.
 
     Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
     """
@@ -84,23 +86,33 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
             if description.scenario is not scenario:
                 problems[field] += _located(description, field, _again(description.scenario, field, manifest))
     _check_effort(descriptions.values())
-    notes = dict.fromkeys(descriptions, "")
+    notes: dict[str, list[str]] = {field: [] for field in descriptions}
     for field, description in _by_road(descriptions):
         problems[field] += _located(description, field, _problems(roads, field, description.scenario))
         if not problems[field]:
-            notes[field] = _note(roads.corridor(description.scenario), field, description.scenario)
+            notes[field] += _notes(roads.corridor(description.scenario), field, description.scenario)
     if any(problems.values()):
         raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
     ignored = chain.from_iterable(description.notes for description in descriptions.values())
-    return (*dict.fromkeys(ignored), *filter(None, notes.values()))
+    return (*dict.fromkeys(ignored), *chain.from_iterable(notes.values()))
 
 
-def _note(road: Corridor, field: str, scenario: HighwayScenario) -> str:
-    """Returns a note on a route that is shorter than the drive at start speed, else nothing."""
+def _notes(road: Corridor, field: str, scenario: HighwayScenario) -> Iterator[str]:
+    """Yields notes on a route that is shorter than the drive at start speed, and on its longest gap between lanes."""
     ego, ahead = scenario.ego, road.length - _start(road, scenario)
-    if ahead >= ego.speed * scenario.duration:
-        return ""
-    return f"{field}: at {ego.speed:g} m/s the route ends after {ahead / ego.speed:.1f} of {scenario.duration:g} s"
+    if ahead < ego.speed * scenario.duration:
+        yield f"{field}: at {ego.speed:g} m/s the route ends after {ahead / ego.speed:.1f} of {scenario.duration:g} s"
+    jumps = [
+        (road.places[after.edge, after.index].item(0, 1) - road.places[before.edge, before.index].item(-1, 1), before.edge)
+        for track in road.tracks
+        for before, after in pairwise(track.lanes)
+    ]
+    longest, edge = max(jumps, default=(0.0, ""))
+    if longest > LARGEST_JUMP:
+        yield (
+            f"{field}: the network has no lanes inside of junctions, and SUMO's vehicles jump over {longest:.1f} m behind the edge "
+            f"{shown(edge, 80)}; build it again without --no-internal-links"
+        )
 
 
 def _again(scenario: HighwayScenario, field: str, manifest: Manifest) -> Iterator[Problem]:

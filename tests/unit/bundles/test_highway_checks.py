@@ -10,7 +10,7 @@ import pytest
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
-from drivecal.bundles.highway import HighwaySimulator
+from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
 from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry
 
@@ -301,3 +301,13 @@ def test_a_setup_with_the_built_in_planner_holds_its_version(monkeypatch: pytest
     assert "controller" not in setup_document(checked(VALID), "merge", "")
     monkeypatch.setattr(registry, "simulator", lambda _: SimpleNamespace(controllers={"planner": "another"}))
     assert setup_document(checked(planner, FILES), "merge", "") == said | {"controller": "another"}
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_vehicles_have_the_size_of_their_class(name: str) -> None:
+    """The route files' tests compare these sizes with SUMO's."""
+    size = (4.7, 1.9) if name == "passenger" else CLASSES[name][:2]
+    entry = TrafficEntry.model_validate({"s": 100, "speed": 20, "vehicle_class": name})
+    flow = FlowEntry.model_validate({"per_hour": 100, "vehicle_class": name, "length": 9.0})
+    assert (entry.length, entry.width) == size
+    assert (flow.length, flow.width) == (9.0, size[1])

@@ -148,6 +148,15 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
     assert len(routes) == 2
 
 
+def test_gaps_over_which_vehicles_jump_are_noted() -> None:
+    files = networks() | {"road.net.xml": BundleFile(entrance("--no-internal-links"), executable=False)}
+    document = changed("duration", 5)
+    assert check_roads(checked(document), networks()) == ()
+    (note,) = check_roads(checked(document), files)
+    assert note.startswith("scenarios.merge: ")
+    assert "8.2 m behind the edge before" in note
+
+
 def test_a_route_that_ends_before_the_drive_is_noted() -> None:
     (note,) = check_roads(checked(changed("duration", 50.0)), networks())
     assert "scenarios.merge" in note

@@ -9,7 +9,7 @@ import os
 import re
 import sys
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -65,8 +65,11 @@ class Fmu:
         self._slave = self._instantiated(unpacked)
         self._is_fresh = True
 
-    def begin(self, values: Mapping[str, Any], duration: float | None) -> None:
-        """Resets the FMU and initialises it with start values by name. `duration`: None if the end is not known."""
+    def begin(self, values: Mapping[str, Any], duration: float | None, set_inputs: Callable[[], None] = lambda: None) -> None:
+        """Resets the FMU and initialises it with start values by name. `duration`: None if the end is not known.
+
+        `set_inputs`: writes the inputs of time 0, in initialisation mode.
+        """
         if not self._is_fresh:
             self._slave.reset()
         self._is_fresh = False
@@ -78,6 +81,7 @@ class Fmu:
             self._slave.enterInitializationMode(startTime=0.0, stopTime=duration)
         else:
             self._slave.enterInitializationMode()
+        set_inputs()
         self._slave.exitInitializationMode()
 
     def step(self, time: float, length: float) -> None:

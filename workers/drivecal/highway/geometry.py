@@ -5,7 +5,7 @@
 bits are those of all stored results.
 """
 
-from math import cos, sin
+from math import cos, pi, sin, sqrt
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from drivecal.highway.compilation import compiled_with
 
 TOLERANCE = 1e-9
 """Step (m) at which Newton's iteration ends."""
+SWEEP = 0.1
+"""Largest way (m) of one vehicle past another between two places at which `swept` compares them."""
 
 
 @compiled_with()
@@ -95,4 +97,44 @@ def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
             and abs(dy * other_c - dx * other_s) <= width + size[0] * across + size[1] * along
         ):
             return i
+    return -1
+
+
+@compiled_with()
+def _turned(begin: float, end: float, share: float) -> float:
+    """Returns the direction at a share of the shorter turn from one to another (rad)."""
+    turn = end - begin
+    turn -= 2.0 * pi * np.floor((turn + pi) / (2.0 * pi))
+    return begin + share * turn
+
+
+@compiled_with()
+def swept(before: Floats, outlines: Floats, start: Floats, pose: Floats, size: Floats) -> int:
+    """Returns the first outline that overlaps the ego vehicle's rectangle between two times, -1 if there is none.
+
+    All move and turn evenly from `before` to `outlines` and from `start` to `pose`, arrays as in `hit`, whose ends `hit` checks itself.
+    An outline without a place at one of the times (x = NaN) overlaps nothing.
+    """
+    outline, place = np.empty((1, 5)), np.empty(3)
+    for i in range(len(outlines)):
+        x, y = before[i, 0] - start[0], before[i, 1] - start[1]
+        step_x, step_y = outlines[i, 0] - pose[0] - x, outlines[i, 1] - pose[1] - y
+        square = step_x * step_x + step_y * step_y
+        if not square > 0.0:
+            continue
+        nearest = min(max(-(x * step_x + y * step_y) / square, 0.0), 1.0)
+        reach = size[0] + size[1] + outlines[i, 3] + outlines[i, 4]
+        if (x + nearest * step_x) ** 2 + (y + nearest * step_y) ** 2 > reach * reach:
+            continue
+        outline[0, 3], outline[0, 4] = outlines[i, 3], outlines[i, 4]
+        parts = int(sqrt(square) / SWEEP) + 1
+        for part in range(1, parts):
+            share = part / parts
+            for column in range(2):
+                outline[0, column] = before[i, column] + share * (outlines[i, column] - before[i, column])
+                place[column] = start[column] + share * (pose[column] - start[column])
+            outline[0, 2] = _turned(before[i, 2], outlines[i, 2], share)
+            place[2] = _turned(start[2], pose[2], share)
+            if hit(outline, place, size) >= 0:
+                return i
     return -1

@@ -1,12 +1,15 @@
 """Start triggers of OpenSCENARIO files as conditions of actions."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from drivecal.bundles.traffic.elements import Element, Notes
 from drivecal.bundles.traffic.parts import Parts
+from drivecal.contracts.strict_json import shown
 
 LARGEST = 1e6
+NEAR = 0.01
+"""Metres between a vehicle's centre and its reference point that are not noted."""
 MOST_CONDITIONS = 20
 """Conditions of a trigger."""
 ABOVE = ("greaterThan", "greaterOrEqual")
@@ -21,9 +24,12 @@ Reached = Callable[[Element], tuple[float, float]]
 class Triggers:
     """Reads the triggers of a storyboard."""
 
-    def __init__(self, ids: Mapping[str, str], parts: Parts, reached: Reached, notes: Notes) -> None:
-        """`ids`: of vehicles by the names of entities; `parts`: of the storyboard."""
-        self._ids, self._parts, self._reached, self._notes = ids, parts, reached, notes
+    def __init__(
+        self, ids: Mapping[str, str], centres: Mapping[str, float], parts: Parts, reached: Reached, notes: Notes
+    ) -> None:
+        """`ids`: of vehicles by the names of entities; `centres`: how far their centres lie ahead of their reference points (m), by id;
+        `parts`: of the storyboard."""
+        self._ids, self._centres, self._parts, self._reached, self._notes = ids, centres, parts, reached, notes
 
     def conditions(self, trigger: Element | None) -> Conditions:
         """Returns conditions that must be fulfilled at once; none means that it begins at once. Raises InvalidInputError."""
@@ -78,7 +84,18 @@ class Triggers:
             "SpeedCondition",
         )
         quantity = self._quantity(condition)
+        self._note_centres(condition, quantity, entities)
         return [quantity | {"vehicle": entity} for entity in entities]
+
+    def _note_centres(self, condition: Element, quantity: Mapping[str, Any], entities: Sequence[str]) -> None:
+        """Notes a distance of reference points that centres have at another moment."""
+        if quantity["quantity"] != "distance" and not quantity.get("centres", False):
+            return
+        other = self._centres.get(str(quantity.get("to")), 0.0)
+        metres = max((abs(self._centres.get(entity, 0.0) - other) for entity in entities), default=0.0)
+        if metres > NEAR:
+            text = f"measured from centres, not from reference points, up to {metres:.2f} m apart for vehicles of one direction"
+            self._notes.add(condition, text)
 
     def _quantity(self, condition: Element) -> dict[str, Any]:
         kind = condition.element
@@ -89,6 +106,7 @@ class Triggers:
             s, d = self._reached(condition.only("Position"))
             return {"quantity": "distance", "s": s, "d": d, "below": tolerance}
         if kind == "SpeedCondition":
+            condition.word("direction", ("longitudinal",), "longitudinal")
             return {"quantity": "speed"} | _limit(condition)
         target = (
             condition.only("TimeToCollisionConditionTarget").only("EntityRef")
@@ -100,6 +118,8 @@ class Triggers:
             self._notes.add(condition, f"{axis} is measured along the road")
         elif axis != "longitudinal":
             raise condition.fault(f"the {axis[:40]} distance is not supported", "give longitudinal")
+        if (system := condition.text("coordinateSystem", "road")) not in {"road", "lane"}:
+            self._notes.add(condition, f"measured along the road, not in the coordinate system {shown(system, 40)}")
         names = {"RelativeDistanceCondition": "gap", "TimeHeadwayCondition": "headway", "TimeToCollisionCondition": "ttc"}
         centres = not condition.decides("freespace", "true")
         return {"quantity": names[kind], "to": target.entity(self._ids), "centres": centres} | _limit(condition)

@@ -9,6 +9,10 @@ from drivecal.roads.documents import Attributes, read_elements
 
 MOST_ELEMENTS = 200_000
 MOST_NOTES = 50
+LONGEST_NOTE = 200
+"""Characters of a note on attributes."""
+NAMING = ("name",)
+"""Attributes that only name elements."""
 Substitution = Callable[["Element", str], str]
 """Returns the text of an attribute with a parameter in it."""
 
@@ -16,7 +20,7 @@ Substitution = Callable[["Element", str], str]
 class Element(Attributes):
     """An element with those inside of it. Its attributes are read as `Attributes` does, with parameters replaced by their values."""
 
-    __slots__ = ("children", "is_read", "parameters", "parent", "substitution")
+    __slots__ = ("children", "is_read", "known", "parameters", "parent", "substitution")
 
     def __init__(self, attributes: Attributes, parent: "Element | None", substitution: Substitution | None) -> None:
         super().__init__(attributes.file, attributes.element, attributes.values, attributes.line)
@@ -25,11 +29,19 @@ class Element(Attributes):
         self.parameters: dict[str, str] = {}
         """Values of the parameters that are declared here."""
         self.is_read = False
+        self.known: list[str] = []
+        """Attributes that were read."""
 
     def text(self, key: str, default: str | None = None) -> str:
         """Returns an attribute. Raises InvalidInputError if it is missing and has no default."""
+        self.known.append(key)
         text = super().text(key, default)
         return text if self.substitution is None or "$" not in text else self.substitution(self, text)
+
+    def number(self, key: str, lower: float, upper: float, default: float | None = None) -> float:
+        """Returns a finite number between two bounds. Raises InvalidInputError."""
+        self.known.append(key)
+        return super().number(key, lower, upper, default)
 
     def decides(self, key: str, default: str) -> bool:
         """Returns a truth value: true, false, 1 or 0. Raises InvalidInputError for others."""
@@ -78,6 +90,7 @@ class Element(Attributes):
     def skip(self) -> None:
         """Marks everything in this element as read."""
         self.is_read = True
+        self.known += self.values
         for child in self.children:
             child.skip()
 
@@ -88,6 +101,14 @@ class Element(Attributes):
                 yield from child.unread()
             else:
                 yield child
+
+    def read_in_part(self) -> "Iterator[tuple[Element, list[str]]]":
+        """Yields the elements that were read, with those of their attributes that were not."""
+        if rest := [key for key in self.values if key not in NAMING and key not in self.known]:
+            yield self, rest
+        for child in self.children:
+            if child.is_read:
+                yield from child.read_in_part()
 
 
 class Notes:
@@ -102,9 +123,15 @@ class Notes:
         self._lines.setdefault((element.element, text), []).append(element.line)
 
     def texts(self, root: Element) -> tuple[str, ...]:
-        """Returns the notes, those of equal text in one, and one on each element below `root` that was not read."""
+        """Returns the notes, those of equal text in one, and one on each element and attribute below `root` that was not read.
+
+        Attributes of entities are not noted: masses, names of models and heights do not drive.
+        """
         for element in root.unread():
             self.add(element, "ignored")
+        for section in root.every("Storyboard"):
+            for element, keys in section.read_in_part():
+                self.add(element, f"ignored: {', '.join(keys)}"[:LONGEST_NOTE])
         notes = sorted(self._lines.items(), key=lambda entry: entry[1][0])
         return tuple(f"{self._name}: {_lines(sorted(lines))}, <{tag}>: {text}" for (tag, text), lines in notes[:MOST_NOTES])
 

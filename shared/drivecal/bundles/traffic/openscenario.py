@@ -4,7 +4,7 @@ A declared subset is read. What has no effect on the drive is noted with its lin
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from typing import Any
 
@@ -93,17 +93,22 @@ class ScenarioFile:
         ways = {ids[name]: self._way(start, route, roads, duration) for name, start in starts.items()}
 
         def reached(position: Element) -> tuple[float, float]:
+            for relative in position.every("RelativeLanePosition", "RelativeRoadPosition"):
+                message = f"a place that moves with {shown(relative.text('entityRef'))} is not supported"
+                raise relative.fault(message, "give a place on the road, or a RelativeDistanceCondition")
             corridor: Corridor = corridor_of(route)
-            place = roads.place(position, {name: start.place for name, start in starts.items()}, route)
+            place = roads.place(position, {}, route)
             try:
                 s, d = corridor.position(place.edge, place.index, place.position)
             except InvalidInputError as error:
                 raise position.fault(error.problems[0].message, "give a place on the scenario's route") from error
             return s, d + place.offset
 
-        actions = Storyboard(storyboard, ids, Ways(ways, roads), reached, self._notes).actions
+        centres = {ids[name]: entity.centre for name, entity in present.items()}
+        actions = Storyboard(storyboard, ids, centres, Ways(ways, roads), reached, self._notes).actions
         for name, entity in present.items():
-            if entity.is_still and (name == ego.name or actions.get(ids[name]) or starts[name].speed > 0.0):
+            acts = any(action["do"] != "wait" for action in actions.get(ids[name], []))
+            if entity.is_still and (name == ego.name or acts or starts[name].speed > 0.0):
                 raise entity.element.fault("a pedestrian that walks is not supported", "let it stand, or leave it out")
         document = {"route": route, "duration": duration, "ego": _placed(starts[ego.name], ego)}
         entries = [
@@ -162,8 +167,12 @@ class ScenarioFile:
                 drive = self._scenario.route or (along(roads.network, known.edge, BEHIND) if known is not None else [])
                 places[name] = roads.place(kind.only("Position"), places, drive)
                 starts[name] = _Start(self._centre(places[name], entities[name], roads, kind), 0.0)
+            placed = starts[name].place if name in starts else None
             for kind in kinds:
                 self._init(kind, name, entities, starts, roads)
+            if name in starts and starts[name].place is not placed:  # others are placed relative to its reference point
+                place = starts[name].place
+                places[name] = replace(place, position=place.position - entities[name].centre)
         return starts
 
     def _centre(self, place: FilePlace, entity: Entity, roads: Map, element: Element) -> FilePlace:
@@ -191,10 +200,16 @@ class ScenarioFile:
             dynamics = action.only("SpeedActionDynamics")
             if dynamics.text("dynamicsShape", "step") != "step" and dynamics.number("value", -LARGEST, LARGEST, 0.0) != 0.0:
                 self._notes.add(dynamics, "ignored: the vehicle has this speed from the start")
+            dynamics.skip()
             target = target_speed(
                 action.only("SpeedActionTarget").only("AbsoluteTargetSpeed", "RelativeTargetSpeed"),
                 {other: other for other in starts},
             )
+            if target.get("continuous", False):
+                raise action.fault(
+                    "a start speed that is kept to another vehicle's is not supported",
+                    'give continuous="false", and an event with this SpeedAction',
+                )
             speed = target.get("speed", 0.0)
             if (other := target.get("like")) is not None:
                 speed += target.get("factor", 1.0) * starts[other].speed
@@ -307,6 +322,7 @@ def _stop_time(group: Element) -> float | None:
     """Returns the time (s) at which a group of the StopTrigger is fulfilled, None if not only the time decides that."""
     times = []
     for condition in group.every("Condition"):
+        condition.text("conditionEdge", "none")  # a time that has come once stays so
         value = condition.optional("ByValueCondition")
         time = value.optional("SimulationTimeCondition") if value is not None else None
         if time is None or time.word("rule", (*ABOVE, "lessThan", "lessOrEqual", "equalTo", "notEqualTo")) not in ABOVE:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from drivecal.bundles.highway import CLASSES
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
@@ -18,16 +19,6 @@ from drivecal.roads.network import Network
 DEFAULT_TYPE = "DEFAULT_VEHTYPE"
 MODELS = ("Krauss", "IDM", "EIDM", "ACC", "CACC", "W99")
 LANE_CHANGES = ("LC2013", "SL2015")
-CLASSES: Mapping[str, tuple[float, float, float]] = {
-    "passenger": (5.0, 1.8, 0.1),
-    "truck": (7.1, 2.4, 0.05),
-    "trailer": (16.5, 2.55, 0.05),
-    "bus": (12.0, 2.5, 0.0),
-    "coach": (14.0, 2.6, 0.05),
-    "delivery": (6.5, 2.16, 0.05),
-    "motorcycle": (2.2, 0.9, 0.1),
-}
-"""SUMO's length (m), width (m) and speed deviation by class of vehicles."""
 MIN_GAP, SIGMA = 2.5, 0.5
 """SUMO's defaults."""
 MOST_VEHICLES = 500

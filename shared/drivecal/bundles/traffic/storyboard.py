@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
-from drivecal.bundles.traffic.conditions import LARGEST, MOST_CONDITIONS, Conditions, Reached, Triggers
+from drivecal.bundles.traffic.conditions import LARGEST, Reached, Triggers
 from drivecal.bundles.traffic.elements import Element, Notes
 from drivecal.bundles.traffic.parameters import declare
 from drivecal.bundles.traffic.parts import Part, Parts
@@ -38,30 +38,43 @@ class Ways(NamedTuple):
 class Storyboard:
     """The actions of a storyboard, by vehicle."""
 
-    def __init__(self, root: Element, ids: Mapping[str, str], ways: Ways, reached: Reached, notes: Notes) -> None:
-        """`ids`: of vehicles by entity. Raises InvalidInputError."""
+    def __init__(
+        self, root: Element, ids: Mapping[str, str], centres: Mapping[str, float], ways: Ways, reached: Reached, notes: Notes
+    ) -> None:
+        """`ids`: of vehicles by entity; `centres`: as in `Triggers`. Raises InvalidInputError."""
         self._ids, self._ways, self._notes = ids, ways, notes
         self._parts = Parts()
         self._count = 0
         planned = list(self._planned(root))
-        triggers = Triggers(ids, self._parts, reached, notes)
+        triggers = Triggers(ids, centres, self._parts, reached, notes)
         self.actions: dict[str, list[dict[str, Any]]] = {}
-        idle: dict[str, list[dict[str, Any]]] = {}
+        idle: dict[str, tuple[str, dict[str, Any]]] = {}
         for entry in planned:
             after = triggers.conditions(entry.act.optional("StartTrigger"))
             when = triggers.conditions(entry.event.element.optional("StartTrigger"))
             contents = list(self._content(entry))
             ends = self._ended(entry, planned)
             if not contents:
-                idle[entry.id] = after + when
+                idle[entry.id] = entry.vehicle, {"id": entry.id, "after": after, "when": when, "do": "wait"}
                 if ends:
                     self._notes.add(entry.event.element, "ends no other event, for nothing of it is driven")
             for content in contents:
                 document = {"id": entry.id, "after": after, "when": when, "ends": ends} | content
                 self.actions.setdefault(entry.vehicle, []).append(document)
-        for action in (action for actions in self.actions.values() for action in actions):
-            action |= {section: _followed(action[section], idle) for section in ("after", "when")}
+        driven = [action for actions in self.actions.values() for action in actions]
+        for action in driven:
             action["ends"] = [name for name in action["ends"] if name not in idle]
+        self._add_awaited(driven, idle)
+
+    def _add_awaited(self, driven: list[dict[str, Any]], idle: dict[str, tuple[str, dict[str, Any]]]) -> None:
+        """Adds the actions without effect for which others wait: they have begun and are done once, as any other."""
+        while driven:
+            action = driven.pop()
+            names = {condition.get("done", condition.get("begun")) for condition in action["after"] + action["when"]}
+            for name in sorted(names & idle.keys()):
+                vehicle, awaited = idle.pop(name)
+                self.actions.setdefault(vehicle, []).append(awaited)
+                driven.append(awaited)
 
     def _planned(self, root: Element) -> Iterator[_Planned]:
         """Yields the actions of the traffic's vehicles; notes those of the ego vehicle."""
@@ -191,19 +204,6 @@ class Storyboard:
             "offset": target.number("value", -5.0, 5.0),
             "lateral_acceleration": dynamics.number("maxLateralAcc", 1e-3, 20.0),
         }
-
-
-def _followed(conditions: Conditions, idle: Mapping[str, Conditions], depth: int = 0) -> Conditions:
-    """Returns conditions with those of actions without effect in the place of these actions: they are done as soon as they begin."""
-    followed: Conditions = []
-    for entry in conditions:
-        name = str(entry.get("done", entry.get("begun")))
-        if name not in idle:
-            followed.append(entry)
-        elif depth < MOST_CONDITIONS:
-            for other in _followed(idle[name], idle, depth + 1):
-                followed.append(other | {"delay": other["delay"] + entry["delay"]})
-    return followed
 
 
 def speed_action(action: Element, ids: Mapping[str, str], notes: Notes) -> Iterator[dict[str, Any]]:

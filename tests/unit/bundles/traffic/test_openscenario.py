@@ -8,6 +8,7 @@ from tests.support.scenario_files import (
     BESIDE,
     CARS,
     EGO,
+    HEADWAY,
     IN,
     NEAR,
     OTHER,
@@ -34,13 +35,13 @@ from tests.support.scenario_files import (
     with_events,
 )
 
-from drivecal.bundles.highway_actions import Brake, CutIn, Drift
+from drivecal.bundles.highway_actions import Action, Brake, CutIn, Drift
 from drivecal.roads.opendrive import read_opendrive
 
 ACTION = f'<Action name="also"><PrivateAction>{IN}</PrivateAction></Action>'
 
 
-def actions(content: bytes) -> list[Brake | CutIn | Drift]:
+def actions(content: bytes) -> list[Action]:
     """The actions of the other car."""
     return list(of_file(content).scenario.traffic[0].actions)
 
@@ -187,11 +188,18 @@ def test_what_waits_for_several_actions_waits_for_the_last_of_them() -> None:
     assert [(entry.done, entry.rising) for entry in found[-1].when] == [(found[0].id, False), (found[1].id, False)]
 
 
-def test_what_waits_for_an_action_without_effect_waits_until_it_would_begin() -> None:
-    idle = speed("idle", 10, when_time(4, delay=1), rate=0)
-    (brake,) = actions(with_events(idle, speed("then", 20, when_done("action", "idleAction", delay=2))))
-    assert brake.when is not None
-    assert [(entry.quantity, entry.above, entry.delay) for entry in brake.when] == [("time", 4.0, 3.0)]
+def test_what_waits_for_an_action_without_effect_remembers_that_it_is_done() -> None:
+    """Its conditions may hold only once, before those of the action that waits."""
+    idle = speed("idle", 10, when("Ego", NEAR.replace("$gap", "12")), rate=0)
+    second = speed("second", 10, when_done("event", "idle"), rate=0)
+    unwanted = speed("unwanted", 10, when_time(1), rate=0)
+    awaiting = speed("then", 20, when_done("action", "secondAction", delay=2))
+    brake, last, first = actions(with_events(idle, second, unwanted, awaiting))
+    assert [action.do for action in (brake, last, first)] == ["brake", "wait", "wait"]
+    conditions = [condition for action in (brake, last, first) for condition in action.when or ()]
+    assert [(condition.quantity, condition.done, condition.delay) for condition in conditions] == [
+        (None, last.id, 2.0), (None, first.id, 0.0), ("gap", None, 0.0),
+    ]  # fmt: skip
 
 
 def test_expressions_give_whole_numbers() -> None:
@@ -248,6 +256,14 @@ def test_a_place_to_be_reached_is_on_its_own_lane_of_the_route() -> None:
     assert [d - places[0][1] for _, d in places] == pytest.approx([0, 3.5, 7.6], abs=0.05)
 
 
+@pytest.mark.parametrize("kind", ['RelativeLanePosition dLane="0"', 'RelativeRoadPosition dt="0"'])
+def test_a_place_that_moves_with_an_entity_is_not_reached(kind: str) -> None:
+    """It would stay where it is at the start."""
+    place = f'<Position><{kind} entityRef="Ego" ds="30"/></Position>'
+    reach = f'<ReachPositionCondition tolerance="2">{place}</ReachPositionCondition>'
+    assert "moves with" in refused(with_events(event("in", IN, when("Other", reach, "none"))))
+
+
 def test_a_place_beside_the_route_is_not_reached() -> None:
     reach = f'<ReachPositionCondition tolerance="2">{lane(2, 300)}</ReachPositionCondition>'
     assert "route" in refused(with_events(event("in", IN, when("Other", reach, "none"))))
@@ -267,6 +283,33 @@ def test_what_drives_the_ego_vehicle_in_the_file_is_noted() -> None:
 def test_what_is_ignored_is_noted_with_its_line() -> None:
     content = cut_in().replace(b"<Entities>", b"<Environment><Weather/></Environment>\n<Entities>")
     assert any(note.startswith("scenarios/a.xosc: line 6, <Environment>: ignored") for note in of_file(content).notes)
+
+
+def test_attributes_that_are_not_read_are_noted_with_their_line() -> None:
+    content = cut_in().replace(b'freespace="false"', b'freespace="false" coordinateSystem="entity" alongRoute="true"')
+    more = [note for note in of_file(content).notes if note not in of_file(cut_in()).notes]
+    assert len(more) == 2
+    assert all("<TimeHeadwayCondition>" in note for note in more)
+    assert any("entity" in note for note in more)
+    assert any(note.endswith("ignored: alongRoute") for note in more)
+    assert of_file(content.replace(b'"entity"', b'"lane"').replace(b' alongRoute="true"', b"")).notes == of_file(cut_in()).notes
+    assert not any("ignored" in note for note in of_file(cut_in()).notes)
+
+
+def test_distances_of_reference_points_that_are_measured_from_centres_are_noted_with_the_metres() -> None:
+    reach = f'<ReachPositionCondition tolerance="2">{lane(-3, 300)}</ReachPositionCondition>'
+    free = HEADWAY.replace('"false"', '"true"')
+    for condition, ego, other, metres in (
+        (HEADWAY, 1.4, 1.3, "0.10 m"),
+        (HEADWAY, 1.4, 1.4, None),
+        (free, 1.4, 0.2, None),
+        (reach, 1.4, 0.2, "1.40 m"),
+        (reach, 0.0, 1.3, None),
+    ):
+        cars = {"Ego": vehicle(4.6, ego), "Other": vehicle(4.6, other)}
+        notes = of_file(scenario(cars, EGO + OTHER, act("Other", event("in", IN, when("Ego", condition, "none"))))).notes
+        assert [metres in note for note in notes if "centres" in note and metres] == ([True] if metres else [])
+        assert any("centres" in note for note in notes) is (metres is not None)
 
 
 def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:

@@ -41,6 +41,8 @@ ACTIVE = '<ControllerAction><ActivateControllerAction lateral="true" longitudina
 ROUTING = b"<PrivateAction><RoutingAction/></PrivateAction>"
 GROUPS = b"<StartTrigger><ConditionGroup/><ConditionGroup/></StartTrigger>"
 LATERAL = NEAR.replace("$gap", "3").replace("longitudinal", "lateral")
+SIDEWAYS = '<SpeedCondition value="1" rule="greaterThan" direction="lateral"/>'
+KEPT = '<RelativeTargetSpeed entityRef="Ego" value="2" speedTargetValueType="delta" continuous="true"/>'
 CASES = {
     "version": (cut_in().replace(b'revMajor="1"', b'revMajor="2"'), "line 3, <FileHeader>"),
     "no road": (cut_in().replace(b'"../maps/motorway.xodr"', b'"../../motorway.xodr"'), "leaves the folder"),
@@ -55,6 +57,8 @@ CASES = {
     "world outside": (with_events(other=start("Other", WORLD.format(0, 999), absolute(1))), "no lane at"),
     "alternatives": (with_events(event("in", IN)).replace(b"<StartTrigger/>", GROUPS, 1), "alternatives"),
     "falling": (with_events(event("in", IN, when_time(1, edge="falling"))), "falling"),
+    "sideways": (with_events(event("in", IN, when("Other", SIDEWAYS, "none"))), "direction is 'lateral'"),
+    "kept speed": (with_events(other=OTHER.replace(absolute(25), KEPT)), "line 8, <SpeedAction>: a start speed that is kept"),
     "lateral": (with_events(event("in", IN, when("Ego", LATERAL))), "lateral"),
     "other lane": (with_events(event("in", change_of_lane('<RelativeTargetLane entityRef="Ego" value="5"/>'))), "lanes"),
     "several that rise": (with_events(event("in", IN, when_all("rising"))), "rising"),

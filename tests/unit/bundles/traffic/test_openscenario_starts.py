@@ -83,6 +83,20 @@ def test_a_distance_in_init_without_a_side_trails_or_keeps_the_side_of_the_place
     assert found.traffic[0].s - found.ego.s == pytest.approx(30 if is_ahead else -30, abs=1e-3)
 
 
+def test_an_entity_beside_one_at_a_distance_is_beside_the_place_that_this_has() -> None:
+    keep = (
+        '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="leadingReferencedEntity" '
+        'distance="80" entityRef="Ego" freespace="false"/></LongitudinalAction></PrivateAction></Private>'
+    )
+    other = start("Other", lane(-2, 160), absolute(25)).replace("</Private>", keep)
+    beside = '<Position><RelativeLanePosition entityRef="Other" dLane="-1" ds="20"/></Position>'
+    cars = CARS | {"Other": vehicle(9.0, 3.0), "Third": vehicle(4.6, 1.4)}
+    placed = of_file(scenario(cars, EGO + other + start("Third", beside, absolute(20)))).scenario
+    assert placed.traffic[0].s - placed.ego.s == pytest.approx(80, abs=1e-3)
+    assert placed.traffic[1].s - placed.traffic[0].s == pytest.approx(20 - 3.0 + 1.4, abs=1e-3)
+    assert placed.traffic[1].lane == placed.ego.lane
+
+
 def test_a_place_of_the_other_direction_has_no_side() -> None:
     keep = (
         '<PrivateAction><LongitudinalAction><LongitudinalDistanceAction continuous="false" displacement="any" distance="30" '

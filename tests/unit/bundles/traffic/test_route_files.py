@@ -12,9 +12,10 @@ from tests.support.scenario_files import ROUTES, with_routes
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
+from drivecal.bundles.highway import CLASSES
 from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.highway_roads import check_roads
-from drivecal.bundles.traffic.route_files import CLASSES, MIN_GAP, SIGMA
+from drivecal.bundles.traffic.route_files import MIN_GAP, SIGMA
 from drivecal.domain.errors import InvalidInputError
 
 ROUTE = '<route id="r" edges="before beside after"/>'

@@ -18,7 +18,7 @@ from tests.support.scenario_files import (
     when_time,
 )
 
-from drivecal.bundles.highway_actions import Brake, CutIn, Drift
+from drivecal.bundles.highway_actions import Action
 
 BRAKE = f"<LongitudinalAction>{change_of_speed(absolute(15), 'linear', 'rate', 4)}</LongitudinalAction>"
 IDLE = f"<LongitudinalAction>{change_of_speed(absolute(15), 'linear', 'rate', 0)}</LongitudinalAction>"
@@ -50,7 +50,7 @@ def file(*stories: str) -> bytes:
     return scenario(CARS, EGO + OTHER, "".join(stories))
 
 
-def actions(content: bytes) -> list[Brake | CutIn | Drift]:
+def actions(content: bytes) -> list[Action]:
     return list(of_file(content).scenario.traffic[0].actions)
 
 

@@ -233,3 +233,15 @@ def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
     for step in range(6):
         act(these, step)
     assert sumo.speeds == [25, 20, 20, 20, 30, 30]
+
+
+def test_what_waits_for_an_action_that_does_nothing_waits_for_it_once(sumo: Sumo) -> None:
+    near = EgoPlace(80.0, 1.0)
+    wait = {"id": "near", "do": "wait", "gap": 20}
+    these = several(
+        wait, {"do": "brake", "speed": 0, "rate": 10, "when": [{"done": "near"}, {"quantity": "time", "above": 1.5}]}
+    )
+    for step, ego in enumerate((FAR_AWAY, near, FAR_AWAY, FAR_AWAY, FAR_AWAY)):
+        act(these, step, ego)
+    assert sumo.speeds == [25, 20]
+    assert not sumo.offsets

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import nan
 from typing import Any
 
@@ -51,6 +52,7 @@ PASSING = moments((100, 80), (110, 95), (120, 120), (130, 145), (140, 170), (150
         ({"quantity": "ttc", "below": 1.2}, [1, 2]),
         ({"quantity": "ttc", "vehicle": "ego", "below": 1.2}, [1]),
         ({"quantity": "gap", "below": 12, "delay": 1.0}, [3, 4, 5]),
+        ({"quantity": "gap", "below": 12, "delay": 0.75}, [3, 4, 5]),  # not before its time
         ({"quantity": "gap", "to": "nobody", "below": 12}, []),
     ],
 )
@@ -133,9 +135,32 @@ def test_the_way_since_the_start_counts_in_both_directions() -> None:
         happened, watch = Events(), Watch("other", action(when=[{"quantity": "travelled", "above": 60}]), STEP)
         ways[name] = []
         for moment in passing:
-            happened.follow(moment.vehicles)
+            happened.follow(moment.vehicles, STEP)
             ways[name].append(watch.is_due(moment, happened))
-    assert ways == {"along": [False, False, False, True, True, True], "against": [False, False, False, True, True, True]}
+    assert ways == {"along": [False, False, False, False, True, True], "against": [False, False, False, False, True, True]}
+
+
+def test_the_way_since_the_start_is_that_of_the_speed_also_without_a_place_on_the_road() -> None:
+    """15 m a step, however far apart the places are along the reference line of a curve."""
+    happened = Events()
+    for s in (80.0, 90.0, nan, nan, 120.0):
+        happened.follow({"other": Moving(s, 0.0, -30.0, 2.0)}, STEP)
+    assert happened.travelled == {"other": 60.0}
+
+
+def own_way(stretch: float, s: float, d: float) -> float:
+    """The stretch at the place of `other` below."""
+    return stretch if (s, d) == (100.0, 10.0) else 9.0
+
+
+def test_the_gap_of_others_is_that_along_their_own_way() -> None:
+    gap = {"quantity": "gap", "vehicle": "other", "to": "third", "below": 30}
+    places = {name: Moving(s, 10.0, 20.0, 2.0) for name, s in (("ego", 0.0), ("other", 100.0), ("third", 140.0))}
+    for stretch, steps in ((1.0, []), (0.8, [0])):
+        moment = Moment(0.0, places, 0.5, partial(own_way, stretch))
+        assert fired(action(when=[gap]), [moment]) == steps
+        assert fired(action(when=[gap | {"to": "ego"}]), [moment]) == []
+        assert fired(action(when=[gap | {"to": "ego", "below": 46}]), [moment]) == [0]
 
 
 def test_an_action_waits_for_others_to_begin_or_to_be_done() -> None:

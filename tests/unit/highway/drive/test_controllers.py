@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.motorways import CONTROLLERS, FMU, compile_fmu
 
-from drivecal.highway.drive.controllers import Checked, ControllerError, FunctionController
+from drivecal.highway.drive.controllers import Checked, ControllerError, FmuControl, FunctionController
 from drivecal.highway.drive.observation import NAMES
 
 SIGNALS = [float(number) for number in range(len(NAMES))]
@@ -109,3 +111,21 @@ def test_a_class_without_step_is_named() -> None:
 
     with pytest.raises(ControllerError, match="no method step"):
         answered(Nothing)
+
+
+def test_an_fmu_is_initialised_with_its_parameters_and_the_inputs_of_time_0(tmp_path: Path) -> None:
+    """This one multiplies the first speed by a parameter at the end of its initialisation, and then keeps its output."""
+    end = "fmi2ExitInitializationMode(fmi2Component c) { "
+    source = FMU.replace(end, f"{end}v[7] = v[0] * v[4]; ").replace("v[7] = law(v[0], v[1], v[2], v[3], v[4], v[5], v[6]);", "")
+    compile_fmu(tmp_path, source)
+    section = CONTROLLERS["fmu"]
+    control = FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", section["signals"], section["output"], 0.1)
+    speed = NAMES.index("speed")
+    for factor, speeds in ((2.0, (30.0, 20.0)), (3.0, (10.0, 15.0))):
+        control.begin({"T": factor})
+        answers: list[Any] = []
+        for value in speeds:
+            signals = list(SIGNALS)
+            signals[speed] = value
+            answers += control.step(signals)
+        assert answers == [factor * speeds[0]] * 2

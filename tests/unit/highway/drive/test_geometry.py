@@ -15,7 +15,7 @@ from drivecal.domain.roads import project, to_cartesian
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.observation import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
-from drivecal.highway.geometry import foot
+from drivecal.highway.geometry import foot, swept
 from drivecal.highway.geometry import hit as first_hit
 from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
@@ -236,6 +236,33 @@ def test_collisions_are_those_of_rectangles() -> None:
     assert not hit(0.0, 1.91, 0.0)
     assert hit(0.0, 1.91, 0.3)
     assert first_hit(np.zeros((0, 6)), np.zeros(8), SIZE) == -1
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "struck"),
+    [
+        ((7.5, 0.0, 0.0), (-7.5, 0.0, 0.0), True),
+        ((7.5, 1.89, 0.0), (-7.5, 1.89, 0.0), True),
+        ((7.5, 1.91, 0.0), (-7.5, 1.91, 0.0), False),
+        ((7.5, 4.0, 0.0), (-7.5, -4.0, 0.0), True),
+        ((30.0, 0.0, 0.0), (4.6, 0.0, 0.0), False),
+        ((-4.6, 0.0, 0.0), (-30.0, 0.0, 0.0), False),
+        ((7.5, 1.95, 3.13), (-7.5, 1.95, -3.13), False),  # a turn of 0.02 rad, not of nearly a circle
+        ((7.5, 1.95, 0.0), (-7.5, 1.95, 0.5), True),
+        ((np.nan, np.nan, 0.0), (-7.5, 0.0, 0.0), False),
+        ((7.5, 0.0, 0.0), (np.nan, np.nan, 0.0), False),
+    ],
+)
+def test_vehicles_that_pass_each_other_within_a_step_collide_if_they_touch_on_the_way(
+    begin: tuple[float, float, float], end: tuple[float, float, float], struck: bool
+) -> None:
+    far = [300.0, 0.0, 0.0, 2.0, 0.9]
+    before, after = (np.array([far, [*place, 2.0, 0.9]]) for place in (begin, end))
+    assert (swept(before, after, np.zeros(3), np.zeros(8), SIZE) == 1) is struck
+    moved = np.array([[15.0, 3.0, 0.0]] * 2)  # all of it seen from a vehicle that moves itself
+    before[:, :3] += moved
+    after[:, :3] += 2 * moved
+    assert (swept(before, after, moved[0], np.append(2 * moved[0], np.zeros(5)), SIZE) == 1) is struck
 
 
 def test_the_path_runs_along_the_lane() -> None:

@@ -1,14 +1,19 @@
-"""The ego vehicle in SUMO: where it is placed, and the speed that the others see."""
+"""The ego vehicle in SUMO: where it is placed, and the lane and the speed that the others see."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from tests.support.motorways import NETWORK, ROUTE
+from tests.support.networks import built, edge, entrance, link, node
 
 from drivecal.bundles.highway import HighwayScenario
+from drivecal.domain.errors import InvalidInputError
+from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import CHECKED_STEPS, Traffic
@@ -19,21 +24,82 @@ from drivecal.roads.network import read_network
 STEP, SPEED, SIZE = 0.1, 30.0, np.array([2.35, 0.95])
 
 
+class Drive:
+    """A drive at constant speed along the track of a lane, by edge and index, with an ego vehicle alone in SUMO."""
+
+    def __init__(self, network: Path, route: Sequence[str], folder: Path, lane: tuple[str, int]) -> None:
+        self.road, self._traffic = traffic(network, route, folder)
+        self._traffic.reset()
+        self.front = np.zeros(3)
+        self.lanes = [[(piece.edge, piece.index) for piece in track.lanes] for track in self.road.corridor.tracks]
+        self._track = next(number for number, lanes in enumerate(self.lanes) if lane in lanes)
+
+    def steps(self, first: int, count: int, begin: float) -> Iterator[float]:
+        """Yields s of the front after each step, from `begin` on."""
+        line, lanes, motion = self.road.line, self.road.lanes, np.zeros(9)
+        for index in range(first, first + count):
+            s = begin + (index - first) * SPEED * STEP - SIZE[0]
+            pose = np.array([*self.road.start(s, float(lanes[int(s / line[1, 0]), self._track, 0])), SPEED, 0, 0, 0, 0])
+            assert geometry.place(line, lanes, pose, s, SIZE, motion, self.front)
+            assert self._traffic.advance(index, motion, self.front, SPEED)
+            yield s + SIZE[0]
+
+
+def traffic(network: Path, route: Sequence[str], folder: Path, *vehicles: dict[str, Any]) -> tuple[HighwayRoad, Traffic]:
+    """The road of a route, and an ego vehicle at s = 100 among other vehicles."""
+    road = HighwayRoad(corridor(read_network(network.read_bytes(), "road.net.xml"), route, "road.net.xml"), {})
+    ego = {"s": 100, "speed": SPEED}
+    data = {"network": "road.net.xml", "route": route, "duration": 20, "ego": ego, "traffic": list(vehicles)}
+    return road, Traffic("s", HighwayScenario.model_validate(data), network, road, STEP, folder)
+
+
+def written(content: bytes, folder: Path) -> Path:
+    path = folder / "road.net.xml"
+    path.write_bytes(content)
+    return path
+
+
 @pytest.mark.parametrize("metres", [0.2, 1.0, 2.0, 3.1])
 def test_others_see_the_ego_vehicle_s_speed_also_if_it_is_placed_anew_behind_the_begin_of_an_edge(
     metres: float, tmp_path: Path
 ) -> None:
     """Every `CHECKED_STEPS` steps it is: here with its front so many metres behind it."""
-    road = HighwayRoad(corridor(read_network(NETWORK.read_bytes(), "road.net.xml"), ROUTE, "road.net.xml"), {})
-    data = {"network": "road.net.xml", "route": ROUTE, "duration": 20, "ego": {"s": 100, "speed": SPEED}}
-    traffic = Traffic("s", HighwayScenario.model_validate(data), NETWORK, road, STEP, tmp_path)
-    traffic.reset()
-    motion, front = np.zeros(9), np.zeros(3)
-    begin = road.corridor.places["e1", 0][0, 1]
-    for index in range(CHECKED_STEPS - 8, CHECKED_STEPS + 4):
-        s = begin + metres + (index - CHECKED_STEPS) * SPEED * STEP - SIZE[0]
-        pose = np.array([*road.start(s, float(road.lanes[int(s / road.line[1, 0]), 0, 0])), SPEED, 0.0, 0.0, 0.0, 0.0])
-        assert geometry.place(road.line, road.lanes, pose, s, SIZE, motion, front)
-        assert traffic.advance(index, motion, front, SPEED)
+    drive = Drive(NETWORK, ROUTE, tmp_path, ("e0", 0))
+    begin = drive.road.corridor.places["e1", 0][0, 1]
+    for _ in drive.steps(CHECKED_STEPS - 8, 12, begin + metres - 8 * SPEED * STEP):
         assert GET_SPEED(EGO) == pytest.approx(SPEED, abs=0.5)
-        assert np.hypot(*(np.array(GET_POSITION(EGO)) - front[:2])) < 0.05
+        assert np.hypot(*(np.array(GET_POSITION(EGO)) - drive.front[:2])) < 0.05
+
+
+def test_the_ego_vehicle_keeps_its_speed_over_junctions_without_lanes_inside(tmp_path: Path) -> None:
+    """SUMO's vehicles skip the gaps of 8 m."""
+    drive = Drive(written(entrance("--no-internal-links"), tmp_path), ["before", "beside", "after"], tmp_path, ("before", 0))
+    speeds = [GET_SPEED(EGO) for _ in drive.steps(1, 40, 350.0)]
+    assert speeds == pytest.approx([SPEED] * 40, rel=0.1)
+
+
+def test_sumo_has_the_ego_vehicle_in_its_lane_behind_a_split(tmp_path: Path) -> None:
+    """A lane leads to two, of which the corridor takes one, and SUMO perhaps the other."""
+    nodes = [node("a", 0, 0), node("b", 400, 0), node("c", 1200, 0)]
+    links = [link("A", "B", 0, 0), link("A", "B", 0, 1), link("A", "B", 1, 2)]
+    network = written(built(nodes, [edge("A", "a", "b", 2), edge("B", "b", "c", 3)], links), tmp_path)
+    drive = Drive(network, ["A", "B"], tmp_path, ("A", 0))
+    assert any({("A", 0), ("B", 1)} <= set(lanes) for lanes in drive.lanes)
+    begin = drive.road.corridor.places["B", 1][0, 1]
+    lanes = [(s - begin, sumo.vehicle.getLaneID(EGO)) for s in drive.steps(1, 40, begin - 40.0)]
+    assert {lane for ahead, lane in lanes if ahead > 2 * SPEED * STEP} == {"B_1"}
+
+
+@pytest.mark.parametrize("place", [{"edge": "before"}, {}])
+def test_a_vehicle_whose_front_would_be_inside_of_a_junction_is_refused_and_not_moved_back(
+    place: dict[str, Any], tmp_path: Path
+) -> None:
+    network, route = written(entrance(), tmp_path), ["before", "beside", "after"]
+    end = corridor(read_network(network.read_bytes(), "n"), route, "n").places["before", 0].item(-1, 0)
+    vehicle = {"speed": 20.0, "length": 4.0} | place
+    with pytest.raises(InvalidInputError) as error:
+        traffic(network, route, tmp_path, vehicle | {"s": end - 1.5})
+    assert [problem.field for problem in error.value.problems] == ["scenarios.s.traffic[0].s"]
+    _, allowed = traffic(network, route, tmp_path, vehicle | {"s": end - 2.0})
+    allowed.reset()
+    assert sumo.vehicle.getLanePosition("vehicle0") == pytest.approx(end, abs=0.1)

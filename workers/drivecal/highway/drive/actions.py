@@ -6,11 +6,11 @@ from math import inf, isnan, sqrt
 from typing import NamedTuple
 
 from drivecal.bundles.highway import TrafficEntry
-from drivecal.bundles.highway_actions import EGO, Action, Brake, CutIn, Drift
+from drivecal.bundles.highway_actions import EGO, Action, Brake, CutIn, Drift, Wait
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
-from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
+from drivecal.highway.drive.conditions import Events, Moment, Moving, Stretch, Watch, straight
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 DEFAULT_RATE, DEFAULT_SECONDS = 4.0, 3.0
@@ -72,10 +72,12 @@ class _Shift:
 class Actions:
     """The actions of all vehicles of a scenario."""
 
-    def __init__(self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d) -> None:
-        """`vehicles`: by id; `lateral`: on the road."""
+    def __init__(
+        self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d, stretch: Stretch = straight
+    ) -> None:
+        """`vehicles`: by id; `lateral`, `stretch`: on the road."""
         self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
-        self._vehicles, self._lateral = vehicles, lateral
+        self._vehicles, self._lateral, self._stretch = vehicles, lateral, stretch
         self.reset()
 
     def reset(self) -> None:
@@ -100,8 +102,8 @@ class Actions:
         vehicles = {
             name: Moving(row[0], row[1], row[2], 0.5 * row[4]) for name, row in zip(names, others.tolist(), strict=True)
         }
-        moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch)
-        self._events.follow(moment.vehicles)
+        moment = Moment(time, vehicles | {EGO: Moving(ego.s, ego.d, ego.speed, 0.5 * length)}, ego.stretch, self._stretch)
+        self._events.follow(moment.vehicles, step)
         waiting: list[tuple[str, Action, Watch | None]] = []
         due: list[tuple[str, Action]] = [*self._late]
         for name, action, known in self._waiting:
@@ -126,6 +128,9 @@ class Actions:
         self._events.begun.add(action.id or "")
         if action.ends:
             self._end(name, action.ends)
+        if isinstance(action, Wait):
+            self._events.done.add(action.id or "")
+            return
         if isinstance(action, Brake):
             if name in self._speeding:
                 self._events.done.add(self._speeding[name].brake.id or "")

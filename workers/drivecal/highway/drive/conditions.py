@@ -1,7 +1,7 @@
 """Conditions on which the actions of the traffic's vehicles begin, evaluated once per step of the traffic."""
 
-from collections.abc import Mapping
-from math import copysign, hypot, isnan
+from collections.abc import Callable, Mapping
+from math import ceil, copysign, hypot, isnan
 from typing import NamedTuple
 
 from drivecal.bundles.highway_actions import EGO, Condition, Trigger
@@ -20,12 +20,22 @@ class Moving(NamedTuple):
     half: float
 
 
+Stretch = Callable[[float, float], float]
+"""Returns metres of a way through a place (s, d) per metre of s."""
+
+
+def straight(_: float, __: float) -> float:
+    """Returns the stretch of a straight road."""
+    return 1.0
+
+
 class Moment(NamedTuple):
-    """The vehicles at a time (s). `stretch`: metres of the ego vehicle's way per metre of s."""
+    """The vehicles at a time (s). `stretch`: metres of the ego vehicle's way per metre of s; `stretch_at`: that of others."""
 
     time: float
     vehicles: Mapping[str, Moving]
     stretch: float
+    stretch_at: Stretch = straight
 
 
 class Events:
@@ -35,14 +45,11 @@ class Events:
         self.begun: set[str] = set()
         self.done: set[str] = set()
         self.travelled: dict[str, float] = {}
-        self._places: dict[str, float] = {}
 
-    def follow(self, vehicles: Mapping[str, Moving]) -> None:
-        """Adds the way of the last step, also of vehicles that drive against the route."""
+    def follow(self, vehicles: Mapping[str, Moving], step: float) -> None:
+        """Adds the way of the last step (s), also of vehicles against the route or without a place on it."""
         for name, vehicle in vehicles.items():
-            if not isnan(vehicle.s):
-                way = abs(vehicle.s - self._places.get(name, vehicle.s))
-                self.travelled[name], self._places[name] = self.travelled.get(name, 0.0) + way, vehicle.s
+            self.travelled[name] = self.travelled[name] + abs(vehicle.speed) * step if name in self.travelled else 0.0
 
 
 class Watch:
@@ -77,7 +84,7 @@ class _Watched:
         self._condition = condition
         self._vehicle = condition.vehicle or name
         self._to = condition.to or (EGO if self._vehicle != EGO else name)
-        self._lag = round(condition.delay / step)
+        self._lag = ceil(condition.delay / step - ROUNDING)
         self._before: bool | None = None
         self._place: tuple[float, float] | None = None
         self._history: list[bool] = []
@@ -121,7 +128,10 @@ class _Watched:
         if quantity == "distance":
             return self._distance(vehicle)
         other = moment.vehicles.get(self._to)
-        return None if other is None else self._between(vehicle, other, moment.stretch)
+        if other is None:
+            return None
+        is_ego = EGO in {self._vehicle, self._to}
+        return self._between(vehicle, other, moment.stretch if is_ego else moment.stretch_at(vehicle.s, vehicle.d))
 
     def _distance(self, vehicle: Moving) -> float:
         """Returns the least distance from the condition's place to the way of a vehicle's centre since the last step."""

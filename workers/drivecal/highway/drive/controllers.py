@@ -60,7 +60,10 @@ class FunctionController(Controller):
 
 
 class FmuControl(Controller):
-    """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end."""
+    """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end.
+
+    It is initialised in the first step, when its inputs are known.
+    """
 
     def __init__(self, file: Path, unpacked: Path, signals: Mapping[str, str], output: Sequence[str], period: float) -> None:
         """`signals`: variables of the FMU by names of signals and commands."""
@@ -75,14 +78,17 @@ class FmuControl(Controller):
         self._reader = self._fmu.reader(dict.fromkeys(signals[name] for name in output))
         self._order = [self._reader.names.index(signals[name]) for name in output]
         self._period, self._count = period, 0
+        self._parameters: Mapping[str, Any] = {}
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
         self._fmu.check(parameters, "parameter")
-        self._fmu.begin(parameters, None)
-        self._count = 0
+        self._parameters, self._count = dict(parameters), 0
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        self._writer.write([signals[index] for index in self._indices])
+        inputs = [signals[index] for index in self._indices]
+        if self._count == 0:
+            self._fmu.begin(self._parameters, None, lambda: self._writer.write(inputs))
+        self._writer.write(inputs)
         self._fmu.step(self._count * self._period, self._period)
         self._count += 1
         values = self._reader.read()

@@ -16,7 +16,7 @@ import numpy as np
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry as shared
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.geometry import foot, hit, point
+from drivecal.highway.geometry import foot, hit, point, swept
 
 compiled = compiled_with(shared)
 
@@ -313,12 +313,14 @@ def record(
 @compiled
 def settle(
     line: Floats, lanes: Floats, raw: Floats, others: Floats, outlines: Floats, step: float, motion: Floats, pose: Floats,
-    steering: float, size: Floats, time: float, row: Floats,
+    steering: float, size: Floats, time: float, last: Floats, row: Floats,
 ) -> int:  # fmt: skip
-    """Combines `locate`, `record` and `hit` in one call."""
+    """Combines `locate`, `record`, `hit` and `swept` in one call. `last`: the row of the record before this one."""
+    before = outlines.copy()
     locate(line, raw, others, outlines, step)
     record(line, lanes, others, motion, pose, steering, size[0], time, 0.0, row)
-    return hit(outlines, pose, size)
+    struck = hit(outlines, pose, size)
+    return struck if struck >= 0 else swept(before, outlines, last[1:4], pose, size)
 
 
 @compiled

@@ -91,7 +91,7 @@ class Loop:
         self._check_apart(vehicle.pose)
         geometry.settle(
             road.line, road.lanes, traffic.raw, traffic.others, traffic.outlines, self._step, motion, vehicle.pose, vehicle.steering,
-            self._size, 0.0, self._row_views[0],
+            self._size, 0.0, self._row_views[0], self._row_views[0],
         )  # fmt: skip
         geometry.observe(
             road.line,
@@ -175,7 +175,7 @@ class Loop:
                     break  # the end of the route
                 hit = geometry.settle(
                     line, lanes, traffic.raw, traffic.others, traffic.outlines, step, motion, pose, vehicle.steering, size,
-                    ticks * tick, self._row_views[rows],
+                    ticks * tick, self._row_views[rows - 1], self._row_views[rows],
                 )  # fmt: skip
                 rows += 1
                 recorded = ticks

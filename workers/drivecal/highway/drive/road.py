@@ -6,7 +6,7 @@ from math import atan, cos, isnan, sin
 import numpy as np
 
 from drivecal.domain.roads import Floats, pose_on
-from drivecal.highway.geometry import with_directions
+from drivecal.highway.geometry import point, with_directions
 from drivecal.highway.traffic.lanes import SumoLanes
 from drivecal.roads.corridor import Corridor
 
@@ -22,7 +22,7 @@ class HighwayRoad:
         self.corridor, self.levels = corridor, levels
         line = corridor.line
         self.line: Floats = with_directions(line)
-        self.sumo = SumoLanes(corridor, line[:, 0])
+        self.sumo = SumoLanes(corridor, line[:, 0], joined=True)
         self.lanes: Floats = np.ascontiguousarray(
             np.stack(
                 [corridor.centres, corridor.widths, corridor.limits, slopes(line, corridor.centres), self.sumo.totals], axis=-1
@@ -47,6 +47,10 @@ class HighwayRoad:
         row = min(max(int(at / self.line[1, 0]), 0), len(self.line) - 1)
         centre = float(self.lanes[row, track, 0])
         return d if isnan(centre) else centre
+
+    def stretch(self, s: float, d: float) -> float:
+        """Returns metres of a way through (s, d) along the road per metre of s; 1 without a place."""
+        return 1.0 if isnan(s) else max(1.0 - float(point(self.line, s)[3]) * d, 0.1)
 
 
 def slopes(line: Floats, centres: Floats) -> Floats:

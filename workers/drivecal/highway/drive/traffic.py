@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.bundles.highway import Driver, HighwayScenario, Placed, TrafficEntry
+from drivecal.bundles.highway import Driver, Ego, HighwayScenario, Placed, TrafficEntry
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
@@ -42,6 +42,8 @@ from drivecal.roads.corridor import LanePiece
 
 CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
+LARGEST_BEYOND = 0.1
+"""Metres by which a vehicle may start behind its place, so that its front is on a lane."""
 
 
 class TrafficError(DrivecalError):
@@ -88,12 +90,13 @@ class Traffic:
             ]
         except SUMO_ERRORS as error:
             raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
-        self._actions = Actions(vehicles, road.lateral)
+        self._actions = Actions(vehicles, road.lateral, road.stretch)
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
         """Place of the ego vehicle when `others` were read."""
-        self._track, self._placed = -1, 0.0
-        """The track on which SUMO has the ego vehicle, -1 if it is not known, and how far along (m, as SUMO counts)."""
+        self._track, self._placed, self._border = -1, 0.0, 0.0
+        """The track on which SUMO has the ego vehicle, -1 if it is not known, how far along it is and where its lane ends (m, as SUMO
+        counts)."""
         self.names: list[str] = []
         self._turned: list[tuple[int, str]] = []
         """Rows and names of the vehicles whose heading is SUMO's."""
@@ -160,10 +163,11 @@ class Traffic:
         """Lets SUMO move the ego vehicle's front to its place at the end of the step.
 
         Along its lane by the speed that leads there, which takes SUMO a tenth of the time of a search by coordinates; into another lane
-        by name; by coordinates if SUMO has it elsewhere, and if its way in this step began inside of a junction or on another edge.
+        by name, also if SUMO took another one behind a split; by coordinates if SUMO has it elsewhere, and if its way in this step began
+        inside of a junction or on another edge.
         """
         track, along = int(motion.item(geometry.TRACK)), motion.item(geometry.ALONG)
-        if track == self._track and index % CHECKED_STEPS:
+        if track == self._track and index % CHECKED_STEPS and (self._placed < self._border or self._is_followed(track)):
             way = max(along - self._placed, 0.0)
             self._placed += way
             SET_SPEED(EGO, way / self._step)
@@ -176,7 +180,15 @@ class Traffic:
             return
         sumo.vehicle.moveTo(EGO, f"{edge}_{lane}", position - speed * self._step)
         SET_SPEED(EGO, speed)
-        self._placed = along
+        self._placed, self._border = along, self._road.sumo.end(track, along)
+
+    def _is_followed(self, track: int) -> bool:
+        """Returns whether SUMO has moved the ego vehicle on into the lane of its track: a lane may lead to several."""
+        edge, lane, _ = self._road.sumo.place(track, self._placed)
+        if not edge.startswith(":") and sumo.vehicle.getLaneID(EGO) != f"{edge}_{lane}":
+            return False
+        self._border = self._road.sumo.end(track, self._placed)
+        return True
 
     def _enlist(self, names: list[str]) -> None:
         """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
@@ -194,7 +206,7 @@ class Traffic:
             driver = self._drivers[self._driver(name)]
             others[row, 4:] = driver.length, driver.width
             others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
-            outlines[row, 5] = GET_SPEED(name)
+            outlines[row, :2], outlines[row, 5] = np.nan, GET_SPEED(name)
             if driver.lane_change == "none":
                 sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
             if driver.model == "constant":
@@ -252,10 +264,17 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     edge, lane, position = road.sumo.ahead(edge, lane, position)
     name = f"{edge}_{lane}"
     try:
-        return name, min(position, sumo.lane.getLength(name))
+        end = float(sumo.lane.getLength(name))
     except SUMO_ERRORS as error:
         message = f"the network has no lane {name}"
         raise InvalidInputError(Problem(f"{field}.lane", message, "give an edge and a lane of the network")) from error
+    beyond = position - end
+    if beyond > LARGEST_BEYOND and not isinstance(placed, Ego):  # the ego vehicle is put to its place after each step
+        message = f"the vehicle's front would be {beyond:.2f} m beyond the end of the lane {name}, where SUMO cannot put it"
+        raise InvalidInputError(
+            Problem(f"{field}.s", message, f"give at most {placed.s - beyond:.2f}, or a place behind the junction")
+        )
+    return name, min(position, end)
 
 
 def _along(road: HighwayRoad, piece: LanePiece, s: float) -> float:

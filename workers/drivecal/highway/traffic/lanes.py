@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from itertools import pairwise
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -69,3 +70,9 @@ class SumoLanes:
         bases = self._bases[track]
         piece = max(bisect_right(bases, total) - 1, 0)
         return LanePlace(*self._names[track][piece], total - bases[piece])
+
+    def end(self, track: int, total: float) -> float:
+        """Returns the position along all lanes of a track at which the lane at `total` ends, infinity for the last one."""
+        bases = self._bases[track]
+        piece = bisect_right(bases, total)
+        return bases[piece] if piece < len(bases) else inf
