@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices
-from drivecal.plugins.ports import Floats
+from drivecal.plugins.ports import Floats, Proposal
 
 Individuals = TypeVar("Individuals", bound=npt.NDArray[Any])
 
@@ -35,6 +35,24 @@ def checked_vectors(objectives: Floats, violations: Floats, count: int) -> tuple
         if values.shape[:1] != (count,) or np.isinf(values).any():
             raise ValueError(f"{name} must be of {count} individuals, finite or NaN")
     return objectives.astype(np.float64), violations.astype(np.float64)
+
+
+def checked_proposal(name: str, proposal: Proposal, count: int, n_values: Indices, before: Indices | None) -> Proposal:
+    """Returns a proposal of the optimizer `name`. Raises InvalidInputError unless it has `count` individuals of the space, of which those
+    that are not `changed` are what they were `before`."""
+    population, changed = proposal.population, proposal.changed
+    message = ""
+    if population.shape != (count, len(n_values)) or population.dtype.kind not in "iu":
+        message = f"its population is {population.dtype} of shape {population.shape}, not whole numbers of shape {(count, len(n_values))}"
+    elif changed.shape != (count,) or changed.dtype != np.bool_:
+        message = f"`changed` is {changed.dtype} of shape {changed.shape}, not a truth value for each of {count} individuals"
+    elif ((population < 0) | (population >= n_values)).any():
+        message = "it proposes indices beyond the grid"
+    elif not (changed.all() if before is None else np.array_equal(population[~changed], before[~changed])):
+        message = "it changes individuals that it does not call changed"
+    if message:
+        raise InvalidInputError(Problem(f"optimizer {name}", message, "correct the plug-in"))
+    return proposal
 
 
 def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:

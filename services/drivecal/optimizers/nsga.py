@@ -53,7 +53,7 @@ class NsgaEngine:
         self._population: Indices = np.empty((0, len(n_values)), dtype=np.int64)
 
     def propose(self) -> Indices:
-        """See `replayed.Engine`. The last population fills up what pymoo leaves empty in small spaces: it proposes no set twice."""
+        """See `replayed.Engine`. The last population fills up what pymoo leaves empty in small spaces: it proposes no row twice."""
         self._asked = self._algorithm.ask()
         population = self._population.copy()
         if self._asked is not None:
@@ -75,7 +75,6 @@ class NsgaEngine:
             self._algorithm = _algorithm(self._settings, self._last, population[told], objectives.shape[1])
             self._asked = self._algorithm.ask()
         if len(told):
-            # repaired individuals are the ones that were simulated
             self._asked.set("X", population[told], "F", costs[told], "G", violations[told, np.newaxis])
             self._algorithm.tell(infills=self._asked)
 
@@ -84,6 +83,7 @@ def _algorithm(settings: OptimizerSpecification, last: Indices, first: Indices, 
     """Returns pymoo's algorithm, which begins with distinct sets of the start population."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.algorithms.moo.nsga3 import NSGA3
+    from pymoo.core.duplicate import DuplicateElimination
     from pymoo.core.population import Population
     from pymoo.core.problem import Problem
     from pymoo.operators.crossover.sbx import SBX
@@ -91,6 +91,17 @@ def _algorithm(settings: OptimizerSpecification, last: Indices, first: Indices, 
     from pymoo.operators.repair.rounding import RoundingRepair
     from pymoo.operators.selection.tournament import TournamentSelection
     from pymoo.termination import get_termination
+
+    class Distinct(DuplicateElimination):  # type: ignore[misc]  # a class of pymoo, which has no types
+        """Tells rows of whole numbers apart in memory of their number; pymoo's own compares all with all."""
+
+        def _do(self, pop: Any, other: Any, is_duplicate: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+            seen = set() if other is None else {row.tobytes() for row in other.get("X").astype(np.int64)}
+            for place, row in enumerate(pop.get("X").astype(np.int64)):
+                is_duplicate[place] = row.tobytes() in seen
+                if other is None:
+                    seen.add(row.tobytes())
+            return is_duplicate
 
     whole = RoundingRepair()
     parts: dict[str, Any] = {
@@ -100,6 +111,7 @@ def _algorithm(settings: OptimizerSpecification, last: Indices, first: Indices, 
         "termination": get_termination("n_gen", settings.iterations + 1),
         "seed": settings.seed % 2**32,
         "output": None,
+        "eliminate_duplicates": Distinct(),
     }
     if settings.kind == "nsga2":
         algorithm = NSGA2(crossover=SBX(eta=15, prob=0.9, repair=whole), **parts)

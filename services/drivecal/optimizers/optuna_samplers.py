@@ -46,7 +46,8 @@ class OptunaEngine:
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self.library = named("optuna")
+        # Earlier releases let Optuna count generations: a campaign that they began is refused for the right reason.
+        self.library = named("optuna") + (", a population a generation" if settings.sampler == "nsga2" else "")
         self._population = settings.population
         self._last = searchable(n_values) - 1
         self._continuous = np.array([kind == "continuous" for kind in kinds])
@@ -55,10 +56,13 @@ class OptunaEngine:
             for column, (kind, last) in enumerate(zip(kinds, self._last.tolist(), strict=True))
         }
         self._sampler = _sampler(settings)
+        self._counts_generations = settings.sampler == "nsga2"
         self._study: Any = None
         self._asked: list[Any] = []
 
     def propose(self) -> Indices:
+        if self._counts_generations:
+            self._sampler.number += 1
         self._asked = [self._study.ask(self._distributions) for _ in range(self._population)]
         rows = [[trial.params[name] for name in self._distributions] for trial in self._asked]
         return np.column_stack(
@@ -83,6 +87,7 @@ class OptunaEngine:
                 optuna.trial.create_trial(
                     params=dict(zip(self._distributions, self._params(row), strict=True)),
                     distributions=self._distributions,
+                    system_attrs=self._sampler.marks() if self._counts_generations else None,
                     constraints={VIOLATION: violation} if is_vector and not is_missing else None,
                     **({"state": failed} if is_missing else {"values": amounts}),
                 )
@@ -120,9 +125,40 @@ def _sampler(settings: OptunaSettings) -> Any:
         case "tpe":
             return samplers.TPESampler(seed=seed, multivariate=False, constant_liar=True)
         case "nsga2":
-            return samplers.NSGAIISampler(seed=seed, population_size=settings.population)
+            return _generations()(seed=seed, population_size=settings.population)
         case "random":
             return samplers.RandomSampler(seed=seed)
+
+
+def _generations() -> Any:
+    """Returns the class of a sampler for which each population is a generation, and the start population the first.
+
+    Optuna counts a generation by complete trials: a start population that it has not proposed is none, and a failed run repeats the whole
+    generation.
+    """
+    from optuna import samplers
+
+    class Generations(samplers.NSGAIISampler):
+        number = 0
+        """The generation that is asked for."""
+
+        def marks(self) -> dict[str, int]:
+            return {self._get_generation_key(): self.number}
+
+        def get_trial_generation(self, study: Any, trial: Any) -> int:
+            storage, number = study._storage, trial._trial_id  # noqa: SLF001  # there is no public way
+            for key, generation in self.marks().items():
+                storage.set_trial_system_attr(number, key, generation)
+            return self.number
+
+        def sample_relative(self, study: Any, trial: Any, search_space: Any) -> dict[str, Any]:
+            parents = self.get_parent_population(study, self.number)
+            if len(parents) < 2:  # a crossover needs two
+                return {}
+            children: dict[str, Any] = super().sample_relative(study, trial, search_space)
+            return children
+
+    return Generations
 
 
 class OptunaPlugin(BuiltIn[OptunaSettings]):

@@ -18,9 +18,10 @@ from tests.support.effort import examples
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
+from drivecal.optimizers.checks import checked_proposal
 from drivecal.optimizers.encoding import BitEncoding
 from drivecal.optimizers.ranking import ranking
-from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
+from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin, Proposal
 
 HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
 SMALL = np.array([5, 16, 3, 40])
@@ -316,3 +317,32 @@ def test_a_population_without_any_result_still_goes_on() -> None:
     optimizer.ask()
     optimizer.tell(np.full(20, np.nan), np.full(20, np.nan))
     assert optimizer.ask().changed.sum() == 5
+
+
+WHOLE, SOME = np.ones(3, dtype=np.bool_), np.array([True, False, True])
+GOOD = np.array([[0, 1], [2, 3], [4, 0]])
+
+
+@pytest.mark.parametrize(
+    ("population", "changed", "before"),
+    [
+        (GOOD[:2], WHOLE[:2], None),
+        (GOOD[:, :1], WHOLE, None),
+        (GOOD.astype(np.float64), WHOLE, None),
+        (GOOD, WHOLE.astype(np.int64), None),
+        (GOOD + 1, WHOLE, None),
+        (GOOD - 1, WHOLE, None),
+        (GOOD, SOME, None),
+        (GOOD, SOME, np.array([[0, 1], [2, 2], [4, 0]])),
+    ],
+)
+def test_a_proposal_that_no_campaign_can_take_is_refused_by_the_plug_ins_name(
+    population: Any, changed: Any, before: Any
+) -> None:
+    with pytest.raises(InvalidInputError, check=lambda error: "mine" in error.problems[0].field):
+        checked_proposal("mine", Proposal(population, changed), 3, np.array([5, 4]), before)
+
+
+def test_a_proposal_may_keep_individuals() -> None:
+    proposal = Proposal(GOOD, SOME)
+    assert checked_proposal("mine", proposal, 3, np.array([5, 4]), GOOD) is proposal

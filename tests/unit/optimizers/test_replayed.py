@@ -54,6 +54,20 @@ def create(plugin: OptimizerPlugin, chosen: dict[str, Any], **more: Any) -> Opti
     return plugin.create(plugin.settings(**({"population": 12} | chosen | more)), GRID)
 
 
+def test_populations_of_optunas_nsga2_descend_from_the_start_and_from_those_with_failed_runs() -> None:
+    """A population of equal sets has children that share values with it; random ones would not on this grid."""
+    parents = np.tile([30, 100, 8, 1000], (20, 1))
+    settings = optuna_samplers.OptunaSettings(population=20, sampler="nsga2")
+    engine = optuna_samplers.OptunaEngine(settings, GRID, ["grid"] * 4)
+    ratings = np.arange(20, dtype=np.float64)
+    engine.learn(parents, ratings, ratings)
+    for _ in range(3):
+        children = engine.propose()
+        assert (children == parents[0]).mean() > 0.4
+        answers = np.where(np.arange(20) == 3, np.nan, ratings)  # one run fails
+        engine.learn(children, answers - 100, answers)
+
+
 @every
 def test_the_same_seed_gives_the_same_populations_on_the_grid(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
     one, same, other = (drive(create(plugin, chosen, seed=seed), 4) for seed in (7, 7, 8))
