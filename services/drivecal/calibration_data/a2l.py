@@ -18,6 +18,8 @@ _TOKEN = re.compile(
 _ESCAPE = re.compile(r'\\(.)|""', re.DOTALL)
 _WHOLE = re.compile(r"U?(?:BYTE|WORD|LONG)|SBYTE|SWORD|SLONG|A_U?INT64")
 _IDENTICAL = "NO_COMPU_METHOD"
+_FOLLOWING = frozenset({"DEPENDENT_CHARACTERISTIC", "VIRTUAL_CHARACTERISTIC"})
+"""Blocks of characteristics that follow from others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +31,18 @@ class _Token:
 
 @dataclass(slots=True)
 class _Block:
-    """Content between `/begin KIND` and `/end KIND`, without the blocks inside."""
+    """Content between `/begin KIND` and `/end KIND`, without the blocks inside, but with their kinds."""
 
     kind: str
     line: int
     tokens: list[_Token] = field(default_factory=list)
+    inside: set[str] = field(default_factory=set)
 
     def text(self, position: int) -> str:
         return self.tokens[position].text if position < len(self.tokens) else ""
+
+    def has(self, keyword: str) -> bool:
+        return any(token.text == keyword and not token.is_string for token in self.tokens[9:])
 
     def after(self, keyword: str, first: int) -> list[str]:
         """Returns the texts behind a keyword from position `first` on, empty if it is missing."""
@@ -63,10 +69,12 @@ def read(content: bytes, file: str) -> Content:
     result = Content()
     for block in _blocks(decoded(content, file), file):
         if block.kind == "CHARACTERISTIC":
-            if block.text(2) == "VALUE":
+            if block.text(2) == "VALUE" and not block.inside & _FOLLOWING and not block.has("READ_ONLY"):
                 wanted.append(block)
             else:
                 result.skipped.append(block.text(0))
+        elif block.kind == "INSTANCE":
+            result.skipped.append(block.text(0))
         elif block.kind in {"COMPU_METHOD", "COMPU_VTAB", "COMPU_VTAB_RANGE", "RECORD_LAYOUT"}:
             described.blocks[block.kind, block.text(0)] = block
     names: set[str] = set()
@@ -102,9 +110,13 @@ def _blocks(text: str, file: str) -> Iterator[_Block]:
             continue
         name = next(tokens, _Token("", token.line))
         if token.text == "/include":
+            if name.text.lower().endswith(".aml") or any(block.kind == "A2ML" for block in open_blocks):
+                continue  # describes interfaces, not characteristics
             raise refused(file, token.line, f"it includes {shown(name.text)}", "export it as one file")
         if token.text == "/begin":
             is_a2l = is_a2l or name.text == "PROJECT"
+            if open_blocks:
+                open_blocks[-1].inside.add(name.text)
             open_blocks.append(_Block(name.text, token.line))
         elif not open_blocks or open_blocks[-1].kind != name.text:
             expected = f"of {open_blocks[-1].kind} (line {open_blocks[-1].line})" if open_blocks else "of no block"
@@ -121,11 +133,14 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
     """Reads: name, description, type, address, deposit, largest difference, conversion, lower and upper limit, then optional fields."""
     if len(block.tokens) < 9:
         raise refused(file, block.line, f"the characteristic {shown(block.text(0))} is incomplete", "export the file again")
-    name = block.text(0)
-    lower, upper = _number(block, 7, file), _number(block, 8, file)
-    conversion = block.text(6)
+    name, conversion = block.text(0), block.text(6)
+    lower, upper = _limit(block.text(7)), _limit(block.text(8))
     method = described.get("COMPU_METHOD", conversion)
     fault = None
+    for token, limit in ((block.tokens[7], lower), (block.tokens[8], upper)):
+        if math.isnan(limit):
+            remedy = f"correct the limit of {shown(name)}, or leave it out by --match"
+            fault = problem_of(file, token.line, f"{shown(token.text)} is not a number", remedy)
     if method is None and conversion != _IDENTICAL:
         message, remedy = f"there is no COMPU_METHOD {shown(conversion)}", "export the file again, or leave it out by --match"
         fault = problem_of(file, block.tokens[6].line, message, remedy)
@@ -137,17 +152,20 @@ def _characteristic(block: _Block, described: _Described, file: str) -> Characte
         choices, message, remedy = _choices(method, described, lower, upper)
         if message:
             fault = problem_of(file, block.tokens[6].line, message, remedy)
-    resolution = _resolution(method) if is_whole else None
+    raster = _raster(method) if is_whole else None
     given = [float(text) for text in block.after("STEP_SIZE", 9)[:1] if _is_number(text)]
-    step = given[0] if given and given[0] > 0 else resolution
+    step = given[0] if given and given[0] > 0 else None if raster is None else raster.step
+    is_integer = raster is not None and not choices and step == raster.step == 1.0 and raster.offset.is_integer()
+    if raster is not None and step == raster.step and not choices and math.isfinite(lower):
+        lower = raster.first_from(lower)
     return Characteristic(
         name,
         unit=unit_of(unit),
         description=" ".join(block.text(1).split()),
-        lower=lower,
-        upper=upper,
-        step=None if choices or (step == 1.0 and is_whole) else step,
-        integer=not choices and is_whole and step == 1.0,
+        lower=lower if math.isfinite(lower) else None,
+        upper=upper if math.isfinite(upper) else None,
+        step=None if choices or is_integer else step,
+        integer=is_integer,
         choices=tuple(choices),
         codes=tuple(choices.values()),
         line=block.line,
@@ -188,19 +206,34 @@ def _triples(table: _Block | None) -> Iterator[tuple[float, float, str]]:
             yield float(first.text), float(last.text), text.text
 
 
-def _resolution(method: _Block | None) -> float | None:
-    """Returns the physical step of one unit of a whole number: 1 if stored as it is, None if the conversion is not linear."""
+@dataclass(frozen=True, slots=True)
+class _Raster:
+    """Physical values that whole numbers stand for: `offset` and all multiples of `step` from it."""
+
+    step: float
+    offset: float = 0.0
+
+    def first_from(self, lower: float) -> float:
+        """Returns the least value of the raster from a limit on; the limit itself if it is on the raster."""
+        count = (lower - self.offset) / self.step
+        if not math.isfinite(count):
+            return lower
+        return lower if abs(count - round(count)) <= 1e-6 else self.offset + math.ceil(count) * self.step
+
+
+def _raster(method: _Block | None) -> _Raster | None:
+    """Returns the raster of whole numbers, which are stored as they are without a method; None if the conversion is not linear."""
     if method is None or method.text(2) == "IDENTICAL":
-        return 1.0
-    if method.text(2) == "LINEAR":
-        slope = _numbers(method.after("COEFFS_LINEAR", 5)[:2])
-        return abs(slope[0]) or None if slope else None
+        return _Raster(1.0)
+    if method.text(2) == "LINEAR":  # physical = a stored + b
+        factors = _numbers(method.after("COEFFS_LINEAR", 5)[:2])
+        return _Raster(abs(factors[0]), factors[1]) if len(factors) == 2 and factors[0] else None
     if method.text(2) == "RAT_FUNC":  # stored = (a x^2 + b x + c) / (d x^2 + e x + f)
         factors = _numbers(method.after("COEFFS", 5)[:6])
         if len(factors) < 6:
             return None
-        a, b, _, d, e, f = factors
-        return abs(f / b) if a == d == e == 0 and b != 0 and f != 0 else None
+        a, b, c, d, e, f = factors
+        return _Raster(abs(f / b), -c / b) if a == d == e == 0 and b != 0 and f != 0 else None
     return None
 
 
@@ -209,11 +242,12 @@ def _numbers(texts: Sequence[str]) -> list[float]:
     return [float(text) for text in texts] if all(map(_is_number, texts)) else []
 
 
-def _number(block: _Block, position: int, file: str) -> float:
-    token = block.tokens[position]
-    if not _is_number(token.text):
-        raise refused(file, token.line, f"{shown(token.text)} is not a number", f"correct the limit of {shown(block.text(0))}")
-    return float(token.text)
+def _limit(text: str) -> float:
+    """Returns a limit, decimal or hexadecimal; infinite if it is beyond all numbers, NaN if it is none."""
+    try:
+        return float(int(text, 16)) if text.lower().startswith("0x") else float(text)
+    except (ValueError, OverflowError):
+        return math.nan
 
 
 def _is_number(text: str) -> bool:

@@ -10,7 +10,7 @@ from drivecal.calibration_data.characteristics import (
     Characteristic,
     Content,
     Quality,
-    finite_number,
+    number_or_fault,
     on_one_line,
     refused,
     unit_of,
@@ -18,8 +18,9 @@ from drivecal.calibration_data.characteristics import (
 from drivecal.contracts.strict_json import shown
 
 DOCTYPE = '<!DOCTYPE MSRSW PUBLIC "-//ASAM//DTD CALIBRATION DATA FORMAT:V2.0.0:LAI:IAI:XML:CDF200.XSD//EN" "cdf_v2.0.0.sl.dtd">'
-SCALARS = frozenset({"VALUE", "DEPENDENT_VALUE", "BOOLEAN", "ASCII"})
+SCALARS = frozenset({"VALUE", "BOOLEAN", "ASCII"})
 TRUTHS = ("false", "true")
+CODES = (0.0, 1.0)
 DEEPEST = 64
 
 
@@ -44,7 +45,7 @@ def _instance(tree: Element, characteristic: Characteristic, quality: Quality | 
     _add(instance, "SHORT-NAME", characteristic.name)
     if characteristic.description:
         _add(instance, "LONG-NAME", characteristic.description)
-    _add(instance, "CATEGORY", "VALUE")
+    _add(instance, "CATEGORY", "BOOLEAN" if set(characteristic.choices) == set(TRUTHS) else "VALUE")
     if characteristic.value is not None:
         container = SubElement(instance, "SW-VALUE-CONT")
         _add(container, "UNIT-DISPLAY-NAME", "-" if characteristic.unit == "1" else characteristic.unit)
@@ -163,9 +164,10 @@ def _instances(node: _Node, prefix: str) -> Iterator[tuple[_Node, str]]:
         if child.tag != "SW-INSTANCE":
             yield from _instances(child, prefix)
             continue
-        name = prefix + (child.words("SHORT-NAME") or f"[{child.words('SW-ARRAY-INDEX')}]")
+        own = child.words("SHORT-NAME")
+        name = f"{prefix}.{own}".removeprefix(".") if own else f"{prefix}[{child.words('SW-ARRAY-INDEX')}]"
         if child.all("SW-INSTANCE"):
-            yield from _instances(child, f"{name}.")
+            yield from _instances(child, name)
         else:
             yield child, name
 
@@ -186,7 +188,8 @@ def _scalar(node: _Node, name: str, file: str) -> Characteristic | None:
     if not name:
         raise refused(file, node.line, "an instance has no SHORT-NAME", "give it a name")
     text = given[0].text.strip()
-    value = text if given[0].tag == "VT" else finite_number(text, given[0].line, file)
+    value, fault = (text, None) if given[0].tag == "VT" else number_or_fault(text, given[0].line, file)
     unit = unit_of(held[0].words("UNIT-DISPLAY-NAME"))
-    choices = TRUTHS if category == "BOOLEAN" and text in TRUTHS else ()
-    return Characteristic(name, value, unit, node.words("LONG-NAME"), choices=choices, line=node.line)
+    is_truth = category == "BOOLEAN" and value in {*TRUTHS, *CODES}
+    choices, codes = (TRUTHS, CODES) if is_truth else ((), ())
+    return Characteristic(name, value, unit, node.words("LONG-NAME"), choices=choices, codes=codes, line=node.line, fault=fault)

@@ -102,15 +102,16 @@ def problem_of(file: str, line: int, message: str, remedy: str) -> Problem:
     return Problem(f"{shown(file, 200)}, line {line}" if line else shown(file, 200), message, remedy)
 
 
-def finite_number(text: str, line: int, file: str) -> float:
-    """Returns the number of a text. Raises InvalidInputError naming file and line if it is not finite."""
+def number_or_fault(text: str, line: int, file: str) -> tuple[float, None] | tuple[float, Problem]:
+    """Returns the number of a text, with a fault of its characteristic alone if it is not finite. Raises InvalidInputError naming file and
+    line if it is no number."""
     try:
         value = float(text)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise refused(file, line, f"{shown(text)} is not a number", "give a finite number, with a point")
-    return value
+        raise refused(file, line, f"{shown(text)} is not a number", "give a finite number, with a point") from None
+    if math.isfinite(value):
+        return value, None
+    return 0.0, problem_of(file, line, f"{shown(text)} is not finite", "correct the value, or leave it out by --match")
 
 
 def on_one_line(text: str) -> str:

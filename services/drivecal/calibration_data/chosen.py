@@ -34,6 +34,7 @@ def characteristics_of(
             upper=None if parameter.choices else parameter.upper,
             integer=parameter.kind == "integer",
             choices=tuple(parameter.choices),
+            description=parameter.description,
         )
         for parameter in parameters
         if parameter.name in values
@@ -47,9 +48,10 @@ def quality_of(
     deserved: TrustAnswer | None,
     figures: Iterable[tuple[str, str]],
 ) -> Quality:
-    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded, or its
-    light is red. `deserved`: trust in the campaign, if it has a light."""
-    sure = campaign.state == "succeeded" and not chosen.reused and (deserved is None or deserved.light != "red")
+    """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded or did not
+    evaluate the set, the set breaks constraints, or its light is red. `deserved`: trust in the set, if it has a light."""
+    own = not chosen.reused and not chosen.violation and chosen.iteration is not None
+    sure = campaign.state == "succeeded" and own and (deserved is None or deserved.light != "red")
     time = campaign.ended_at or campaign.created_at
     problem = str(campaign.spec.get("problem", "highway"))
     simulators = sorted({scenario.simulator for scenario in setup.scenarios if scenario.simulator})
@@ -67,13 +69,17 @@ def quality_of(
 
 def _trust(deserved: TrustAnswer) -> Iterator[tuple[str, str]]:
     if deserved.light is not None:
-        yield "light of the campaign", deserved.light
+        yield "light of the set", deserved.light
         worst = (reason.text for reason in deserved.reasons if reason.light == deserved.light != "green")
         yield from ((f"reason {number}", text) for number, text in enumerate(worst, 1))
 
 
 def solution_figures(
-    campaign: Campaign, setup: CampaignSetup, chosen: Solution, robustness: Sequence[RobustnessRow], ranked_by: RankedBy | None
+    campaign: Campaign,
+    setup: CampaignSetup,
+    chosen: Solution,
+    robustness: Sequence[RobustnessRow],
+    ranked_by: RankedBy | None,
 ) -> Iterator[tuple[str, str]]:
     """Yields what is known of a set of the solutions. Under another score, the bounds of the campaign's own score are left out."""
     own = campaign.baseline.objective if campaign.baseline is not None else None
@@ -91,6 +97,7 @@ def solution_figures(
         weights = {scenario.scenario: scenario.weight for scenario in setup.scenarios} if given is None else given
         yield "weights", _weights({name: weights.get(name, 1.0) for name in chosen.scores})
     yield "rank", str(chosen.rank)
+    yield from _constraints(chosen, setup.constraints)
     yield from _scores(chosen)
     if score is None:
         yield from _bounds(campaign, chosen, robustness)
@@ -116,10 +123,12 @@ def front_figures(
         yield "weights of the objectives", _weights({name: weights.get(name, 1.0) for name in chosen.objectives})
         yield "weighted objectives", _number(chosen.weighted)
     yield "rank on the front", str(chosen.rank)
-    if chosen.violation > 0:
-        yield "violation of constraints", _number(chosen.violation)
+    if chosen.iteration is None:
+        yield "origin", "evaluated by other campaigns only"
+    yield from _constraints(chosen, summary.constraints)
     yield "score", _scale(campaign)
     yield from _scores(chosen)
+    yield from ((f"value {name}", _number(value)) for name, value in chosen.values.items())
     yield from _bounds(campaign, chosen, robustness)
 
 
@@ -130,6 +139,13 @@ def _scale(campaign: Campaign) -> str:
 
 def _weights(weights: Mapping[str, float]) -> str:
     return ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
+
+
+def _constraints(chosen: Solution | FrontRow, words: Sequence[str]) -> Iterator[tuple[str, str]]:
+    for (name, amount), text in zip(chosen.constraints.items(), words, strict=False):
+        yield f"constraint {name}", f"{_number(amount)} ({text})"
+    if chosen.violation > 0:
+        yield "violation of constraints", _number(chosen.violation)
 
 
 def _scores(chosen: Solution | FrontRow) -> Iterator[tuple[str, str]]:
@@ -143,10 +159,10 @@ def _bounds(campaign: Campaign, chosen: Solution | FrontRow, robustness: Sequenc
     if row is not None:
         yield "degree of robustness", f"{'at least ' if row.at_least else ''}{row.degree}"
     for scenario, released in campaign.released.items():
-        if released.upper_95 is not None:
+        if released.upper_95 is not None and released.upper_95 < 1:
             yield f"share of wrong predictions {scenario}", f"at most {100 * released.upper_95:.3g} % (95 %)"
     for scenario, checked in campaign.error_rate.items():
-        if checked.upper_95 is not None:
+        if checked.upper_95 is not None and checked.upper_95 < 1:
             yield f"share of wrong reused scores {scenario}", f"at most {100 * checked.upper_95:.3g} % (95 %)"
 
 

@@ -11,12 +11,13 @@ from drivecal.calibration_data.characteristics import (
     Content,
     Quality,
     decoded,
-    finite_number,
+    number_or_fault,
     on_one_line,
     refused,
     unit_of,
 )
 from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import Problem
 
 FORMAT = "KONSERVIERUNG_FORMAT"
 _COMMENTS = ("*", "!", ".")
@@ -36,9 +37,10 @@ _OTHER_KINDS = frozenset(
         "TEXTSTRING",
     }
 )
-_UNUSED = frozenset({"FUNKTION", "DISPLAYNAME", "VAR", "EINHEIT_X", "EINHEIT_Y"})
+_UNUSED = frozenset({"FUNKTION", "DISPLAYNAME", "EINHEIT_X", "EINHEIT_Y"})
 _LINE_END = re.compile(r"\r\n|\r|\n")  # other separators of Unicode may stand in a description
-_STRING = re.compile(r'"((?:[^"]|"")*)"\s*$')
+_STRING = re.compile(r'"(.*)"\s*')  # some tools do not escape the quotes inside
+_QUOTE = re.compile(r'\\"|""')
 
 
 def write(characteristics: Sequence[Characteristic], quality: Quality | None = None) -> bytes:
@@ -91,7 +93,11 @@ def read(content: bytes, file: str) -> Content:
         if keyword == "FESTWERT":
             if not name:
                 raise refused(file, number, "a FESTWERT has no name", "give it one")
-            result.add(file, _scalar(lines, name, number, file), names)
+            characteristic = _scalar(lines, name, number, file)
+            if characteristic is None:
+                result.skipped.append(name)
+            else:
+                result.add(file, characteristic, names)
             names.add(name)
         elif keyword in _OTHER_KINDS or keyword in _LISTS:
             _skip(lines, keyword, number, file)
@@ -115,18 +121,22 @@ def _skip(lines: Iterator[tuple[int, str]], keyword: str, begin: int, file: str)
         raise refused(file, begin, f"this {keyword} has no END", "complete the file")
 
 
-def _scalar(lines: Iterator[tuple[int, str]], name: str, begin: int, file: str) -> Characteristic:
+def _scalar(lines: Iterator[tuple[int, str]], name: str, begin: int, file: str) -> Characteristic | None:
+    """Returns a parameter, None if it has several variants of its value."""
     value: float | str | None = None
-    unit, description = "1", ""
+    fault: Problem | None = None
+    unit, description, has_variants = "1", "", False
     for number, line in lines:
         keyword, _, rest = line.partition(" ")
         rest = rest.strip()
         if keyword == "END":
-            return Characteristic(name, value, unit, description, line=begin)
+            return None if has_variants else Characteristic(name, value, unit, description, line=begin, fault=fault)
         if keyword in {"WERT", "TEXT"} and value is not None:
             raise refused(file, number, f"{shown(name)} has a second value", "keep one of the two")
         if keyword == "WERT":
-            value = finite_number(rest, number, file)
+            value, fault = number_or_fault(rest, number, file)
+        elif keyword == "VAR":
+            has_variants = True
         elif keyword == "TEXT":
             value = _string(rest, number, file)
         elif keyword == "LANGNAME":
@@ -144,4 +154,4 @@ def _string(text: str, line: int, file: str) -> str:
     match = _STRING.fullmatch(text)
     if match is None:
         raise refused(file, line, f"{shown(text)} is not a string", "put it into double quotes")
-    return match[1].replace('""', '"')
+    return _QUOTE.sub('"', match[1])

@@ -45,6 +45,8 @@ def labels_of(document: object, parameters: Sequence[str] | None = None) -> dict
             problems.append(Problem(field, f"{shown(label)} is not a label", "give a name without spaces"))
         elif parameters is not None and name not in parameters:
             problems.append(Problem(field, "there is no such parameter", nearest(name, list(parameters))))
+        elif parameters is not None and label != name and label in parameters and label not in document:
+            problems.append(Problem(field, f"the parameter {label} has this name", f"give {label} another label, too"))
         elif label in used:
             problems.append(Problem(field, f"{used[label]} has the label {label}, too", "give each parameter its own"))
         else:

@@ -17,6 +17,8 @@ LARGEST = 1e6
 MOST_PARAMETERS = 200
 SINGLE = 2.0**-23
 """Relative precision of a number of 32 bits."""
+CHANGE = 1e-6
+"""Share of its range by which a value may change when it is written with nine decimals."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 
 
@@ -63,7 +65,8 @@ def chosen_by(characteristics: Sequence[Characteristic], patterns: Sequence[str]
     result = [
         characteristic
         for characteristic in characteristics
-        if not patterns or any(fnmatchcase(characteristic.name, pattern) for pattern in patterns)
+        if not patterns
+        or any(characteristic.name == pattern or fnmatchcase(characteristic.name, pattern) for pattern in patterns)
     ]
     if not result:
         names = [characteristic.name for characteristic in characteristics]
@@ -118,14 +121,19 @@ def _value(characteristic: Characteristic, name: str, entry: Mapping[str, Any]) 
         if not value.is_integer():
             raise InvalidInputError(Problem(name, f"its value {value:g} is not whole", "correct the value, or the A2L"))
         return int(value)
-    return _settled(value, entry) if isinstance(value, float) else value or ""
+    return _settled(value, entry, name) if isinstance(value, float) else value or ""
 
 
-def _settled(value: float, entry: Mapping[str, Any]) -> float:
-    """Returns a value with nine decimals. One that equals an end of the range or a step in single precision becomes that end or step."""
+def _settled(value: float, entry: Mapping[str, Any], name: str) -> float:
+    """Returns a value with nine decimals. One that equals an end of the range or a step in single precision becomes that end or step.
+    Raises InvalidInputError if the decimals change it."""
     lower, upper, step = entry["lower"], entry["upper"], entry.get("step")
     places = [lower, upper] if step is None else [lower + round((value - lower) / step) * step]
-    return _short(next((place for place in places if math.isclose(value, place, rel_tol=SINGLE)), value))
+    settled = _short(next((place for place in places if math.isclose(value, place, rel_tol=SINGLE)), value))
+    if not math.isclose(settled, value, rel_tol=SINGLE, abs_tol=CHANGE * (upper - lower)):
+        message = f"its value {value:g} would become {settled:g} with the nine decimals of a parameter"
+        raise InvalidInputError(Problem(name, message, "give it in another unit"))
+    return settled
 
 
 def _entry(characteristic: Characteristic, span: float, name: str, guessed: list[str]) -> dict[str, Any]:
@@ -143,16 +151,16 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
                 raise InvalidInputError(
                     Problem(name, message, "give a DCM or CDFX with its value, too, or leave it out by --match")
                 )
-            reach = span * abs(characteristic.value) or span
-            lower, upper = characteristic.value - reach, characteristic.value + reach
+            lower, upper = _guess(characteristic, characteristic.value, span)
             guessed.append(name)
-        entry |= {"lower": _short(lower), "upper": _short(upper)}
-        if entry["lower"] == entry["upper"]:
-            message = f"its range from {lower:g} to {upper:g} vanishes in the nine decimals of a parameter"
-            raise InvalidInputError(Problem(name, message, "give it in another unit"))
         if characteristic.integer:
             entry |= {"lower": math.ceil(lower), "upper": math.floor(upper), "integer": True}
-        elif characteristic.step is not None and name not in guessed:
+        else:
+            entry |= {"lower": _inwards(lower, 1), "upper": _inwards(upper, -1)}
+        if entry["lower"] >= entry["upper"]:
+            message = f"its range from {lower:g} to {upper:g} vanishes in the nine decimals of a parameter, or between two whole numbers"
+            raise InvalidInputError(Problem(name, message, "give it in another unit, or leave it out by --match"))
+        if not characteristic.integer and characteristic.step is not None and name not in guessed:
             entry |= _grid(lower, upper, characteristic.step)
     if characteristic.unit != "1":
         entry["unit"] = characteristic.unit[:32]
@@ -161,12 +169,29 @@ def _entry(characteristic: Characteristic, span: float, name: str, guessed: list
     return entry
 
 
+def _guess(characteristic: Characteristic, value: float, span: float) -> tuple[float, float]:
+    """Returns a range around a value, within the limit that the characteristic has on one side."""
+    reach = max(span * abs(value) or span, 1.0 if characteristic.integer else 0.0)
+    lower, upper = value - reach, value + reach
+    ends = characteristic.lower, characteristic.upper
+    least, most = (end if end is not None and abs(end) <= LARGEST else None for end in ends)
+    within = max(lower, lower if least is None else least), min(upper, upper if most is None else most)
+    return within if within[0] < within[1] else (lower, upper)
+
+
 def _grid(lower: float, upper: float, step: float) -> dict[str, float]:
     """Returns `step`, and the upper end as the last step within the limits; nothing if there is no such grid with nine decimals."""
     count = math.floor((upper - lower) / step + 1e-9)
     if count < 1 or _short(step) != step:
         return {}
     return {"upper": _short(lower + count * step), "step": step}
+
+
+def _inwards(limit: float, sign: int) -> float:
+    """Returns a limit with nine decimals that lies inside the given one, but for single precision. `sign`: 1 for a lower one, else -1."""
+    short = _short(limit)
+    beyond = sign * (limit - short) > SINGLE * abs(limit)
+    return _short(short + sign * 1e-9) if beyond else short
 
 
 def _short(value: float) -> float:

@@ -24,6 +24,8 @@ TAIL = """
 /begin RECORD_LAYOUT _F32 FNC_VALUES 1 FLOAT32_IEEE ROW_DIR DIRECT /end RECORD_LAYOUT
 /begin COMPU_METHOD speed "" RAT_FUNC "%8.3" "m/s" COEFFS 0 80 0 0 0 1 /end COMPU_METHOD
 /begin COMPU_METHOD gap "" LINEAR "%8.3" "s" COEFFS_LINEAR 0.01 0 /end COMPU_METHOD
+/begin COMPU_METHOD fifths "" LINEAR "%8.3" "" COEFFS_LINEAR 0.2 0 /end COMPU_METHOD
+/begin COMPU_METHOD halves "" LINEAR "%8.3" "" COEFFS_LINEAR 1 0.5 /end COMPU_METHOD
 /begin COMPU_METHOD same "" IDENTICAL "%8.3" "" /end COMPU_METHOD
 /begin COMPU_METHOD modes "" TAB_VERB "%1.0" "" COMPU_TAB_REF modes_t /end COMPU_METHOD
 /begin COMPU_METHOD ranges "" TAB_VERB "%1.0" "" COMPU_TAB_REF ranges_t /end COMPU_METHOD
@@ -80,7 +82,6 @@ def test_curves_are_listed_and_left_out() -> None:
         (b'/begin PROJECT a\n"open\n/end PROJECT', 2),
         (b'/begin PROJECT a\n/include "other.a2l"\n/end PROJECT', 2),
         (file('a "" VALUE 0x10 _U16 0 speed 0'), 6),
-        (file('a "" VALUE 0x10 _U16 0 speed zero 1'), 6),
         (file('a "" VALUE 0 _U16 0 speed 0 1', 'a "" VALUE 0 _U16 0 speed 0 1'), 7),
     ],
 )
@@ -98,6 +99,57 @@ def test_a_missing_conversion_concerns_its_own_characteristics_only() -> None:
         with pytest.raises(InvalidInputError) as refused:
             sections_of(chosen, {}, 0.5)
         assert [problem.field for problem in refused.value.problems] == ["a.a2l, line 7"]
+
+
+def test_a_limit_that_is_no_number_concerns_its_own_characteristic_only() -> None:
+    good, bad = read('good "" VALUE 0x10 _U16 0 speed 0x0 0xFF', 'bad "" VALUE 0x12 _U16 0 speed zero 1')
+    assert (good.lower, good.upper, good.fault) == (0.0, 255.0, None)
+    assert bad.fault is not None
+    assert bad.fault.field == "a.a2l, line 7"
+
+
+def test_limits_beyond_all_numbers_are_none() -> None:
+    (free,) = read('free "" VALUE 0x18 _F32 0 NO_COMPU_METHOD -1.79769313486232E+308 1.79769313486232E+308')
+    assert (free.lower, free.upper, free.fault) == (None, None, None)
+    (whole,) = read('whole "" VALUE 0x18 _U16 0 gap -1.7976931348623157E308 9')
+    assert (whole.upper, whole.step, whole.fault) == (9.0, 0.01, None)
+
+
+def test_ranges_begin_on_the_raster_of_the_control_unit() -> None:
+    coarse, shifted, fine = read(
+        'coarse "" VALUE 0x10 _U16 0 fifths 0.5 3.0',
+        'shifted "" VALUE 0x10 _U16 0 halves 1 4',
+        'fine "" VALUE 0x10 _U16 0 fifths 0.5 3.0 STEP_SIZE 0.25',
+    )
+    assert coarse.lower == pytest.approx(0.6)
+    assert (coarse.step, coarse.integer) == (0.2, False)
+    assert (shifted.lower, shifted.step, shifted.integer) == (1.5, 1.0, False)
+    assert (fine.lower, fine.step) == (0.5, 0.25)
+
+
+def test_a_step_of_1_makes_no_whole_numbers_of_a_finer_raster() -> None:
+    (gap,) = read('gap "" VALUE 0x12 _U16 0 gap 0.5 9.5 STEP_SIZE 1')
+    assert (gap.step, gap.integer) == (1.0, False)
+
+
+def test_what_follows_from_others_or_cannot_be_changed_is_left_out() -> None:
+    content = a2l.read(
+        file(
+            'free "" VALUE 0x10 _U16 0 speed 0 1',
+            'fixed "" VALUE 0x10 _U16 0 speed 0 1 READ_ONLY',
+            'twice "" VALUE 0x10 _U16 0 speed 0 1 /begin DEPENDENT_CHARACTERISTIC "X1*2" free /end DEPENDENT_CHARACTERISTIC',
+        ).replace(b"/end MODULE", b'/begin INSTANCE x "" T 0x10 /end INSTANCE\n/end MODULE'),
+        "a.a2l",
+    )
+    assert [each.name for each in content.characteristics] == ["free"]
+    assert content.skipped == ["fixed", "twice", "x"]
+
+
+def test_an_included_description_of_interfaces_is_ignored() -> None:
+    content = file('a "" VALUE 0x10 _U16 0 speed 0 1').replace(
+        b"/begin MOD_COMMON", b'/include "XCP_104.aml"\n/begin MOD_COMMON'
+    )
+    assert [each.name for each in a2l.read(content, "a.a2l").characteristics] == ["a"]
 
 
 def test_ranges_of_one_value_are_choices() -> None:

@@ -99,6 +99,16 @@ def test_structures_variants_and_truths_are_read_and_arrays_left_out() -> None:
     assert read.skipped == ["c", "d"]
 
 
+def test_members_of_arrays_have_the_names_of_an_a2l_and_truths_their_category() -> None:
+    member = f"<SW-INSTANCE><SW-ARRAY-INDEX>0</SW-ARRAY-INDEX>{instance('x', '<V>2</V>')}</SW-INSTANCE>"
+    array = f"<SW-INSTANCE><SHORT-NAME>arr</SHORT-NAME><CATEGORY>STRUCTURE_ARRAY</CATEGORY>{member}</SW-INSTANCE>"
+    read = cdfx.read(document(array + instance("on", "<V>1</V>", "BOOLEAN")), "a.cdfx").characteristics
+    assert [(row.name, row.value, row.choices) for row in read] == [("arr[0].x", 2.0, ()), ("on", 1.0, ("false", "true"))]
+    written = cdfx.write([Characteristic("on", "true", choices=("false", "true"))])
+    assert b"<CATEGORY>BOOLEAN</CATEGORY>" in written
+    assert cdfx.read(written, "a.cdfx").characteristics[0].choices == ("false", "true")
+
+
 @pytest.mark.parametrize(
     ("file", "line"),
     [

@@ -109,6 +109,9 @@ FESTWERT Gap
    FUNKTION "ACC"
    EINHEIT_W "s"
    WERT 1.5
+END
+FESTWERT Sporty
+   WERT 1.5
    VAR Sport=1.1
 END
 FESTWERT Mode
@@ -117,10 +120,10 @@ FESTWERT Mode
 END
 """
     read = dcm.read(text.encode("latin-1"), "a.dcm")
-    assert read.skipped == ["Curve"]
+    assert read.skipped == ["Curve", "Sporty"]
     assert [(row.name, row.value, row.unit, row.line) for row in read.characteristics] == [
         ("Gap", 1.5, "s", 11),
-        ("Mode", "eco", "1", 19),
+        ("Mode", "eco", "1", 22),
     ]
 
 
@@ -137,6 +140,19 @@ END
 """
     read = dcm.read(text.encode(), "a.dcm")
     assert [(row.name, row.value, row.line) for row in read.characteristics] == [("Gap", 1.5, 4), ("Mode", "eco", 7)]
+
+
+@pytest.mark.parametrize("written", ['the "fast" gain', r"the \"fast\" gain", 'the ""fast"" gain'])
+def test_quotes_inside_a_string_are_read_as_tools_write_them(written: str) -> None:
+    text = f'KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  LANGNAME "{written}"\n  WERT 1\nEND\n'
+    assert dcm.read(text.encode(), "a.dcm").characteristics[0].description == 'the "fast" gain'
+
+
+def test_a_value_that_is_not_finite_concerns_its_own_parameter_only() -> None:
+    text = "KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT NaN\nEND\nFESTWERT b\n  WERT 1\nEND\n"
+    first, second = dcm.read(text.encode(), "a.dcm").characteristics
+    assert first.fault is not None
+    assert (first.fault.field, second.fault) == ("a.dcm, line 3", None)
 
 
 def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
@@ -156,7 +172,6 @@ def test_separators_of_unicode_and_older_encodings_are_no_line_ends() -> None:
         ("KONSERVIERUNG_FORMAT 1.0\n", 1),
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT 1\n", 2),
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT 1,5\nEND\n", 3),
-        ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT nan\nEND\n", 3),
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT 1\n  WERT 2\nEND\n", 4),
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  LANGNAME open\nEND\n", 3),
         ("KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  WERT 1\nEND\nFESTWERT a\n  WERT 1\nEND\n", 5),

@@ -33,10 +33,37 @@ def entry(characteristic: Characteristic, span: float = 0.5) -> dict[str, Any]:
         (Characteristic("a", "eco", choices=("eco", "sport")), {"choices": ["eco", "sport"]}),
         (Characteristic("a", -4.0), {"lower": -6.0, "upper": -2.0}),
         (Characteristic("a", 0.0, lower=-3.4e38, upper=3.4e38), {"lower": -0.5, "upper": 0.5}),
+        (Characteristic("a", 12.0, lower=10.0, upper=3.4e38), {"lower": 10.0, "upper": 18.0}),
+        (Characteristic("a", 0.0, lower=0.0, upper=4294967295.0, integer=True), {"lower": 0, "upper": 1, "integer": True}),
+        (Characteristic("a", lower=2.4e-9, upper=8.6e-9), {"lower": 3e-9, "upper": 8e-9}),
     ],
 )
 def test_an_entry_is_one_that_a_problem_takes(characteristic: Characteristic, expected: dict[str, Any]) -> None:
     assert entry(characteristic) == expected
+
+
+@pytest.mark.parametrize(
+    "characteristic",
+    [
+        Characteristic("a", 3.7e-9, lower=2.4e-9, upper=8.6e-9),
+        Characteristic("a", 4e-10, lower=0.0, upper=1e-6),
+        Characteristic("a", lower=0.2, upper=0.8, integer=True),
+    ],
+)
+def test_what_a_parameter_cannot_hold_is_refused(characteristic: Characteristic) -> None:
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "a"):
+        sections_of([characteristic], {}, 0.5)
+
+
+def test_a_name_with_brackets_is_matched_as_it_is() -> None:
+    members = [Characteristic("k[0]", 1.0), Characteristic("k0", 1.0)]
+    assert [each.name for each in chosen_by(members, ["k[0]"])] == ["k[0]", "k0"]
+
+
+def test_a_label_that_is_another_parameters_name_is_refused() -> None:
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "P1"):
+        labels_of({"P1": "P2"}, ["P1", "P2"])
+    assert labels_of({"P1": "P2", "P2": "P1"}, ["P1", "P2"]) == {"P1": "P2", "P2": "P1"}
 
 
 def test_ranges_of_one_file_join_values_of_another() -> None:
