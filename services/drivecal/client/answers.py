@@ -16,7 +16,9 @@ from drivecal.domain.errors import (
     UnavailableError,
 )
 
-GATEWAY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS}
+PROXY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT}
+"""Answers of a proxy whose server is away."""
+GATEWAY = PROXY | {HTTPStatus.TOO_MANY_REQUESTS}
 
 
 _STEERING = re.compile(
@@ -34,8 +36,13 @@ def harmless(content: bytes) -> bytes:
 
 
 def unreachable(url: str, error: Exception) -> UnavailableError:
-    """Returns the error of a missing answer, with the address and how to start a server there."""
+    """Returns the error of a missing answer, with the address and the remedy."""
     reason = str(error) or type(error).__name__
+    if isinstance(error, httpx.ReadTimeout):
+        return UnavailableError(f"the server at {url} did not answer in time; it may be busy: try again")
+    if "CERTIFICATE_VERIFY" in reason:
+        remedy = "set SSL_CERT_FILE to the file of the certificate that signed it"
+        return UnavailableError(f"the certificate of {url} is not trusted ({reason}); {remedy}")
     return UnavailableError(
         f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
     )
@@ -82,6 +89,9 @@ def _document(response: httpx.Response) -> dict[str, object]:
     except ValueError:
         document = None
     if not isinstance(document, dict) or "status" not in document:
+        if response.status_code in PROXY:
+            message = f"a proxy answers HTTP {response.status_code} in the place of the server at {response.url}"
+            raise UnavailableError(f"{message}; it may be starting: try again")
         raise UnavailableError(
             f"the server at {response.url} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url"
         )

@@ -138,7 +138,8 @@ class Client(CampaignLists):
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
         """Returns the campaign, None if it is still the one of `etag`; its ETag; the seconds to wait before the next request."""
         place, headers = ("campaigns", identifier), {"If-None-Match": etag} if etag else {}
-        response = self._once("GET", place, headers=headers)  # `Following` has a patience of its own
+        ask = self._once if etag else self._request  # later, `Following` has a patience of its own
+        response = ask("GET", place, headers=headers)
         raise_for(response, *named(place))
         wait = float(response.headers["retry-after"]) if "retry-after" in response.headers else None
         if response.status_code == HTTPStatus.NOT_MODIFIED:
@@ -210,15 +211,9 @@ class Client(CampaignLists):
 
     def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
         """Yields a whole table in pieces as they arrive."""
-        path = path_of(self._full_place(("campaigns", identifier, *table.split("/"))))
-        try:
-            with self._http.stream("GET", path, params={**query, "format": form}) as response:
-                if not response.is_success:
-                    response.read()
-                raise_for(response, "campaign", identifier)
-                yield from response.iter_bytes()
-        except httpx.TransportError as error:
-            raise unreachable(self.url, error) from error
+        weights = query.get("weights")
+        given = query if weights is None else query | {"weights": weights_text(weights)}
+        yield from self._pieces(("campaigns", identifier, *table.split("/")), given | {"format": form})
 
     def rows(self, identifier: str, table: Table, **query: Any) -> Iterator[dict[str, Any]]:
         """Yields every row of a table."""
@@ -314,9 +309,10 @@ class Client(CampaignLists):
         """Returns the savings and costs of a campaign."""
         return self._get(Accounting, "campaigns", identifier, "accounting")
 
-    def trust(self, identifier: str) -> TrustAnswer:
-        """Returns the light of a campaign's result, and the reasons for it."""
-        return self._get(TrustAnswer, "campaigns", identifier, "trust")
+    def trust(self, identifier: str, place: tuple[int, int] | None = None) -> TrustAnswer:
+        """Returns the light of a campaign's result, or of the set at a `place`, its iteration and individual, and the reasons for it."""
+        iteration, individual = (None, None) if place is None else place
+        return self._get(TrustAnswer, "campaigns", identifier, "trust", iteration=iteration, individual=individual)
 
     def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
         """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the

@@ -14,6 +14,7 @@ LENGTH = 32
 AT_A_TIME = 200
 """Campaigns or maps in a request for ids."""
 _ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")
+_TOO_SHORT = re.compile(r"[0-9a-f]{1,3}")
 
 Complete = Callable[[str], str]
 
@@ -26,9 +27,11 @@ def is_abbreviated(identifier: str) -> bool:
 def completed(kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
     """Returns the only one of the `ids` that begins with `identifier`, or an unknown `identifier` itself.
 
-    Raises NotFoundError if several begin so.
+    Raises NotFoundError if several begin so, or if it is too short to be meant.
     """
-    if len(identifier) >= LENGTH or not identifier:
+    if _TOO_SHORT.fullmatch(identifier):
+        raise NotFoundError(f"single {kind}", identifier, "give at least four characters of its id")
+    if not is_abbreviated(identifier):
         return identifier
     matching = list(islice((full for full in ids() if full.startswith(identifier)), 2))
     if len(matching) > 1:

@@ -1,7 +1,7 @@
 """The client's requests: patience with busy and restarting servers, and answers as models."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, Self, TypeVar
 from urllib.parse import quote
@@ -9,19 +9,32 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel, ValidationError
 
-from drivecal.client.answers import harmless, raise_for, unreachable
+from drivecal.client.answers import PROXY, harmless, raise_for, unreachable
 from drivecal.client.documents import Document, plain
-from drivecal.domain.errors import UnavailableError
+from drivecal.configuration.exposure import is_this_machine
+from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
 """Names of the collections' items in messages."""
 ATTEMPTS_TO_CONNECT = 3
+SECONDS_TO_CONNECT = 0.5
 BROKEN_ANSWERS = 2
 """Broken connections in a call before the server counts as unreachable; a restart breaks some."""
 SECONDS_TO_RESTART = 1.0
-BROKEN_OFF = (httpx.ReadError, httpx.WriteError, httpx.CloseError, httpx.RemoteProtocolError)
+LOST = (
+    httpx.ReadError,
+    httpx.WriteError,
+    httpx.CloseError,
+    httpx.RemoteProtocolError,
+    httpx.ReadTimeout,
+    httpx.WriteTimeout,
+)
+"""Errors after which a call may have reached the server."""
+ASKING = {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}
+SLOW_SECONDS = 300.0
+"""Time within which a whole table has to begin, and to continue: a large ranking takes a while."""
 PATIENCE_SECONDS = 30.0
 """Total wait for a server that asks to try again, in calls that are safe to repeat."""
 
@@ -31,10 +44,17 @@ class Transport:
 
     def __init__(self, url: str, token: str | None, timeout: float) -> None:
         self.url = url.rstrip("/")
+        if token and not (token.isascii() and token.isprintable() and " " not in token):
+            message = "it has a blank, a line end or a character beyond ASCII"
+            raise InvalidInputError(Problem("token", message, "give the token alone"))  # not in the message: it is a secret
         headers = {"Authorization": f"Bearer {token}"} if token else {}
-        # Only a connection that was never made is tried again, so that nothing is ever done twice.
-        transport = httpx.HTTPTransport(retries=ATTEMPTS_TO_CONNECT - 1)
-        self._http = httpx.Client(base_url=self.url, timeout=timeout, transport=transport, headers=headers)
+        # Proxies of the environment are for other machines: they do not reach a server on this one.
+        try:
+            transport = httpx.HTTPTransport() if is_this_machine(httpx.URL(self.url).host) else None
+            self._http = httpx.Client(base_url=self.url, timeout=timeout, headers=headers, transport=transport)
+        except (ImportError, ValueError) as error:  # of a proxy that httpx does not know
+            remedy = "correct it in the environment, or take it away"
+            raise InvalidInputError(Problem("ALL_PROXY, HTTP_PROXY or HTTPS_PROXY", str(error), remedy)) from error
 
     def __enter__(self) -> Self:
         return self
@@ -59,14 +79,19 @@ class Transport:
         return self._answer(ask("POST", place, query=query, headers=headers, document=content), model, place)
 
     def _request(self, method: str, place: Sequence[str], **content: Any) -> httpx.Response:
-        """Repeats a call that is safe to repeat while the server asks for it or breaks off, for up to PATIENCE_SECONDS."""
+        """Repeats a call that is safe to repeat while the server asks for it, breaks off or starts again, for up to PATIENCE_SECONDS."""
         waited, broken = 0.0, 0
         while True:
             try:
                 response = self._once(method, place, **content)
             except UnavailableError as error:
-                broken += 1
-                if broken > BROKEN_ANSWERS or not isinstance(error.__cause__, BROKEN_OFF):
+                lost = isinstance(error.__cause__, LOST)
+                broken += lost
+                starts = broken > 0 and isinstance(error.__cause__, httpx.ConnectError)
+                if not (lost or starts) or broken > BROKEN_ANSWERS or waited >= PATIENCE_SECONDS:
+                    if broken and "Idempotency-Key" in (content.get("headers") or {}):
+                        message = f"{error}; it may be queued all the same: see `drivecal list` before you submit it again"
+                        raise UnavailableError(message) from error
                     raise
                 pause = SECONDS_TO_RESTART
             else:
@@ -76,6 +101,26 @@ class Transport:
                 pause = asked
             time.sleep(pause)
             waited += pause
+
+    def _pieces(self, place: Sequence[str], query: Mapping[str, Any]) -> Iterator[bytes]:
+        """Yields a long answer in pieces as they arrive; asks again while the server asks for it, as `_request`."""
+        params = {name: value for name, value in query.items() if value is not None}
+        path, waited = path_of(self._full_place(place)), 0.0
+        timeout = httpx.Timeout(self._http.timeout.connect, read=SLOW_SECONDS)
+        while True:
+            try:
+                with self._http.stream("GET", path, params=params, timeout=timeout) as response:
+                    if not response.is_success:
+                        response.read()
+                    asked = _pause(response)
+                    if asked is None or waited + asked > PATIENCE_SECONDS:
+                        raise_for(response, *named(place))
+                        yield from response.iter_bytes()
+                        return
+            except httpx.TransportError as error:
+                raise unreachable(self.url, error) from error
+            time.sleep(asked)
+            waited += asked
 
     def _once(
         self,
@@ -87,12 +132,16 @@ class Transport:
         content: bytes | None = None,
     ) -> httpx.Response:
         params = {name: value for name, value in (query or {}).items() if value is not None}
-        try:
-            return self._http.request(
-                method, path_of(self._full_place(place)), params=params, headers=headers, json=document, content=content
-            )
-        except (httpx.TransportError, httpx.InvalidURL) as error:
-            raise unreachable(self.url, error) from error
+        path, attempt = path_of(self._full_place(place)), 0
+        while True:
+            try:
+                return self._http.request(method, path, params=params, headers=headers, json=document, content=content)
+            except (httpx.TransportError, httpx.InvalidURL) as error:
+                attempt += 1
+                # Only a connection that was never made is tried again here, so that nothing is ever done twice.
+                if attempt == ATTEMPTS_TO_CONNECT or not isinstance(error, httpx.ConnectError):
+                    raise unreachable(self.url, error) from error
+            time.sleep(SECONDS_TO_CONNECT * (attempt - 1))
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
         raise_for(response, *named(place))
@@ -116,8 +165,9 @@ def named(place: Sequence[str]) -> tuple[str, str]:
 
 
 def _pause(response: httpx.Response) -> float | None:
-    """Returns the seconds after which the server wants to be asked again; None if it does not."""
-    if response.status_code not in {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}:
-        return None
+    """Returns the seconds after which the server, or a proxy before it, wants to be asked again; None if it does not."""
     given = response.headers.get("retry-after", "")
-    return max(0.1, float(given)) if given.isascii() and given.isdecimal() and len(given) < 10 else None
+    if response.status_code in ASKING and given.isascii() and given.isdecimal() and len(given) < 10:
+        return max(0.1, float(given))
+    is_drivecals = response.headers.get("content-type", "").startswith("application/problem+json")
+    return SECONDS_TO_RESTART if response.status_code in PROXY and not is_drivecals else None

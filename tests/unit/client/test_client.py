@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from pathlib import Path
+from typing import Any
 
+import httpx
 import pytest
 from tests.support.scripted import Answer, campaign, problem, server
 
@@ -86,9 +89,82 @@ def test_patience_has_an_end(waits: list[float]) -> None:
 
 @pytest.mark.parametrize("header", ["", "soon", "-1", "1e9", "9" * 400, "Wed, 21 Oct 2026 07:28:00 GMT"])
 def test_a_server_that_names_no_seconds_is_not_asked_again(header: str, waits: list[float]) -> None:
-    with server((503, {"Retry-After": header}, problem(503)[2])) as (client, _), pytest.raises(UnavailableError):
+    _, headers, document = problem(503)
+    with server((503, headers | {"Retry-After": header}, document)) as (client, _), pytest.raises(UnavailableError):
         client.workers()
     assert waits == []
+
+
+def test_a_proxy_whose_server_is_away_is_asked_again(waits: list[float]) -> None:
+    page = (502, {"Content-Type": "text/html"}, b"<html>Bad Gateway</html>")
+    with server(page, page, campaign("queued")) as (client, _):
+        assert client.submit({}).state == "queued"
+    assert waits == [1.0, 1.0]
+
+
+def test_a_lost_answer_is_asked_for_until_the_server_is_back(waits: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = httpx.ConnectError("refused")
+    with server(campaign("queued")) as (client, script):
+        errors: list[httpx.TransportError] = [httpx.ReadError("reset"), *[refused] * 12]
+        ask = client._http.request
+
+        def request(*arguments: Any, **options: Any) -> httpx.Response:
+            if errors:
+                raise errors.pop(0)
+            return ask(*arguments, **options)
+
+        monkeypatch.setattr(client._http, "request", request)
+        assert client.submit({}).state == "queued"
+        assert len(script.requests) == 1
+        errors += [httpx.ReadError("reset"), *[refused] * 500]
+        with pytest.raises(UnavailableError, match="drivecal list"):
+            client.submit({})
+    assert sum(waits) > 30
+
+
+def test_a_network_that_is_gone_after_a_lost_answer_is_not_waited_for(
+    waits: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with server() as (client, _):
+        errors: list[httpx.TransportError] = [httpx.ReadError("reset"), httpx.ConnectTimeout("timed out")]
+
+        def request(*_: Any, **__: Any) -> httpx.Response:
+            raise errors.pop(0)
+
+        monkeypatch.setattr(client._http, "request", request)
+        with pytest.raises(UnavailableError):
+            client.submit({})
+    assert (errors, waits) == ([], [1.0])
+
+
+@pytest.mark.parametrize("proxy", ["socks5://127.0.0.1:1", "socks://127.0.0.1:1"])
+def test_a_proxy_that_cannot_be_used_is_named(proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ALL_PROXY", proxy)
+    Client("http://127.0.0.1:1").__exit__()
+    with pytest.raises(InvalidInputError, check=lambda error: "ALL_PROXY" in error.problems[0].field):
+        Client("http://drivecal.example:1")
+
+
+def test_a_server_that_was_never_reached_is_not_waited_for(waits: list[float]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    with Client(f"http://127.0.0.1:{port}") as client, pytest.raises(UnavailableError):
+        client.submit({})
+    assert sum(waits) < 1
+
+
+def test_a_table_of_a_busy_server_is_asked_for_again(waits: list[float]) -> None:
+    with server(BUSY, (200, {}, b"id\n1\n")) as (client, _):
+        assert b"".join(client.table("c1", "evaluations", "csv")) == b"id\n1\n"
+    assert waits == [7.0]
+
+
+@pytest.mark.parametrize("token", ["secret\n", "se cret", "secr\xfct"])
+def test_a_token_that_no_header_can_hold_is_refused_without_being_shown(token: str) -> None:
+    with pytest.raises(InvalidInputError) as refused:
+        Client("http://127.0.0.1:1", token)
+    assert [problem.field for problem in refused.value.problems] == ["token"]
+    assert "secr" not in str(refused.value)
 
 
 def test_an_answer_that_breaks_off_is_asked_for_again(waits: list[float]) -> None:

@@ -28,13 +28,13 @@ def downloaded() -> tuple[DownloadedTable, str]:
     columns = {"id": pa.array([7, None], pa.int64()), "agrees": pa.array([True, None]), "rating": pa.array([6.5, None])}
     parquet.write_table(pa.table(columns), content)
     with server((200, {}, content.getvalue())) as (client, script):
-        table = client.evaluations("c1", scenario="S1")
+        table = client.evaluations("c1", where=["scenario=S1"], score=None)
     return table, script.requests[0][1]
 
 
 def test_a_table_comes_whole_and_filtered(downloaded: tuple[DownloadedTable, str]) -> None:
     table, path = downloaded
-    assert path == "/api/v1/campaigns/c1/evaluations?scenario=S1&format=parquet"
+    assert path == "/api/v1/campaigns/c1/evaluations?where=scenario%3DS1&format=parquet"
     assert table.to_arrow().to_pylist() == [{"id": 7, "agrees": True, "rating": 6.5}, dict.fromkeys(("id", "agrees", "rating"))]
 
 

@@ -37,6 +37,13 @@ def test_an_ambiguous_beginning_of_an_id_is_refused() -> None:
         client.campaign("5050")
 
 
+@pytest.mark.parametrize("identifier", ["5", "50", "505"])
+def test_a_beginning_that_is_too_short_to_be_meant_is_refused(identifier: str) -> None:
+    with server(listed(FULL)) as (client, script), pytest.raises(NotFoundError):
+        client.full_id(identifier)
+    assert script.requests == []
+
+
 def test_an_id_is_looked_up_among_all_campaigns() -> None:
     """An abbreviation of an old campaign must not hit a newer one."""
     with server(listed(OTHER, following="more"), listed(FULL)) as (client, _), pytest.raises(NotFoundError):
