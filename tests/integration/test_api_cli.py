@@ -226,6 +226,10 @@ def test_a_rerun_needs_an_ended_campaign(run: Run, api: RunningApi, submitted: s
     carry_out(api.database, submitted)
     second = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--name", "heavier", "--json").stdout)
     assert (second["name"], second["rerun_of"], second["spec"]["weights"]) == ("heavier", submitted, {"S1": 2, "S4": 1})
+    known = json.loads(run("solutions", submitted, "--weights", "S1=2,S4=1", "--json").stdout)["items"][0]["parameters"]
+    begun = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--from-best", "--json").stdout)
+    assert begun["spec"]["optimizer"]["start_sets"] == [known]
+    assert run("rerun", submitted, "--evaluator", "learned", "--from-best").exit_code == 2
     third = json.loads(run("rerun", submitted, "--evaluator", "learned", "--json").stdout)
     assert (third["spec"]["evaluator"], third["rerun_of"]) == ("learned", submitted)
     assert run("rerun", submitted).exit_code == 2

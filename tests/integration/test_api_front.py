@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import stat
+import subprocess
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +24,7 @@ from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import campaigns
 
-MAPPINGS = {"objectives", "scores", "answers", "parameters", "weights"}
+MAPPINGS = {"objectives", "constraints", "scores", "values", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
 
 
@@ -129,6 +132,10 @@ def test_a_trade_off_tells_what_the_second_set_gains_and_costs(ended: Ended) -> 
         name for name, value in rows[0].parameters.items() if value != rows[-1].parameters[name]
     }
     assert 0 < answer.distance <= 1
+    for place, row in ((0, rows[0]), (1, rows[-1])):
+        assert [(each.first, each.second)[place] for each in answer.values] == list(row.values.values())
+        assert max(row.values.values()) == row.objectives[JERK]
+    assert [each.name for each in answer.values] == [f"{JERK}@{scenario}" for scenario in rows[0].scores]
 
 
 def test_files_hold_the_same_rows(ended: Ended) -> None:
@@ -229,6 +236,14 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     )
     assert written.exit_code == 0, written.stderr
     assert target.stat().st_size > 0
+    pipe, received = tmp_path / "pipe", tmp_path / "received"
+    os.mkfifo(pipe)
+    with received.open("wb") as stream, subprocess.Popen(["cat", str(pipe)], stdout=stream) as reader:
+        piped = command("export", ended.first, "--table", "front", "-o", str(pipe), "--url", ended.api.url)
+        assert piped.exit_code == 0, piped.stderr
+        assert reader.wait(60) == 0
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert received.stat().st_size > 0
     whole = command("export", ended.first, "--table", "front", "--everything", "--json", "--url", ended.api.url)
     assert json.loads(whole.stdout) == rows_of(ended, ended.first, everything="true", limit=1000)
     assert command("export", ended.first, "--everything", "--url", ended.api.url).exit_code == 2
@@ -250,6 +265,20 @@ def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: En
     assert (lights["constraints"], lights["all"]) == ("red", "red")
     assert [note for note in campaign["notes"] if "constraints" in note]
     assert "breaks the constraints" in command("show", campaign["id"], "--url", ended.api.url).stdout
+    assert "breaks constraints by" in command("solutions", campaign["id"], "--url", ended.api.url).stdout
+    written = command("export", campaign["id"], "--table", "solutions", "--format", "dcm", "--url", ended.api.url).stdout
+    facts = dict(line[2:].split(": ", 1) for line in written.splitlines() if line.startswith("* ") and ": " in line)
+    assert facts["state"] == "prelimCalibrated"
+    assert facts["light of the set"] == "red"
+    assert float(facts["violation of constraints"]) == pytest.approx(campaign["best"]["violation"])
+    amount, words = facts[f"constraint {JERK}"].split(" ", 1)
+    assert float(amount) > 0.1
+    assert "<= 0.1" in words
+    with Client(ended.api.url) as client:
+        between = client.trade_off(campaign["id"], 1, 1)
+        page = client.review(campaign["id"])
+    assert [pair.name for pair in between.constraints] == [JERK]
+    assert f"{float(amount):.6g}" in page
 
 
 def test_a_rerun_that_ends_below_a_stored_set_is_amber(ended: Ended) -> None:

@@ -88,6 +88,93 @@ def test_the_ranking_under_another_score_is_that_of_a_campaign_with_it(asked: As
     assert gain[0]["objective"] == max(solution["objective"] for solution in gain)
 
 
+def test_importance_explains_the_objective_of_the_ranking_under_its_weights_and_score(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.analysis.importance.LEAST_SETS", 30)
+
+    def importance(campaign: str, **query: str) -> dict[str, Any]:
+        answer: dict[str, Any] = asked.http.get(f"{campaign}/importance", params=query).raise_for_status().json()
+        return answer
+
+    own, gain = importance(asked.first), importance(asked.first, score="gain")
+    assert own["items"]
+    assert gain == importance(asked.other) != own
+    weighted = importance(asked.first, score="gain", weights="city=1,road=0")
+    assert weighted["items"] == importance(asked.other, scenario="city")["items"] != gain["items"]
+    refused = [asked.http.get(f"{asked.first}/importance", params=query) for query in ({"score": "none"}, {"weights": "sea=1"})]
+    assert [answer.json()["errors"][0]["field"] for answer in refused] == ["score", "weights.sea"]
+
+
+BOUNDED: dict[str, Any] = {
+    "optimizer": {"kind": "nsga2", "population": 24, "iterations": 2, "seed": 1},
+    "constraints": [
+        {"measure": "y", "at_most": 2.0, "failed": 10.0},
+        {"score": "cost", "at_most": 1.6},
+        {"score": "gain", "at_most": 30.0},
+    ],
+}
+
+
+@pytest.fixture
+def bounded(asked: Asked, database: Database) -> str:
+    """The path of a campaign under constraints on a measure and on its own score; y grows with x, the cost is least at x = 0.5."""
+    accepted = asked.http.post("/api/v1/campaigns", json=SPEC | BOUNDED).raise_for_status().json()
+    with database.read() as connection:
+        queued = campaigns.get(connection, accepted["id"])
+    run(database, queued, ComputedBackend(answer=simulated))
+    return f"/api/v1/campaigns/{accepted['id']}"
+
+
+def amounts(x: float) -> dict[str, float]:
+    """Amounts that the constraints bound, in the worse scenario."""
+    ys = [4 * x + extra for extra in (0, 1)]
+    if x > 0.8:
+        return {"y": 10.0, "cost": 10.0, "gain": 0.0}
+    return {"y": max(ys), "cost": max(abs(y - 2) for y in ys), "gain": max(10 * y - x for y in ys)}
+
+
+QUERIES = [{}, {"weights": "city=3"}, {"weights": "city=0"}, {"score": "gain"}, {"score": "cost@mine"}, {"score": "gain@mine"}]
+
+
+@pytest.mark.parametrize("query", QUERIES)
+def test_sets_that_keep_the_constraints_come_first_in_every_ranking(
+    asked: Asked, bounded: str, database: Database, query: dict[str, str]
+) -> None:
+    gain = {"formula": "200 - y", "direction": "maximise", "range": [0, 200]}
+    store(database, MANIFEST | {"scores": PUSHED_LATER | {"gain": gain}})
+    ranked = items(asked, f"{bounded}/solutions", limit=100, **query)
+    for row in ranked:
+        expected = amounts(row["parameters"]["x"])
+        assert row["constraints"] == pytest.approx(expected)
+        # in units of the limit of a measure, and of the range of a score
+        shares = (expected["y"] - 2) / 2, (expected["cost"] - 1.6) / 10, (expected["gain"] - 30) / 100
+        assert row["violation"] == pytest.approx(sum(max(0, share) for share in shares))
+    violations = [round(row["violation"], 9) for row in ranked]
+    assert violations == sorted(violations)
+    assert violations[0] == 0 < violations[-1]
+    kept = [row["objective"] for row in ranked if row["violation"] == 0]
+    assert kept == sorted(kept, reverse=query.get("score", "").startswith("gain"))
+    file = asked.http.get(f"{bounded}/solutions", params={**query, "format": "csv"}).raise_for_status().text
+    first = next(csv.DictReader(io.StringIO(file)))
+    assert float(first["constraint_y"]) == pytest.approx(ranked[0]["constraints"]["y"])
+
+
+def test_the_light_of_a_set_is_its_own(asked: Asked, bounded: str) -> None:
+    def light(**place: int) -> dict[str, str]:
+        trust = asked.http.get(f"{bounded}/trust", params=place).raise_for_status().json()
+        return {reason["about"]: reason["light"] for reason in trust["reasons"]} | {"all": trust["light"]}
+
+    ranked = items(asked, f"{bounded}/solutions", limit=100)
+    best, worst = ({name: row[name] for name in ("iteration", "individual")} for row in (ranked[0], ranked[-1]))
+    assert light()["all"] == light(**best)["all"] != "red"
+    assert light(**worst)["constraints"] == light(**worst)["all"] == "red"
+    half = asked.http.get(f"{bounded}/trust", params={"iteration": 0})
+    assert half.status_code == 422
+    assert half.json()["errors"][0]["field"] == "individual"
+    assert asked.http.get(f"{bounded}/trust", params={"iteration": 99, "individual": 0}).status_code == 404
+
+
 PUSHED_LATER = {"cost": {"formula": "abs(y - 3)", "direction": "minimise", "range": [0, 20], "failed": 30}}
 
 

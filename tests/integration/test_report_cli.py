@@ -96,7 +96,10 @@ def test_a_cell_is_explained_within_its_campaign(run: Run, api: RunningApi, ende
     assert (found["evaluation"], found["campaign"], found["outcome"]) == (number, ended, "simulated")
     printed = run("explain", ended, str(number))
     assert printed.exit_code == 0, printed.output
-    assert printed.stdout.startswith(f"evaluation {number}: calibration, iteration 1, individual 0, S1\nsimulated, score 0")
+    where, values, result = printed.stdout.splitlines()[:3]
+    assert where == f"evaluation {number}: calibration, iteration 1, individual 0, S1"
+    assert values.startswith("P1=")
+    assert result == "simulated, score 0"
     assert found["sentence"] in printed.stdout
     assert run("explain", ended, "999999999").exit_code == 5
     assert run("explain", ended, "nonsense").exit_code == 5

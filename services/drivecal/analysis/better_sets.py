@@ -72,7 +72,7 @@ def of_earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
         text = (
             f"The earlier campaign {earlier.campaign[:SHORT]} holds a set with a better {campaign.objective.name}: "
             f"{earlier.objective:.6g}{copied} beside {campaign.best.objective:.6g}; `drivecal front {campaign.id[:SHORT]} --everything` "
-            "lists what is stored, and a rerun with it in `optimizer.start_sets` searches from there."
+            "lists what is stored, and a campaign file with it in `optimizer.start_sets` searches from there."
         )
         yield Reason(light="amber", about="earlier", text=text)
         return
@@ -81,6 +81,6 @@ def of_earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
     text = (
         f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: "
         f"{earlier.objective:.4f}{copied} beside {campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} "
-        f"--weights {weights}{score}` lists it, and a rerun with it in `optimizer.start_sets` searches from there."
+        f"--weights {weights}{score}` lists it, and the same rerun with --from-best searches from there."
     )
     yield Reason(light="amber", about="earlier", text=text)

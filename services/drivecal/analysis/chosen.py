@@ -1,4 +1,4 @@
-"""Reasons for trust in a set that was chosen for review, in the place of those for the best set of its search. Pure."""
+"""Reasons for trust in a set that was chosen, in the place of those for the best set of its search. Pure."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,9 @@ from drivecal.analysis.goals import EQUAL
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.results import Light, Reason
 from drivecal.domain.scales import unit_text
+
+AT_END = 0.005
+"""Distance from an end of its range, as a share of it, up to which a value lies at the end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,19 +39,24 @@ class BesideBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A set that was chosen for review. `compared`: the objectives that the baseline has as well; `copied`: scenarios whose score is a
-    reference's; violations in shares. `is_best`: whether the search ended with it."""
+    """A set that was chosen. `compared`: the objectives that the baseline has as well; `copied`: scenarios whose score is a reference's;
+    violations in shares. `is_judged`: whether every objective and constraint has a value; `is_best`: whether the search ended with it."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
     copied: Sequence[str] = ()
     violation: float = 0.0
     baseline_violation: float = 0.0
+    is_judged: bool = True
     is_best: bool = False
 
 
 def reasons_for(chosen: Chosen, ranges: Mapping[str, tuple[float, float]]) -> Iterator[Reason]:
     """Yields the reasons of a chosen set: constraints, origin of its scores, baseline, values at an end of their `ranges`."""
+    if not chosen.is_judged:
+        text = "The chosen set has no value of an objective or a constraint of the campaign: not every scenario has a result of its own."
+        yield Reason(light="red", about="end", text=text)
+        return
     if chosen.violation > 0:
         text = f"The chosen set breaks the constraints by {chosen.violation:.1%}."
         yield Reason(light="red", about="constraints", text=text)
@@ -85,7 +93,12 @@ def baseline_breaks_more(subject: str) -> Reason:
 
 def at_ends(subject: str, values: Mapping[str, float | str], ranges: Mapping[str, tuple[float, float]]) -> Iterator[Reason]:
     """Yields the reason that names the values of a set at an end of their ranges."""
-    at_end = [f"{name} ({value_text(values[name])})" for name, ends in ranges.items() if values.get(name) in ends]
+    at_end = [
+        f"{name} ({value_text(value)})"
+        for name, ends in ranges.items()
+        if isinstance(value := values.get(name), float | int)
+        and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
+    ]
     if at_end:
         lie = "lies at an end of its range" if len(at_end) == 1 else "lie at an end of their ranges"
         text = f"In {subject} {', '.join(at_end)} {lie}; a wider range may hold better sets."

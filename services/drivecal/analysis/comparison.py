@@ -182,7 +182,7 @@ def _effect(
     worse = sum(sign * difference < -EQUAL for difference in differences)
     different, mean = better + worse, fmean(differences)
     margin = None
-    if len(differences) > 1:
+    if len(differences) > 1 and stdev(differences) > EQUAL:  # without any spread the t distribution says nothing
         quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(differences) - 1))
         margin = quantile * stdev(differences) / len(differences) ** 0.5
     interval = stats.binomtest(different, len(differences)).proportion_ci(CONFIDENCE, method="exact")

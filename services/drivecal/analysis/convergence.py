@@ -5,6 +5,8 @@ from itertools import accumulate, pairwise
 
 from drivecal.analysis.goals import EQUAL
 
+Course = Sequence[tuple[float | None, float | None]]
+"""Objective and rating of the best set so far, by finished iteration."""
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
 UNCHANGED_ALTERNATIVES = 5
@@ -44,6 +46,23 @@ def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[f
     states = list(zip(best, alternatives, strict=True))
     changed = (before != after or not _equal(old, new) for ((old, before), (new, after)) in pairwise(states))
     return [float(count) for count in accumulate(changed, initial=0)] if states else []
+
+
+def improved_last(course: Course) -> bool:
+    """Returns whether the last iteration improved the best objective."""
+    if len(course) < 2:
+        return False
+    (before, _), (last, _) = course[-2:]
+    return before is not None and last is not None and abs(last - before) > EQUAL
+
+
+def stood_still(course: Course, best: float) -> bool:
+    """Returns whether the best set of the first iteration is still the best, by objective and rating."""
+    (first, rating), (last, last_rating) = course[0], course[-1]
+    if first is None or last is None or (rating is None) is not (last_rating is None):
+        return False
+    gains = (last - first, best - first, (last_rating or 0.0) - (rating or 0.0))
+    return all(abs(gain) <= EQUAL for gain in gains)
 
 
 def _equal(first: float | None, other: float | None) -> bool:

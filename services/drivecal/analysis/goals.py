@@ -4,7 +4,7 @@ A value of a cell is the campaign's score, another score (a formula over measure
 data, so that its results can be read without its problem.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import isclose
@@ -134,10 +134,11 @@ class Bound(Goal):
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A set's objectives, in their order and units, and its sum of violations."""
+    """A set's objectives and constrained amounts, in their order and units, and its sum of violations."""
 
     amounts: tuple[float, ...]
     violation: float
+    bounded: tuple[float, ...] = ()
 
     @property
     def broken(self) -> int:
@@ -158,6 +159,43 @@ class Goals:
         values = [goal.value for goal in (*self.objectives, *self.bounds)]
         return {value.key: value for value in values if value.key != SCORE}
 
+    @cached_property
+    def bound_names(self) -> list[str]:
+        """Names of the constraints, each once: equal ones are numbered from the second on."""
+        names: list[str] = []
+        for bound in self.bounds:
+            names.append(_numbered(bound.name, names))
+        return names
+
+    def named_bounds(self, judgement: Judged | None) -> dict[str, float]:
+        """Returns the constrained amounts of a set by the names of the constraints."""
+        return {} if judgement is None else dict(zip(self.bound_names, judgement.bounded, strict=True))
+
+    @cached_property
+    def _by_scenario(self) -> dict[str, tuple[str, str]]:
+        """Scenario and key of each value that makes an objective or a constrained amount, but for the campaign's score."""
+        labels: dict[tuple[str, str], str] = {}
+        places: dict[str, tuple[str, str]] = {}
+        for goal in (*self.objectives, *self.bounds):
+            named = (goal.name, goal.value.key)
+            if goal.value.key != SCORE and named not in labels:
+                labels[named] = _numbered(goal.name, labels.values())
+            places |= {f"{labels[named]}@{scenario}": (scenario, goal.value.key) for scenario in goal.shares if named in labels}
+        return places
+
+    @property
+    def value_names(self) -> list[str]:
+        """Names of `named_values`."""
+        return list(self._by_scenario)
+
+    def named_values(self, cells: Mapping[str, CellScore]) -> dict[str, float]:
+        """Returns what makes the objectives and constrained amounts of a set, by `NAME@SCENARIO`; the campaign's score is left out."""
+        return {
+            name: cells[scenario].values[key]
+            for name, (scenario, key) in self._by_scenario.items()
+            if scenario in cells and key in cells[scenario].values
+        }
+
     @property
     def is_vector(self) -> bool:
         """Whether an optimizer needs the ability `objectives`."""
@@ -173,13 +211,13 @@ class Goals:
         values = {name: dict(cell.values) for name, cell in cells.items()}
         for name, cell in cells.items():
             if cell.score is not None:
-                values[name][SCORE] = cell.score
-        amounts = [objective.amount(values) for objective in self.objectives]
-        bounded = [(bound, bound.amount(values)) for bound in self.bounds]
-        if any(amount is None for amount in (*amounts, *(amount for _, amount in bounded))):
+                values[name].setdefault(SCORE, cell.score)
+        amounts = [amount for objective in self.objectives if (amount := objective.amount(values)) is not None]
+        bounded = [amount for bound in self.bounds if (amount := bound.amount(values)) is not None]
+        if len(amounts) < len(self.objectives) or len(bounded) < len(self.bounds):
             return None
-        violation = sum(bound.violation(amount) for bound, amount in bounded if amount is not None)
-        return Judged(tuple(amount for amount in amounts if amount is not None), violation)
+        violation = sum(bound.violation(amount) for bound, amount in zip(self.bounds, bounded, strict=True))
+        return Judged(tuple(amounts), violation, tuple(bounded))
 
     def compared(self, judgement: Judged) -> tuple[float, ...]:
         """Returns what dominance compares, higher is better."""
@@ -201,6 +239,14 @@ class Goals:
 def valued_by(goals: Goals | None) -> Callable[[Mapping[str, float | None], str | None], dict[str, float]] | None:
     """Returns what computes the values of a run that cells do not store; None if goals need none."""
     return goals.values if goals is not None and goals.computed else None
+
+
+def _numbered(name: str, taken: Collection[str]) -> str:
+    """Returns a name that is not taken: the given one, else with a number behind it."""
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name} {number}", number + 1
+    return free
 
 
 def _document(goal: Goal) -> dict[str, Any]:

@@ -22,7 +22,7 @@ class EvaluatedSet:
     rating: float
     scores: Mapping[str, float]
     reused: tuple[str, ...]
-    """Scenarios whose score is a reference's or a prediction: this very set was not simulated there."""
+    """Scenarios whose score is a reference's or a prediction, also if it counts for goals alone: this very set was not simulated there."""
     iteration: int
     individual: int
     sign: int = 1
@@ -49,27 +49,31 @@ class EvaluatedSet:
 
 @dataclass(frozen=True, slots=True)
 class FrontMember:
-    """A set of the front, and the number of sets with the same objectives, itself included."""
+    """A set of the front, its answers by scenario, and the number of sets with the same objectives, itself included."""
 
     solution: EvaluatedSet
     alternatives: int
+    cells: Mapping[str, CellScore]
 
 
 class Ranking:
     """All parameter sets with their scores, under one choice of weights; grows as answers arrive."""
 
     def __init__(self, weights: Mapping[str, float], sign: int = 1, goals: Goals | None = None) -> None:
-        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named take no part. `sign`: the scale's.
-        `goals`: their first objective ranks in the place of the weighted score, whose scenarios cover theirs."""
+        """`weights` by scenario need not be normalised; scenarios of weight 0 and those not named count for goals alone. `sign`: the
+        scale's. `goals`: their first objective ranks in the place of the weighted score."""
         self._sign, self._goals = sign, goals
         total = sum(weights.values())
         self._shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+        judged = () if goals is None else (*goals.objectives, *goals.bounds)
+        self._scenarios = {*self._shares, *(scenario for goal in judged for scenario in goal.shares)}
         self._answers: dict[int, dict[str, CellScore]] = {}
         self._places: dict[int, tuple[int, int]] = {}
         self._solutions: dict[int, EvaluatedSet] = {}
         self._predicted: dict[int, EvaluatedSet] = {}
         """Sets with a predicted score, which have no rank."""
         self._surest_front: list[tuple[tuple[float, ...], float]] | None = None
+        self._best: tuple[EvaluatedSet, int] | None = None
 
     def add(self, answers: Iterable[CellScore]) -> None:
         """Takes answers in, in any order. A set with a predicted score takes no place in the ranking."""
@@ -79,10 +83,10 @@ class Ranking:
             place = (answer.iteration, answer.individual)
             self._places[number] = min(self._places.get(number, place), place)
             cells = self._answers.setdefault(number, {})
-            if answer.scenario in self._shares and _counts_more(answer, cells.get(answer.scenario)):
+            if answer.scenario in self._scenarios and _counts_more(answer, cells.get(answer.scenario)):
                 cells[answer.scenario] = answer
             touched.add(number)
-        self._surest_front = None
+        self._surest_front = self._best = None
         for number in touched:
             solution = self._solution(number)
             if solution is None:
@@ -99,14 +103,15 @@ class Ranking:
 
     def best(self) -> tuple[EvaluatedSet, int] | None:
         """The best solution and how many share its objective, itself included; None before the first."""
-        if not self._solutions:
-            return None
+        if not self._solutions or self._best is not None:
+            return self._best
         best = min(self._solutions.values(), key=lambda solution: solution.order)
         equal = sum(
             abs(solution.objective - best.objective) <= EQUAL and solution.violation == best.violation
             for solution in self._solutions.values()
         )
-        return best, equal
+        self._best = best, equal
+        return self._best
 
     def surest(self) -> EvaluatedSet | None:
         """The best solution whose scores are all its own; None without one."""
@@ -179,7 +184,8 @@ class Ranking:
         alike: dict[tuple[float, ...], list[EvaluatedSet]] = {}
         for place in sorted(kept, key=lambda place: judged[place][0].order):
             alike.setdefault(vectors[place], []).append(judged[place][0])
-        members = [FrontMember(min(sets, key=lambda each: bool(each.reused)), len(sets)) for sets in alike.values()]
+        firsts = [(min(sets, key=lambda each: bool(each.reused)), len(sets)) for sets in alike.values()]
+        members = [FrontMember(first, count, self._answers[first.parameter_set]) for first, count in firsts]
         return sorted(members, key=lambda member: member.solution.order)
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
@@ -200,6 +206,8 @@ class Ranking:
             scores[scenario] = cell.score
             if not cell.own:
                 reused.append(scenario)
+        bounding = sorted(self._scenarios.difference(self._shares))
+        reused += [scenario for scenario in bounding if scenario in cells and not cells[scenario].own]
         solution = EvaluatedSet(number, objective, rating, scores, tuple(reused), *self._places[number], self._sign)
         if self._goals is None:
             return solution

@@ -7,14 +7,16 @@ end, unless it is red already, and none for a campaign without a search.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
 from drivecal.analysis.chosen import Chosen, at_ends, baseline_breaks_more, every_score_is_known, reasons_for
 from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, verdict_in
+from drivecal.analysis.convergence import Course, improved_last, stood_still
 from drivecal.analysis.goals import EQUAL
 from drivecal.bundles.scoring import REMEDY
-from drivecal.contracts.campaign import Best, Campaign
+from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Light, Reason, TrustAnswer
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -24,6 +26,10 @@ FEW = 0.01
 """Share of cells without a result, or without a score, up to which a search is as good as one without them."""
 LONG = 3
 """Iterations from which on a search had time to improve what its first one found."""
+NEARLY = 80
+"""Percentage of the sets on the grid from which on a search has seen nearly all of them."""
+LARGEST_COUNT = 10**9
+"""Sets on a grid up to which their number is written out."""
 _ORDER: tuple[Light, ...] = ("red", "amber", "green")
 _DEFAULT = ReductionSpecification()
 
@@ -47,10 +53,14 @@ class Driven:
 @dataclass(frozen=True, slots=True)
 class Search:
     """The course of an ended search. `course`: objective and rating of the best set so far, by finished iteration; empty with several
-    objectives, which have no single course. `ranges`: lower and upper value of the searched parameters with an order."""
+    objectives, which have no single course. `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
+    all sets of the space, 0 if it is no grid; `requested`: number of those that the search asked for, an upper limit unless `is_exact`."""
 
-    course: Sequence[tuple[float | None, float | None]]
+    course: Course
     ranges: Mapping[str, tuple[float, float]]
+    requested: int = 0
+    grid: int = 0
+    is_exact: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +119,8 @@ def _end(campaign: Campaign) -> Iterator[Reason]:
 def _result(campaign: Campaign, search: Search | None, front: Compromises | None, chosen: Chosen | None) -> Iterator[Reason]:
     """Yields the reasons about the chosen set, else about the front of several objectives, else about the best set."""
     if chosen is not None:
+        if not chosen.is_judged and not CampaignState(campaign.state).ended:
+            return  # its cells may still be answered
         if chosen.is_best and front is None:
             verdict = list(_confirmation(campaign))
             about_it = [
@@ -120,6 +132,7 @@ def _result(campaign: Campaign, search: Search | None, front: Compromises | None
         yield from _course(campaign, search)
     elif front is not None:
         yield from (*_constraints(campaign), *_front(campaign, front))
+        yield from _seen(campaign, search)
     else:
         yield from (*_constraints(campaign), *_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
         if campaign.best is not None:
@@ -180,7 +193,12 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
     if campaign.best.violation < campaign.baseline.violation:
         yield baseline_breaks_more("the best set")
     elif gain > EQUAL:
-        yield Reason(light="green", about="baseline", text=f"The best set is better than the baseline, by {gain:.4g}.")
+        within = campaign.objective is None and gain <= campaign.scale.tolerance
+        tolerated = (
+            f"; differences up to {campaign.scale.amount(campaign.scale.tolerance)} are within the tolerance" if within else ""
+        )
+        text = f"The best set is better than the baseline, by {gain:.4g}{tolerated}."
+        yield Reason(light="green", about="baseline", text=text)
     else:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
 
@@ -188,7 +206,13 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
 def _course(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
     if search is None or campaign.best is None or CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
-    if len(search.course) >= LONG and _stood_still(search.course, campaign.best) and not _is_the_highest(campaign):
+    yield from _seen(campaign, search)
+    if improved_last(search.course):
+        text = f"The best set was improved in the last of {len(search.course)} iterations: more may improve it further."
+        yield Reason(light="green", about="search", text=text)
+    if 100 * search.requested >= NEARLY * search.grid > 0:  # whole numbers: a grid may have more sets than a float can hold
+        return
+    if len(search.course) >= LONG and stood_still(search.course, campaign.best.objective) and not _is_the_highest(campaign):
         text = (
             f"No iteration after the first found a better set ({len(search.course) - 1} tried). More iterations, wider ranges or another "
             "optimizer may find one."
@@ -196,13 +220,14 @@ def _course(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
         yield Reason(light="amber", about="search", text=text)
 
 
-def _stood_still(course: Sequence[tuple[float | None, float | None]], best: Best) -> bool:
-    """Returns whether the best set of the first iteration is still the best, by objective and rating."""
-    (first, rating), (last, last_rating) = course[0], course[-1]
-    if first is None or last is None or (rating is None) is not (last_rating is None):
-        return False
-    gains = (last - first, best.objective - first, (last_rating or 0.0) - (rating or 0.0))
-    return all(abs(gain) <= EQUAL for gain in gains)
+def _seen(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
+    """Yields the share of the space that the search saw."""
+    if search is None or not search.grid or campaign.best is None:
+        return
+    grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}"
+    asked = f"{'' if search.is_exact else 'at most '}{search.requested:,}"
+    text = f"The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside."
+    yield Reason(light="green", about="search", text=text)
 
 
 def _is_the_highest(campaign: Campaign) -> bool:
@@ -267,8 +292,11 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
         share, lower = (row.beyond or 0) / row.bases, row.beyond_lower_95 or 0.0
         allowed = row.limit * row.inspected / row.released
         light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
-        text = f"{share:.1%} of the simulated predictions in {row.scenario} are wrong; the limit allows {allowed:.1%}"
-        yield Reason(light=light, about="predictions", scenario=row.scenario, text=f"{text} (validation {study[:SHORT]}).")
+        text = (
+            f"{share:.1%} of the simulated predictions in {row.scenario} are wrong (validation {study[:SHORT]}); up to {allowed:.1%} of "
+            f"the {row.released:,} released ones may be: {row.limit:.1%} of the {row.inspected:,} in lots."
+        )
+        yield Reason(light=light, about="predictions", scenario=row.scenario, text=text)
 
 
 def _listed(figures: Mapping[str, str]) -> str:
@@ -284,7 +312,12 @@ def _only(figures: Mapping[str, str]) -> str | None:
 def _lots(about: str, what: str, counts: Iterable[tuple[int, int]]) -> Iterator[Reason]:
     lots, rejected = (sum(column) for column in zip(*counts, strict=True)) if (counts := list(counts)) else (0, 0)
     if lots:
-        then = f"{rejected:,} had too many errors, and every cell of them was simulated" if rejected else "all passed"
+        them = (
+            "lot had too many errors, and all its cells were"
+            if rejected == 1
+            else "lots had too many errors, and all their cells were"
+        )
+        then = f"{rejected:,} {them} simulated" if rejected else "all passed"
         yield Reason(light="green", about=about, text=f"A sample of each of {lots:,} lots of {what} was simulated: {then}.")
 
 

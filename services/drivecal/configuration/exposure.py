@@ -14,6 +14,14 @@ def is_loopback(address: str) -> bool:
     return ipaddress.ip_address(address.partition("%")[0]).is_loopback
 
 
+def is_this_machine(name: str) -> bool:
+    """Returns True for localhost and loopback addresses, False for all other names."""
+    try:
+        return name.lower() == "localhost" or is_loopback(name)
+    except ValueError:
+        return False
+
+
 def check_exposure(address: str, settings: Settings) -> None:
     """Raises InvalidInputError if other machines could use a server without tokens."""
     if settings.tokens_file is None and not is_loopback(address):

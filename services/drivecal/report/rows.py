@@ -40,8 +40,8 @@ def percent(share: float | None, digits: int = 2) -> Number | None:
 
 
 def bound(upper_95: float | None) -> Number | str | None:
-    """Returns a 95 % bound of a share in percent; `none` for one of 100 %, which excludes nothing, and None for an unknown one."""
-    return "none" if upper_95 is not None and upper_95 >= 1.0 else percent(upper_95)
+    """Returns a 95 % bound of a share in percent; for 100 %, which excludes nothing, that there is none, and None for an unknown one."""
+    return "no bound" if upper_95 is not None and upper_95 >= 1.0 else percent(upper_95)
 
 
 def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
@@ -53,11 +53,12 @@ def totals(items: Iterable[object], *names: str) -> tuple[int, ...]:
 def errors_text(what: str, count: int, different: int, wrong: int, scale: Scale = COMFORT) -> str:
     """Returns a sentence about `count` compared answers, whose plural is `what`.
 
-    Wrong answers are off by more than the tolerance: R_err alone does not say how many are off by less.
+    Wrong answers are off by more than the tolerance: R_err alone does not say how many are off by less. Nearly all scores without steps
+    are, a little.
     """
-    differ = f"{different:,} had another score ({different / count:.2%})"
+    differ = "" if scale.step is None else f"{different:,} had another score ({different / count:.2%}); "
     tolerated = scale.amount(scale.tolerance)
-    return f"Of {count:,} {what} {differ}; {wrong:,} were wrong, off by more than {tolerated} (R_err {wrong / count:.2%})."
+    return f"Of {count:,} {what} {differ}{wrong:,} were wrong, off by more than {tolerated} (R_err {wrong / count:.2%})."
 
 
 def range_text(scale: Scale) -> str:
@@ -151,6 +152,8 @@ def failure_causes(causes: Sequence[FailureCause]) -> list[list[object]]:
 
 
 LONGEST_MESSAGE = 160
+OFTEN = 0.03
+"""Share of all weightings from which on a set of a front wins often."""
 
 
 def shortened(words: str | None) -> str | None:
@@ -159,8 +162,8 @@ def shortened(words: str | None) -> str | None:
 
 
 LOTS_NOTE = (
-    "limit holds for the expected number of errors over all lots together; the 95 % bound is what the samples of this campaign alone "
-    "prove, which is little if few were drawn: it may be far above the limit"
+    "limit holds for the expected number of errors over all lots together, by the rule that releases them; the 95 % bound is what the "
+    "samples of this campaign alone prove, even if all are right: a few samples of a lot prove little about its other answers"
 )
 """Explains a bound beside a smaller limit."""
 
@@ -237,7 +240,8 @@ def front_lines(summary: FrontSummary) -> list[str]:
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
-    volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}"
+    corner = ", ".join(f"{goal.name} {goal.reference:.6g}" for goal in summary.objectives)
+    volume = "" if summary.hypervolume is None else f"; hypervolume {summary.hypervolume:g}, measured from {corner}"
     sets = f"{summary.evaluated:,} sets evaluated, {summary.feasible:,} feasible, {summary.size:,} on the front{volume}"
     return [*lines, sets]
 
@@ -245,15 +249,20 @@ def front_lines(summary: FrontSummary) -> list[str]:
 def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
     units = {objective.name: unit_text(objective.unit) for objective in summary.objectives}
     amounts = ", ".join(f"{name} {amount:.6g}{units[name]}" for name, amount in baseline.objectives.items())
-    broken = f"; it breaks constraints by {baseline.violation:.3g}" if baseline.violation > 0 else ""
+    broken = f"; it breaks constraints by {baseline.violation:.1%}" if baseline.violation > 0 else ""
     place = "sets of the front beat it" if baseline.rank is None else f"on the front, rank {baseline.rank}"
     return f"baseline: {amounts} ({place}){broken}"
 
 
 def shown_of_front(rows: Sequence[FrontRow], limit: int, chosen: Collection[int] = ()) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit. The
-    others are the first ones under weights, else spread over the front: each is the farthest from all that are kept."""
+    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit. Then
+    come those that win often. The others are the first ones under weights, else spread over the front: each is the farthest from all that
+    are kept."""
     kept = [place for place, row in enumerate(rows) if row.knee or row.best_in or row.rank in chosen]
+    winners = sorted(
+        (place for place, row in enumerate(rows) if (row.wins or 0) >= OFTEN), key=lambda place: -(rows[place].wins or 0)
+    )
+    kept += [place for place in winners if place not in kept][: max(0, limit - len(kept))]
     others = [place for place in range(len(rows)) if place not in kept]
     if rows and rows[0].weighted is not None:
         kept += others[: max(0, limit - len(kept))]
@@ -285,12 +294,12 @@ def left_out_of_front(kept: Sequence[FrontRow], rows: Sequence[FrontRow]) -> str
     if len(kept) == len(rows):
         return ""
     others = "the first ones" if rows[0].weighted is not None else "sets spread over the front"
-    return f"{len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, and {others}"
+    return f"{len(kept):,} of {len(rows):,} sets: the knee, the best of each objective, those that win often, and {others}"
 
 
 def front_marks(row: FrontRow) -> str:
     """Returns what is special about a set of a front; a star: it has a score of a reference."""
     marks = [*(["knee"] if row.knee else []), *(f"best {name}" for name in row.best_in), *(["*"] if row.reused else [])]
     if row.violation > 0:
-        marks.append(f"breaks constraints by {row.violation:.3g}")
+        marks.append(f"breaks constraints by {row.violation:.1%}")
     return ", ".join(marks)

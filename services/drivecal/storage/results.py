@@ -129,6 +129,13 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     return int(connection.execute(cells.limit(1)).scalar_one())
 
 
+def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageName, scenario: str) -> int:
+    """Returns the number of different parameter sets in the cells of a stage in a scenario."""
+    table = evaluations.c
+    here = (table.campaign_sequence == campaign_sequence, table.scenario == scenario, table.stage == stage)
+    return int(connection.scalar(select(func.count(table.parameter_set_id.distinct())).where(*here)) or 0)
+
+
 def page(
     connection: Connection, campaign_sequence: int, *, limit: int = 100, cursor: str | None = None
 ) -> tuple[list[StoredEvaluation], str | None]:

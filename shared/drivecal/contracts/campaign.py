@@ -294,8 +294,9 @@ class CampaignPage(Page[Campaign]):
 
 
 class ExpectedRuns(Answer):
-    """Upper bounds of a campaign's cost: proposed cells by stage, and simulations without any reuse."""
+    """Upper bounds of a campaign's cost: proposed cells by stage, and simulations without any reuse. `problem`: its name, as given."""
 
+    problem: str = ""
     sensitivity: int
     """Runs of the interval analysis, at most if it is `sequential`; its results decide confirmations and the global analysis."""
     sensitivity_at_most: int

@@ -171,9 +171,9 @@ class ComparedPair(Answer):
 class ReductionEffect(Answer):
     """The pairs of one optimizer and population size, or of all (null), summed up.
 
-    `mean_difference` with the 95 % confidence interval of Student's t, null for less than two pairs; `better`, `equal`, `worse`: the
-    final optimum with the reduction; `sign_test`: two-sided p of the exact sign test; `different_upper_95`: upper end of the exact
-    95 % interval of the share of searches that end elsewhere. `saved_share`: of the simulations without it.
+    `mean_difference` with the 95 % confidence interval of Student's t, null for less than two pairs and without spread. `better`, `equal`,
+    `worse`: the final optimum with the reduction; `sign_test`: two-sided p of the exact sign test; `different_upper_95`: upper end of the
+    exact 95 % interval of the share of searches that end elsewhere. `saved_share`: of the simulations without it.
     """
 
     optimizer: str | None

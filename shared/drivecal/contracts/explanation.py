@@ -150,6 +150,9 @@ class Explanation(Answer):
     outcome: str | None
     score: Score | None
     failure: str | None
+    parameters: dict[str, float | str] = Field(default_factory=dict)
+    attempts: int = 0
+    """Number of simulations that were tried."""
     detail: str | None = None
     """Report of the last attempt at a cell without a result."""
     reason: Reason

@@ -82,6 +82,8 @@ class FrontBaseline(Answer):
 
     objectives: dict[str, float]
     violation: float
+    constraints: dict[str, float] = Field(default_factory=dict)
+    """The constrained amounts, by the names of the constraints."""
     rank: int | None
 
 
@@ -113,13 +115,17 @@ class ValuePair(Answer):
 
 
 class TradeOff(Answer):
-    """Two sets of a front, by rank: all objectives, scores by scenario, and the parameters that differ. `distance`: root mean square, in
-    shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
+    """Two sets of a front, by rank: all objectives, constrained amounts, scores by scenario, and the parameters that differ.
+
+    `distance`: root mean square, in shares of the searched ranges; `text`: what the second gains and costs, a line per objective."""
 
     first: int
     second: int
     objectives: list[ValuePair]
+    constraints: list[ValuePair] = Field(default_factory=list)
     scores: list[ValuePair]
+    values: list[ValuePair] = Field(default_factory=list)
+    """Other scores and measures in each scenario, by `NAME@SCENARIO`."""
     parameters: list[ValuePair]
     distance: float
     text: list[str]

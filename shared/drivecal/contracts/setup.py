@@ -43,9 +43,11 @@ class ScenarioSetup(Answer):
 
 
 class CampaignSetup(Answer):
-    """The parameters and setups of a campaign, `evaluator` with its version, and the version of the server that answers."""
+    """The parameters and setups of a campaign, `evaluator` with its version, the version of the server that answers, and the constraints on
+    results in words."""
 
     evaluator: str
     parameters: list[SearchedParameter]
     scenarios: list[ScenarioSetup]
     server: str
+    constraints: list[str] = Field(default_factory=list)

@@ -230,7 +230,7 @@ class ConstraintSpecification(GoalSpecification):
     @model_validator(mode="after")
     def _has_a_limit(self) -> Self:
         if (self.at_least is None) == (self.at_most is None):
-            raise ValueError("it has no limit, or two; give at_least or at_most")
+            raise ValueError(f"it has {'no limit' if self.at_least is None else 'two limits'}; give at_least or at_most")
         return self
 
 

@@ -13,19 +13,15 @@ from drivecal.domain.scales import MOST_BARS
 Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
 """A `score` is an integer or a number, depending on the campaign's scale."""
 _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", str: "text"}
-
-
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def spreadsheet_text(value: str) -> str:
     """Returns a text of a CSV file that no spreadsheet takes for a formula: with an apostrophe before it, unless it is a number."""
-    if not value.startswith(_FORMULA):
-        return value
     try:
         float(value)
     except ValueError:
-        return f"'{value}"
+        return f"'{value}" if value.startswith(_FORMULA) else value
     return value
 
 
@@ -61,8 +57,6 @@ LEAST_BINS = 7
 JSON_ONLY = "JSON only"
 """Mark of a field that no file has."""
 _JOINED = FileForm("text", " ".join)
-
-
 Keys = Mapping[str, Sequence[str] | Mapping[str, "Kind"]]
 """Keys of a row's mappings by field, with their kinds if they differ."""
 
@@ -188,7 +182,7 @@ class EvaluationRow(Answer):
 
 
 class Generation(Answer):
-    """An iteration of the calibration stage."""
+    """An iteration of the calibration stage. `mean` and `minimum`: of all its sets, also of those that break constraints."""
 
     iteration: int
     """Counted from 0; commands, page and report count iterations from 1."""
@@ -214,11 +208,14 @@ class Generation(Answer):
 
 
 class Solution(Answer):
-    """An evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery."""
+    """An evaluated parameter set; `rank` counts from 1, equal objectives are ordered by `rating`, then by discovery. Sets that keep the
+    constraints come first. `violation`: of the constraints, in shares; `constraints`: what each of them bounds, by its name."""
 
     rank: int
     objective: float
     rating: float
+    violation: float = 0.0
+    constraints: Annotated[dict[str, float], Spread("constraint_")] = Field(default_factory=dict)
     scores: Annotated[dict[str, Score], Spread("score_")]
     reused: list[str] = Field(default_factory=list)
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
@@ -245,7 +242,7 @@ class FrontRow(Answer):
     `alternatives`: sets with the same objectives, this one included. `knee`: it gives the most for what it costs; `best_in`: the objectives
     in which no set is better. `wins`: its share of all weightings of the objectives, scaled to the front, and `weights` the corners of that
     region; null for more than three objectives, and for more than 1,000 sets of three. `violation`: of the constraints, in shares; above 0
-    only if no set keeps them all. `degree`: that of the robustness stage if it examined the set.
+    only if no set keeps them all. `constraints`: what each of them bounds, by its name. `degree`: that of the robustness stage, if any.
     """
 
     rank: int
@@ -253,6 +250,7 @@ class FrontRow(Answer):
     weighted: float | None = None
     """The weighted sum of the scaled objectives, 0 to 1, if weights were given."""
     violation: float
+    constraints: Annotated[dict[str, float], Spread("constraint_")] = Field(default_factory=dict)
     knee: bool
     best_in: list[str]
     wins: float | None
@@ -260,6 +258,8 @@ class FrontRow(Answer):
     alternatives: int
     degree: int | None
     scores: Annotated[dict[str, Score], Spread("score_")]
+    values: Annotated[dict[str, float], Spread("value_")] = Field(default_factory=dict)
+    """Scores and measures of objectives and constraints in each scenario, by `NAME@SCENARIO`."""
     reused: list[str]
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     answers: Annotated[dict[str, str], Spread("answer_")] = Field(default_factory=dict)
@@ -397,4 +397,4 @@ SolutionPage = Page[Solution]
 _OTHER_COLUMNS = frozenset(
     name for model in (EvaluationRow, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields
 )
-_PREFIXES = ("score_", "objective_", "answer_", "measure_")
+_PREFIXES = ("score_", "objective_", "constraint_", "value_", "answer_", "measure_")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -70,6 +71,36 @@ def test_values_of_runs_are_scores_measures_and_the_worth_of_failed_runs() -> No
     assert GAP.value.of({"gap_m": None}, None) is None
     assert GAP.value.of({"gap_m": 3.0}, "collision") == 0.0
     assert CellValue(measure="gap_m").of({"gap_m": 3.0}, "collision") is None
+
+
+def test_constraints_of_one_name_are_told_apart() -> None:
+    goals = Goals((COMFORTABLE,), (ENOUGH, replace(ENOUGH, sign=-1, limit=50.0), replace(ENOUGH, name="gap 2")))
+    cells = {name: cell(1, name, 6.0, gap) for name, gap in (("S1", 4.0), ("S2", 60.0))}
+    judged = goals.judge(cells)
+    assert goals.named_bounds(judged) == {"gap": 4.0, "gap 2": 4.0, "gap 2 2": 4.0}
+    assert judged is not None
+    assert judged.violation == pytest.approx(2 * (5.0 - 4.0) / 5.0)
+
+
+def test_values_of_equal_names_are_told_apart_and_equal_values_named_once() -> None:
+    other = CellValue(measure="gap_m", failed=9.0)
+    goals = Goals((COMFORTABLE, GAP), (ENOUGH, replace(ENOUGH, value=other)))
+    cells = {
+        name: replace(cell(1, name, 6.0, gap), values={GAP.value.key: gap, other.key: gap + 1})
+        for name, gap in (("S1", 4.0), ("S2", 5.0))
+    }
+    assert goals.named_values(cells) == {"gap@S1": 4.0, "gap@S2": 5.0, "gap 2@S1": 5.0, "gap 2@S2": 6.0}
+    assert goals.value_names == list(goals.named_values(cells))
+
+
+def test_a_copied_score_that_only_a_constraint_needs_is_named() -> None:
+    bound = Bound("comfort", CellValue(COMFORT), {"S2": 1.0}, MEAN, 1, 5.0, 7.0)
+    goals = Goals((replace(COMFORTABLE, shares={"S1": 1.0}),), (bound,))
+    ranking = Ranking({"S1": 1.0, "S2": 0.0}, goals=goals)
+    ranking.add([cell(1, "S1", 6.0), cell(1, "S2", 4.0, own=False)])
+    (ranked_set,) = ranking.ranking()
+    assert (ranked_set.reused, ranked_set.objective) == (("S2",), 6.0)
+    assert ranked_set.shares_violated == pytest.approx(1 / 7)
 
 
 def test_goals_are_the_same_after_they_were_stored() -> None:

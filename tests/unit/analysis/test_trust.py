@@ -51,7 +51,7 @@ def test_a_confirmed_best_set_and_inspected_lots_are_green() -> None:
     judged = trust(campaign("predicted", notes=[f"{CONFIRMED}: 1 set tried"], released={"S1": NEAR}))
     assert judged.light == "green"
     assert [reason.about for reason in judged.reasons] == ["confirmation", "predictions"]
-    assert "1 had too many errors" in judged.reasons[1].text
+    assert "1 lot had too many errors" in judged.reasons[1].text
 
 
 def test_a_best_set_without_confirmation_is_red() -> None:
@@ -278,6 +278,17 @@ def test_a_search_that_its_first_iteration_decided_is_amber(
     assert [light for light, _ in about_the_search(campaign(**given), Search(course, {}))] == lights
 
 
+@pytest.mark.parametrize(
+    ("requested", "grid", "lights"),
+    [(54, 54, ["green"]), (48, 54, ["green"]), (30, 54, ["amber", "green"]), (900, 10**400, ["amber", "green"])],
+)
+def test_a_search_that_asked_for_nearly_all_sets_missed_little(requested: int, grid: int, lights: list[str]) -> None:
+    stalled = Search([(6.0, 6.0)] * 5, {}, requested, grid)
+    about = about_the_search(campaign(), stalled)
+    assert [light for light, _ in about] == lights
+    assert f"{requested:,}" in about[-1][1]
+
+
 @pytest.mark.parametrize(("objective", "scale", "is_doubted"), [(7.0, {}, False), (7.0, {"scale": COST}, True)])
 def test_the_highest_score_in_steps_is_not_doubted(objective: float, scale: dict[str, Any], is_doubted: bool) -> None:
     subject = campaign(best=BEST.model_copy(update={"objective": objective}), **scale)
@@ -287,7 +298,7 @@ def test_the_highest_score_in_steps_is_not_doubted(objective: float, scale: dict
 def test_values_at_an_end_of_their_range_are_named() -> None:
     best = BEST.model_copy(update={"parameters": {"P1": 0.5, "P2": 3.0, "P3": 1.0, "mode": "eco"}})
     ranges = {"P1": (0.5, 2.0), "P2": (1.0, 3.0), "P3": (0.0, 2.0)}
-    ((light, text),) = about_the_search(campaign(best=best), Search([(5.0, None), (6.0, None)], ranges))
+    ((light, text),) = about_the_search(campaign(best=best), Search([(6.0, None), (6.0, None)], ranges))
     assert light == "green"
     assert [name for name in (*ranges, "mode") if f"{name} (" in text] == ["P1", "P2"]
     assert about_the_search(campaign(best=best), Search([], {"P3": (0.0, 2.0)})) == []

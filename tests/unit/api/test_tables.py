@@ -97,7 +97,7 @@ def test_numbers_and_other_texts_are_written_as_they_are(text: str) -> None:
 
 
 def test_scores_have_whole_columns_on_whole_scales_only() -> None:
-    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": ["S1"], "parameters": {"P1": "number"}}
+    keys: dict[str, list[str] | dict[str, Kind]] = {"constraints": [], "scores": ["S1"], "parameters": {"P1": "number"}}
     for whole, kind in ((True, "integer"), (False, "number")):
         evaluation = {column.name: column.kind for column in EvaluationRow.file_columns({"P1": "number"}, whole_scores=whole)}
         solution = {column.name: column.kind for column in columns_of(Solution, keys, whole_scores=whole)}
@@ -115,7 +115,13 @@ def test_no_parameter_shares_a_column_with_anything_else(model: type[BaseModel])
     parameters: dict[str, Kind] = dict.fromkeys(
         [*OWN_NAMES, "score_S1", "objective_gap", "answer_S1", "measure_gap", "P1"], "number"
     )
-    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": ["S1"], "objectives": ["gap"], "answers": ["S1"]}
+    keys: dict[str, list[str] | dict[str, Kind]] = {
+        "scores": ["S1"],
+        "objectives": ["gap"],
+        "constraints": ["gap"],
+        "values": ["gap@S1"],
+        "answers": ["S1"],
+    }
     names = [column.name for column in columns_of(model, {**keys, "parameters": parameters})]
     evaluated = [column.name for column in EvaluationRow.file_columns(parameters)]
     assert len(set(names)) == len(names)

@@ -135,12 +135,14 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     assert [each.early for each in by_scenario.values()] == [1, 6]
     text = skipped_text(by_scenario)
     assert text is not None
-    early, late = text.split(";")
+    early, late, unsure = text.split(";")
     assert "S1 (1 of 6)" in early
     assert "S2 (6 of 6)" in early
     assert "S1 (1 of 6)" in late
     assert "S2" not in late
-    assert skipped_text({"S1": released.model_copy(update={"asked": 6, "early": 0})}) is None
+    assert "S1 (2 of 6)" in unsure
+    assert "S2" not in unsure
+    assert skipped_text({"S1": released.model_copy(update={"asked": 6, "early": 0, "lots": 6})}) is None
     assert (released.lots, released.rejected, released.predicted, released.sampled, released.different) == (2, 1, 100, 32, 3)
     assert released.seconds == 4.0
     assert released.upper_95 is not None

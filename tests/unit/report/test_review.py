@@ -168,7 +168,7 @@ def test_a_bound_that_excludes_nothing_is_no_number() -> None:
     released = {"S2": Released(lots=4, rejected=0, predicted=9, sampled=1, different=0, limit=0.05, upper_95=1.0)}
     known = reviewed()
     text = text_of(sheet(review(replace(known, campaign=known.campaign.model_copy(update={"released": released})))))
-    assert "S2 4 0 9 1 0 5.0% none" in text
+    assert "S2 4 0 9 1 0 5.0% no bound" in text
 
 
 def test_a_score_that_another_campaign_simulated_later_names_its_cell() -> None:

@@ -16,7 +16,7 @@ from drivecal.api.http import sessions
 from drivecal.api.http.problems import problem_response
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
-from drivecal.configuration.exposure import is_loopback
+from drivecal.configuration.exposure import is_this_machine
 from drivecal.configuration.pushing import FILE, HEADER, Pushing, signed_digest
 from drivecal.configuration.tokens import Token
 
@@ -189,9 +189,6 @@ def is_loopback_host(host: str) -> bool:
         name, port = host, ""
     if port and not (port.isascii() and port.isdecimal()):
         return False
-    if name.lower() == "localhost":
-        return True
-    try:
-        return is_loopback(name[1:-1] if name.startswith("[") and name.endswith("]") else name)
-    except ValueError:
-        return False
+    if name.startswith("[") and name.endswith("]"):
+        return ":" in name[1:-1] and is_this_machine(name[1:-1])
+    return is_this_machine(name)

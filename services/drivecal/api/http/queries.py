@@ -7,8 +7,11 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from drivecal.contracts.organising import Archived, Tag
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import InvalidInputError, Problem
 
 Form = Literal["json", "csv", "parquet"]
+
+Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 PARQUET = "application/vnd.apache.parquet"
 FORMS: dict[str, Form] = {
@@ -102,9 +105,28 @@ class FrontOf(TableOf, SummaryOf):
 
 
 class ImportanceOf(Parameters):
-    """The `scenario` whose score is explained; without it the objective."""
+    """The `scenario` whose score is explained; without it the objective. `weights` and `score` as of solutions."""
 
     scenario: Annotated[str, StringConstraints(min_length=1, max_length=200)] | None = None
+    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+    score: Annotated[str, StringConstraints(max_length=300)] | None = None
+
+
+class PlaceOf(Parameters):
+    """A set by a place in the search: `iteration` and `individual`, both counted from 0."""
+
+    iteration: Place | None = None
+    individual: Place | None = None
+
+    @property
+    def place(self) -> tuple[int, int] | None:
+        """The place; None if none is given. Raises InvalidInputError for half of one."""
+        if self.iteration is None and self.individual is None:
+            return None
+        if self.iteration is None or self.individual is None:
+            missing = "iteration" if self.iteration is None else "individual"
+            raise InvalidInputError(Problem(missing, "a set is named by iteration and individual", "give both, or neither"))
+        return self.iteration, self.individual
 
 
 class TradeOffOf(SummaryOf):
@@ -134,6 +156,7 @@ SummaryQuery = Annotated[SummaryOf, Query()]
 EvaluatedQuery = Annotated[EvaluatedOf, Query()]
 FrontQuery = Annotated[FrontOf, Query()]
 ImportanceQuery = Annotated[ImportanceOf, Query()]
+PlaceQuery = Annotated[PlaceOf, Query()]
 TradeOffQuery = Annotated[TradeOffOf, Query()]
 SubmissionQuery = Annotated[SubmissionOf, Query()]
 

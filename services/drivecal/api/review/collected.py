@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from urllib.parse import urlencode
 
-from drivecal.analysis.chosen import BesideBaseline, Chosen
-from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.responses import ROOT, calibration, campaign_answer
 from drivecal.api.routes import background
+from drivecal.api.tables.chosen import set_at
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
+from drivecal.campaigns.results.front import baseline_of, front_of
 from drivecal.contracts.campaign import Study, StudyName
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -85,6 +84,8 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
         raise InvalidInputError(Problem(choice.field, f"campaign {stored.id} has no set of rank {choice.rank}", remedy))
     made = background.list_studies(stored.id, database).items
     baseline = baseline_of(database, stored, front)
+    place = (chosen.iteration or 0, chosen.individual or 0)  # both are known: no set of another campaign is among them
+    in_question = set_at(database, stored, front, place, baseline)
     return ReviewedSet(
         campaign=campaign_answer(stored, now(), silent=None),
         setup=background.setup(stored.id, database),
@@ -92,30 +93,10 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
         chosen=chosen,
         cells=_cells(database, stored, chosen),
         summary=summary(front, baseline),
-        trust=background.trust_in(database, stored.id, front, _in_question(stored, front, chosen, baseline)),
+        trust=background.trust_in(database, stored.id, front, in_question),
         front=rows if several else (),
         robustness=_studied(database, made, "robustness", RobustnessRow),
         validation=_studied(database, made, "validation", ValidationRow),
-    )
-
-
-def _in_question(
-    stored: StoredCampaign, front: CampaignFront, chosen: Solution | FrontRow, baseline: EvaluatedSet | None
-) -> Chosen:
-    """Returns a set with its objectives beside the baseline's, for the light of its sheet."""
-    place = (chosen.iteration, chosen.individual)
-    judged = next((each for each in front.ranked if (each.iteration, each.individual) == place), None)
-    compared: list[BesideBaseline] = []
-    if judged and judged.judgement and baseline and baseline.judgement:
-        amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
-        compared = [BesideBaseline(goal.name, value, before, goal.sign, goal.unit) for goal, value, before in amounts]
-    return Chosen(
-        parameters=chosen.parameters,
-        compared=compared,
-        copied=chosen.reused,
-        violation=0.0 if judged is None else judged.shares_violated,
-        baseline_violation=0.0 if baseline is None else baseline.shares_violated,
-        is_best=stored.best is not None and stored.best.parameters == chosen.parameters,
     )
 
 

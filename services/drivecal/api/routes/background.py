@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
+from math import prod
 from typing import Any
 
 from fastapi import APIRouter
@@ -12,8 +13,10 @@ from drivecal.analysis.chosen import Chosen
 from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import ImportanceQuery
+from drivecal.api.http.queries import ImportanceQuery, PlaceQuery
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
+from drivecal.api.tables.chosen import set_at
+from drivecal.api.tables.front import bound_text
 from drivecal.api.tables.importance import importance
 from drivecal.api.tables.ranking import earlier_best, later_best
 from drivecal.campaigns.resolve.maps import measure
@@ -29,7 +32,7 @@ from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup
-from drivecal.storage import campaigns, generations, studies
+from drivecal.storage import campaigns, generations, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -55,15 +58,17 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
         parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
         scenarios=[_scenario(name, begun_with, documents, words) for name in begun_with.weights],
         server=version("drivecal"),
+        constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
     )
 
 
 @router.get("/importance")
 def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
-    """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search."""
+    """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search, under the campaign's
+    weights and score or others."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
-    return importance(database, campaign, resolved_spec(campaign), query.scenario)
+    return importance(database, campaign, resolved_spec(campaign), query)
 
 
 @router.get("/studies")
@@ -76,9 +81,16 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 
 
 @router.get("/trust")
-def read_trust(campaign_id: str, database: DatabaseDependency) -> TrustAnswer:
-    """A light for the campaign's result, green, amber or red, and the reasons in words, the gravest first."""
-    return trust_in(database, campaign_id)
+def read_trust(campaign_id: str, query: PlaceQuery, database: DatabaseDependency) -> TrustAnswer:
+    """A light for the campaign's result, or for the set at a place of its search, green, amber or red, and the reasons in words, the
+    gravest first."""
+    if query.place is None:
+        return trust_in(database, campaign_id)
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id), ", which needs no light")
+    front = front_of(database, campaign, resolved_spec(campaign))
+    chosen = set_at(database, campaign, front, query.place, baseline_of(database, campaign, front))
+    return trust_in(database, campaign_id, front, chosen)
 
 
 def trust_in(
@@ -144,7 +156,14 @@ def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
     searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
     ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
     course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
-    return Search(course, ranges)
+    whole = campaign.pruned_at is None and all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
+    grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
+    requested = campaign.cells.proposed // max(1, len(begun_with.weights))
+    is_exact = 100 * requested >= grid > 0  # else the share is negligible, and counting takes as long as reading the campaign
+    if is_exact:
+        scenario = next(iter(begun_with.weights))
+        requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION, scenario)
+    return Search(course, ranges, requested, grid, is_exact)
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:

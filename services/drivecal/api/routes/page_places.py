@@ -3,11 +3,11 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
-from pydantic import Field, StringConstraints
+from pydantic import StringConstraints
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.http.queries import Parameters, ViewsQuery
+from drivecal.api.http.queries import Parameters, Place, ViewsQuery
 from drivecal.api.responses import ROOT
 from drivecal.contracts.evaluation import CellAnswer
 from drivecal.contracts.organising import SavedView, SavedViewChanges, SavedViewList, SavedViewSpecification
@@ -16,8 +16,6 @@ from drivecal.storage.organising import saved_views
 from drivecal.storage.organising.saved_views import StoredView
 
 router = APIRouter(tags=["page"], route_class=StrictRoute)
-
-Place = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
 class CellOf(Parameters):

@@ -96,7 +96,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with, query.weights, query.score)
-    columns = _columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale))
+    columns = _columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
     return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
 
 
@@ -153,7 +153,11 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
 
 def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
-    keys: dict[str, list[str] | dict[str, Kind]] = {"scores": list(scenarios), "parameters": kinds_of(begun_with.space)}
+    keys: dict[str, list[str] | dict[str, Kind]] = {
+        "constraints": [] if begun_with.goals is None else begun_with.goals.bound_names,
+        "scores": list(scenarios),
+        "parameters": kinds_of(begun_with.space),
+    }
     return lambda: columns_of(model, keys, whole_scores=begun_with.scale.is_whole)
 
 

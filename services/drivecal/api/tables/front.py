@@ -7,7 +7,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.goals import Bound, Goal, Objective
 from drivecal.analysis.optima import distances
 from drivecal.analysis.robustness_difference import key_of
-from drivecal.analysis.solutions import EvaluatedSet
+from drivecal.analysis.solutions import EvaluatedSet, FrontMember
 from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.campaigns.results.front import EARLIER, CampaignFront, answers_of
@@ -52,6 +52,7 @@ def front_table(
                 objectives=dict(zip(names, amounts, strict=True)),
                 weighted=worths[place],
                 violation=solution.shares_violated,
+                constraints=front.goals.named_bounds(solution.judgement),
                 knee=front.knee == place,
                 best_in=[name for name, best in zip(names, front.extremes, strict=True) if best == place],
                 wins=None if winning is None else winning[place].share,
@@ -59,6 +60,7 @@ def front_table(
                 alternatives=member.alternatives,
                 degree=degrees.get(key_of(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
+                values=front.goals.named_values(member.cells),
                 reused=list(solution.reused),
                 answers=answers[solution.parameter_set],
                 parameters=parameters,
@@ -94,7 +96,7 @@ def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> Front
     ]
     return FrontSummary(
         objectives=listed,
-        constraints=[_bound_text(bound) for bound in front.goals.bounds],
+        constraints=[bound_text(bound) for bound in front.goals.bounds],
         evaluated=len(front.ranked),
         feasible=sum(solution.violation == 0 for solution in front.ranked),
         size=len(front.members),
@@ -116,13 +118,15 @@ def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline | N
     return FrontBaseline(
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
         violation=baseline.shares_violated,
+        constraints=front.goals.named_bounds(baseline.judgement),
         rank=vectors.index(alike) + 1 if front.holds(baseline) else None,
     )
 
 
 def trade_off(database: Database, front: CampaignFront, resolved: ResolvedSpec, first: int, second: int) -> TradeOff:
     """Returns how two sets of a front differ. Raises InvalidInputError for ranks that it does not have."""
-    solutions = [_of_rank(front, rank, field) for field, rank in (("first", first), ("second", second))]
+    members = [_of_rank(front, rank, field) for field, rank in (("first", first), ("second", second))]
+    solutions = [member.solution for member in members]
     with database.read() as connection:
         stored = parameter_sets.load(connection, [solution.parameter_set for solution in solutions])
     before, after = (stored[solution.parameter_set] for solution in solutions)
@@ -133,16 +137,20 @@ def trade_off(database: Database, front: CampaignFront, resolved: ResolvedSpec, 
         ValuePair(name=goal.name, first=own, second=other, gain=goal.sign * (other - own))
         for goal, own, other in zip(goals, *amounts, strict=True)
     ]
+    bounded = [front.goals.named_bounds(solution.judgement) for solution in solutions]
+    values = [front.goals.named_values(member.cells) for member in members]
     sign = resolved.scale.sign
     return TradeOff(
         first=first,
         second=second,
         objectives=compared,
+        constraints=[ValuePair(name=name, first=amount, second=bounded[1][name]) for name, amount in bounded[0].items()],
         scores=[
             ValuePair(name=name, first=plain(score), second=plain(other), gain=sign * (other - score))
             for name, score in solutions[0].scores.items()
             for other in [solutions[1].scores[name]]
         ],
+        values=[ValuePair(name=name, first=value, second=values[1].get(name)) for name, value in values[0].items()],
         parameters=[
             ValuePair(name=name, first=value, second=after.floats[name])
             for name, value in before.floats.items()
@@ -153,11 +161,11 @@ def trade_off(database: Database, front: CampaignFront, resolved: ResolvedSpec, 
     )
 
 
-def _of_rank(front: CampaignFront, rank: int, field: str) -> EvaluatedSet:
+def _of_rank(front: CampaignFront, rank: int, field: str) -> FrontMember:
     if not 1 <= rank <= len(front.members):
         message = f"the front has no set of rank {rank}"
         raise InvalidInputError(Problem(field, message, f"give 1 to {len(front.members)}"))
-    return front.members[rank - 1].solution
+    return front.members[rank - 1]
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:
@@ -185,7 +193,8 @@ def _aggregate_text(goal: Goal) -> str:
     return f"quantile {goal.aggregate.level:g}" if goal.aggregate.kind == "quantile" else goal.aggregate.kind
 
 
-def _bound_text(bound: Bound) -> str:
+def bound_text(bound: Bound) -> str:
+    """Returns a constraint in words."""
     sign = ">=" if bound.sign > 0 else "<="
     return f"{_aggregate_text(bound)} of {bound.name} {sign} {bound.limit:g} ({', '.join(bound.shares)})"
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from drivecal.analysis.importance import HELD_OUT, TREES, importances
+from drivecal.api.http.queries import ImportanceOf
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
 from drivecal.contracts.results import ImportanceAnswer, ParameterImportance
@@ -15,12 +16,13 @@ from drivecal.storage.references import parameter_sets
 METHOD = f"permutation importance: loss of R² on a held-out share of {HELD_OUT:.0%}, by a forest of {TREES} extremely randomised trees"
 
 
-def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, scenario: str | None) -> ImportanceAnswer:
-    """Returns the importance of each searched parameter. Raises InvalidInputError for an unknown scenario.
+def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:
+    """Returns the importance of each searched parameter. Raises InvalidInputError for an unknown scenario, and what `ranking` raises.
 
     Counts sets whose values are their own, by a simulation of that very set.
     """
-    ranked = ranking(database, campaign, resolved, None)
+    scenario = query.scenario
+    ranked = ranking(database, campaign, resolved, query.weights, query.score)
     if scenario is not None and scenario not in ranked.scenarios:
         problem = Problem("scenario", f"the campaign has no scenario {scenario!r}", f"one of {', '.join(ranked.scenarios)}")
         raise InvalidInputError(problem)

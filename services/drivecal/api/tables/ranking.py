@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection
 
 from drivecal.analysis.better_sets import Earlier, Later
-from drivecal.analysis.goals import SCORE, CellValue, valued_by
+from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.expressions import Formula
@@ -42,6 +42,7 @@ class CampaignRanking:
     ranked: Sequence[Ranked]
     scenarios: Sequence[str]
     scale: Scale
+    goals: Goals | None
 
     def __len__(self) -> int:
         return len(self.ranked)
@@ -59,6 +60,8 @@ class CampaignRanking:
                 parameters=sets[solution.parameter_set].floats,
                 scores=dict(solution.scores),
                 reused=list(solution.reused),
+                violation=solution.shares_violated,
+                constraints={} if self.goals is None else self.goals.named_bounds(solution.judgement),
                 iteration=solution.iteration,
                 individual=solution.individual,
             )
@@ -69,7 +72,8 @@ class CampaignRanking:
 def ranking(
     database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, weights: str | None, score: str | None = None
 ) -> CampaignRanking:
-    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one.
+    """Returns the ranking by the campaign's first objective, or under `weights` (`S1=2,S2=1`) by its score or another one. Sets that keep
+    the constraints come first.
 
     A copied score gives way to a later simulation of the very cell. Another score is computed from the measures of runs; sets with a cell
     that only a reference or a prediction answered have none. Raises InvalidInputError for unusable weights and unknown scores.
@@ -77,7 +81,9 @@ def ranking(
     used = resolved.weights if weights is None else given_weights(weights, list(resolved.weights), "scenario")
     other = None if score is None else _other_score(database, campaign, score, resolved.evaluator)
     scale = resolved.scale if other is None or other.scale is None else other.scale
-    goals = resolved.goals if weights is None and score is None else None
+    goals = resolved.goals
+    if goals is not None and (weights is not None or score is not None):
+        goals = _constrained(goals, used, scale, other)
     standing = Ranking(used, scale.sign, goals)
     with database.read() as connection:
         if other is None:
@@ -86,8 +92,17 @@ def ranking(
                 results.answers(connection, campaign.sequence, stage, corrected_by=corrected_by, valued=valued_by(goals))
             )
         else:
-            standing.add(_rated(connection, campaign, resolved.evaluator, other))
-    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale)
+            standing.add(_rated(connection, campaign, resolved.evaluator, other, goals))
+    return CampaignRanking(database, standing.ranking(), [name for name, weight in used.items() if weight > 0], scale, goals)
+
+
+def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score: CellValue | None) -> Goals | None:
+    """Returns the weighted mean of a score, by default the campaign's, under the constraints of the goals; None if they have none."""
+    if not goals.bounds:
+        return None
+    total = sum(weights.values())
+    shares = {name: weight / total for name, weight in weights.items() if weight > 0}
+    return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
 
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
@@ -167,21 +182,34 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
     if missing:
         message = f"runs of the campaign have no {', '.join(missing)}"
         raise InvalidInputError(Problem("score", message, f"a score of {', '.join(measures)}"))
-    return None if score_id(score, entry) == own else CellValue(entry.scale(score), entry.formula)
+    # by its full name: a constraint may bound a score of the same name by the formula of the campaign's own push
+    return None if score_id(score, entry) == own else CellValue(entry.scale(name), entry.formula)
 
 
-def _rated(connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue) -> Iterator[CellScore]:
-    """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing."""
+def _rated(
+    connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue, goals: Goals | None
+) -> Iterator[CellScore]:
+    """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing.
+    Values of `goals` may name the campaign's own score."""
 
     def rate(measures: Mapping[str, float | None], failure: str | None) -> dict[str, float]:
         score = value.of(measures, failure)
-        return {} if score is None else {value.key: score}
+        further = {} if goals is None else goals.values(measures, failure)
+        return further if score is None else further | {value.key: score}
+
+    bounds_own = goals is not None and any(bound.value.key == SCORE for bound in goals.bounds)
 
     for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
         score = cell.values.get(value.key)
         known = score is not None  # of a run of this very cell, or of one that it provably repeats
+        own = {} if cell.score is None else {SCORE: cell.score}
         yield replace(
-            cell, score=None if score is None else plain(score), rating=score, own=known, predicted=cell.predicted and not known
+            cell,
+            score=None if score is None else plain(score),
+            rating=score,
+            own=known and (cell.own or not bounds_own),
+            predicted=cell.predicted and not known,
+            values=own | dict(cell.values),
         )
 
 

@@ -1,5 +1,6 @@
 """Rows of a table by conditions on its columns: `outcome=reused`, `P1>=0.5`."""
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 
@@ -50,7 +51,7 @@ def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object
     parts = _CONDITION.fullmatch(condition)
     if parts is None:
         raise ValueError(f"{condition[:100]!r} is not a condition", _REMEDY)
-    name, sign, text = parts["column"].strip(), parts["sign"], parts["value"]
+    name, sign, text = (parts[part].strip() for part in ("column", "sign", "value"))
     column = known.get(name)
     if column is None or column.kind == "numbers":
         columns = ", ".join(other.name for other in known.values() if other.kind != "numbers")
@@ -64,6 +65,9 @@ def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object
             raise ValueError(f"{name} is true or false", f"write {name}=true or {name}=false")
         return name, sign, _TRUTH[text]
     try:
-        return name, sign, float(text)
+        number = float(text)
     except ValueError:
-        raise ValueError(f"{text[:100]!r} is not a number", f"write {name}{sign}NUMBER") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:100]!r} is not a number", f"write {name}{sign}NUMBER")
+    return name, sign, number

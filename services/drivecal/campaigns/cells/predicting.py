@@ -369,14 +369,16 @@ def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: in
 
 
 def skipped_text(released: Mapping[str, Released]) -> str | None:
-    """Returns a note on scenarios whose predictor was asked in fewer than all batches; None if there is none."""
+    """Returns a note on scenarios whose predictor made no lot in some batches; None if there is none."""
     early = {name: each.early for name, each in released.items()}
     late = {name: each.batches - each.asked - each.early for name, each in released.items()}
+    unsure = {name: each.asked - each.lots for name, each in released.items()}
     parts = [
         f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
         for reason, counts in (
             ("because too little was known yet, or every answer was known", early),
             ("because predicting would have cost more than it saves, or every answer was known", late),
+            ("because no prediction was sure enough", unsure),
         )
         if any(counts.values())
     ]

@@ -101,6 +101,7 @@ class CalibrationProblem:
         phases = {} if analysis is None else analysis.expected_runs()
         intervals = phases.get("intervals", 0) * len(self.scenarios)
         return ExpectedRuns(
+            problem=self.specification.problem,
             sensitivity=intervals,
             sensitivity_at_most=sum(phases.values()) * len(self.scenarios),
             calibration_proposed=proposed,
@@ -166,6 +167,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     workbench = find_workbench(specification, bundles, diagnostics)
     optimization = resolvers.choose_optimizer(specification, diagnostics)
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
+    if notes and (specification.objectives or specification.constraints):
+        notes += ("objectives and constraints leave these scenarios out as well",)
     notes += resolvers.note_vehicle(workbench.vehicle, workbench.vehicle_parameters)
     notes += resolvers.note_threshold(specification)
     notes += workbench.notes

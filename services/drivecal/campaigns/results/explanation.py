@@ -282,6 +282,8 @@ def _explanation(
         outcome=cell.outcome,
         score=cell.score,
         failure=cell.failure,
+        parameters=cell.parameters.floats,
+        attempts=cell.attempts,
         detail=cell.detail,
         reason=reason,
         sentence="",

@@ -22,8 +22,9 @@ from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, R
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
+from drivecal.optimizers.checks import checked_proposal
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaigns, events, generations, results
@@ -62,6 +63,8 @@ class Calibration(CampaignStage):
         self._before = CellCounts()
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
+        self._evaluated: Indices | None = None
+        """The last population with all its answers."""
         self._optimizer: Optimizer | None = None
         self._batches: list[list[int]] = []
         """Individuals of the current generation that have not been requested."""
@@ -140,6 +143,7 @@ class Calibration(CampaignStage):
         self._iteration = last.iteration
         if last.finished:
             self._answers.inform(optimizer)
+            self._evaluated = np.array(last.population, dtype=np.int64)
         else:
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
             self._batches = self._split(last.iteration, self._proposal)
@@ -149,7 +153,9 @@ class Calibration(CampaignStage):
     def _propose(self) -> Round:
         if self._optimizer is None:
             raise RuntimeError("the stage has not started")
-        self._proposal = self._optimizer.ask()
+        count, n_values = self._optimization.population, self._area.n_values
+        name = self._optimization.plugin.name
+        self._proposal = checked_proposal(name, self._optimizer.ask(), count, n_values, self._evaluated)
         self._iteration = 0 if self._iteration is None else self._iteration + 1
         self._batches = self._split(self._iteration, self._proposal)
         carried_over = int((~self._proposal.changed).sum()) * len(self._problem.scenarios)
@@ -276,6 +282,7 @@ class Calibration(CampaignStage):
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
         self._answers.inform(self._optimizer)
+        self._evaluated = None if self._proposal is None else self._proposal.population
         self._proposal = None
 
     def _check_reuse(self, connection: Connection, iteration: int) -> None:

@@ -78,7 +78,9 @@ class PopulationAnswers:
         for individual, cells in enumerate(self._cells):
             judgement = self._goals.judge(cells)
             if judgement is not None:
-                amounts[individual], violations[individual] = judgement.amounts, judgement.violation
+                amounts[individual] = judgement.amounts
+                # As in rankings: a set that meets a limit exactly keeps it, whatever rounding says.
+                violations[individual] = judgement.violation if judgement.broken else 0.0
         return amounts, violations
 
     def _weighted(self, values: Floats) -> Floats:

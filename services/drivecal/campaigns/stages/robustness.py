@@ -210,7 +210,7 @@ class RobustnessStage(StudyStage):
             key=lambda number: (
                 -known[number].degree,
                 self._violation(number),
-                -_known(sign * float(objectives[number])),
+                -_known(sign * round(float(objectives[number]), 9)),
                 -known[number].radius,
                 -_known(sign * float(ratings[number])),
                 number,

@@ -62,7 +62,8 @@ def sureness(review: Review) -> list[str]:
         parts.append(subheading(f"Trust{label}"))
         parts.append(paragraph(f"Light: {trust.light or 'open until the end'}.", "light"))
         parts.append(bullets(f"{reason.light}: {reason.text}" for reason in trust.reasons))
-        parts.append(command(f"drivecal show {reviewed.campaign.id}"))
+        place = f"iteration={reviewed.chosen.iteration}&individual={reviewed.chosen.individual}"
+        parts.append(command(f'curl "$DRIVECAL_URL/api/v1/campaigns/{reviewed.campaign.id}/trust?{place}"'))
     for label, reviewed in review.campaigns().items():
         parts += [*_lots(reviewed, label), *_audits(reviewed, label), *_validations(reviewed, label)]
     return parts
@@ -83,7 +84,7 @@ def _lots(reviewed: ReviewedSet, label: str) -> list[str]:
     header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
     caption = (
         f"Lots of predicted answers{label}; limit: of the expected errors released for each prediction in a lot; bound: of the share of "
-        "errors among released answers, none if too few were compared. A set with a predicted score is not ranked"
+        "errors among released answers. A set with a predicted score is not ranked"
     )
     note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []
     return [table(header, rows, caption), *note, command(f"drivecal show {campaign.id}")]
@@ -101,10 +102,7 @@ def _audits(reviewed: ReviewedSet, label: str) -> list[str]:
     if not rows:
         return []
     header = ["scenario", "audited", "different", "wrong", "95 % bound", "lots", "rejected", "reuse"]
-    caption = (
-        f"Audits of copied scores{label}: copies that were simulated all the same; bound: of the share of wrong ones, none if too few were "
-        "compared"
-    )
+    caption = f"Audits of copied scores{label}: copies that were simulated all the same; bound: of the share of wrong ones"
     return [table(header, rows, caption), command(f"drivecal show {reviewed.campaign.id}")]
 
 

@@ -43,9 +43,9 @@ def _warnings(review: Review) -> list[str]:
         if each.chosen.reused
     ]
     broken = [
-        f"{sections.described(each).capitalize()} breaks constraints by {violation:.3g}."
+        f"{sections.described(each).capitalize()} breaks constraints by {violation:.1%}."
         for each in review.sets.values()
-        if (violation := getattr(each.chosen, "violation", 0.0)) > 0
+        if (violation := each.chosen.violation) > 0
     ]
     told = [text for each in review.sets.values() for text in (each.campaign.error, *each.campaign.notes) if text]
     return list(dict.fromkeys([*drafts, *copied, *broken, *told]))

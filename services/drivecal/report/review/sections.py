@@ -129,6 +129,7 @@ def result(review: Review) -> list[str]:
     parts = [
         table(["objective", "baseline", *review.columns, *_differences(review)], rows, "Objectives of the chosen set"),
         command(review.commands(_ranking)),
+        *_constrained(review),
     ]
     scenarios = list(dict.fromkeys(name for each in review.sets.values() for name in each.chosen.scores))
     scores = []
@@ -155,6 +156,25 @@ def result(review: Review) -> list[str]:
         command(review.commands(_drives)),
         *_baseline_command(review.first),
     ]
+
+
+def _constrained(review: Review) -> list[str]:
+    """Returns the constrained amounts of the chosen sets beside the baseline's; nothing without constraints."""
+    bounds = list(dict.fromkeys(name for each in review.sets.values() for name in each.chosen.constraints))
+    if not bounds:
+        return []
+    baseline = review.first.summary.baseline
+    rows = [
+        _compared(
+            review,
+            name,
+            None if baseline is None else baseline.constraints.get(name),
+            {label: each.chosen.constraints.get(name) for label, each in review.sets.items()},
+        )
+        for name in bounds
+    ]
+    header = ["constraint on", "baseline", *review.columns, *_differences(review)]
+    return [table(header, rows, "Constrained amounts of the chosen set"), command(review.commands(_ranking))]
 
 
 def _baseline_of(reviewed: ReviewedSet, name: str) -> float | None:

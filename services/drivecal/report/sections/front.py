@@ -23,9 +23,13 @@ def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: st
     caption += f"; {left_out}" if (left_out := left_out_of_front(kept, rows)) else ""
     if any(row.reused for row in kept):
         caption += ". A star: a score is that of a reference"
-    header = ["rank", *rows[0].objectives, "", *rows[0].parameters]
+    header = ["rank", *rows[0].objectives, *rows[0].constraints, "", *rows[0].parameters]
     cells = [
-        [row.rank, *(Number(f"{amount:.6g}") for amount in row.objectives.values()), front_marks(row), *row.parameters.values()]
+        [
+            row.rank,
+            *(Number(f"{amount:.6g}") for amount in (*row.objectives.values(), *row.constraints.values())),
+            *(front_marks(row), *row.parameters.values()),
+        ]
         for row in kept
     ]
     return [

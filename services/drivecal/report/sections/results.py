@@ -7,7 +7,7 @@ from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
 from drivecal.domain.scales import told, unit_text
 from drivecal.report.data import ReportData
 from drivecal.report.markup import bullets, paragraph, table
-from drivecal.report.rows import Number, errors_text, fixed, range_text, totals
+from drivecal.report.rows import Number, errors_text, fixed, percent, range_text, totals
 from drivecal.report.sections import reuse, search
 
 SHOWN = 20
@@ -121,10 +121,13 @@ def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow])
         return ""
     known = {optimum.rank: optimum for optimum in optima}
     first, shown = solutions[0], solutions[:SHOWN]
+    broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in shown) else []
     rows = [
         [
             *(solution.rank, fixed(solution.objective, 4), fixed(solution.rating, 3)),
             known[solution.rank].region if solution.rank in known else None,
+            *(percent(solution.violation or None, 1) for _ in broken),
+            *(Number(f"{amount:.6g}") for amount in solution.constraints.values()),
             *(Number(f"{told(score)}*" if name in solution.reused else told(score)) for name, score in solution.scores.items()),
             *solution.parameters.values(),
         ]
@@ -137,4 +140,5 @@ def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow])
     )
     if any(solution.reused for solution in shown):
         caption += ". A star: the score is that of a reference, this very set was not simulated there"
-    return table(["rank", "objective", "rating", "region", *first.scores, *first.parameters], rows, caption)
+    header = ["rank", "objective", "rating", "region", *broken, *first.constraints, *first.scores, *first.parameters]
+    return table(header, rows, caption)
