@@ -218,3 +218,13 @@ def test_evaluations_that_a_pruning_removed_are_not_offered_to_be_read(shown: Sh
     total = len(shown.api.http.get(f"/api/v1/campaigns/{shown.first.id}/evaluations?limit=1000").json()["items"])
     expect(page.get_by_text(f"{total - 10} evaluations were removed. The campaign was pruned on 03/02/2026")).to_be_visible()
     expect(page.get_by_role("button", name="Read them")).to_have_count(0)
+
+
+def test_how_a_view_is_drawn_changes_no_question_to_the_server(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.first, "evaluations"))
+    expect(page.get_by_role("grid")).to_be_visible()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if re.search("/setup|/views", request.url) else None)
+    page.get_by_role("slider", name="Opacity").fill("2.5")
+    page.wait_for_url(re.compile("opacity="))
+    assert asked == []

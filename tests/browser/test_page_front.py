@@ -222,7 +222,7 @@ def test_what_is_kept_of_the_front_is_what_is_exported(shown: Shown, opening: Op
     page.get_by_role("button", name="CLI").last.click()
     command = page.locator("pre").last
     expect(command).to_contain_text(f"drivecal export {shown.two[:8]} --table front")
-    expect(command).to_contain_text("--where 'objective_heave<=")
+    expect(command).to_contain_text('--where "objective_heave<=')
     page.get_by_role("button", name="DCM").click()
     expect(page.locator("pre").first).to_contain_text("--table front --row")
     page.get_by_role("button", name="Show all again").click()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from time import sleep
 
 import pytest
 from playwright.sync_api import Browser, CDPSession, Locator, Page, expect
@@ -13,6 +14,8 @@ from tests.support.runs import SMALL, run, submit
 from tests.support.server import RunningApi, serving
 
 from drivecal.storage.campaigns import StoredCampaign
+
+RESTING_SECONDS = 0.3
 
 
 @dataclass(frozen=True)
@@ -61,10 +64,11 @@ def middle(place: Locator) -> tuple[float, float]:
 
 
 def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
-    """Draws a finger down by so many pixels."""
+    """Draws a finger down by so many pixels and rests it there: after a fling, the browser takes the next tap as one that stops it."""
     fingers.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
     for step in range(1, 11):
         fingers.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + by * step / 10}]})
+    sleep(RESTING_SECONDS)
     fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
@@ -109,6 +113,7 @@ def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, 
     expect(axis).not_to_have_attribute("aria-valuetext", "all")
     assert abs(touched.evaluate("scrollY") - scrolled) < 40
     axis.tap()
+    expect(touched.get_by_text("Drag along P1")).to_be_visible()
     axis.tap()
     expect(axis).to_have_attribute("aria-valuetext", "all")
 

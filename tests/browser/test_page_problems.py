@@ -274,7 +274,7 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
     page.get_by_text("Export", exact=True).first.click()
     with page.expect_download() as table:
         page.get_by_role("link", name="solutions as CSV").click()
-    assert table.value.path().read_text().startswith("rank,objective,rating,score_winter,score_spring")
+    assert table.value.path().read_text().startswith("rank,objective,rating,violation,score_winter,score_spring")
     with page.expect_download() as best:
         page.get_by_role("button", name="best set as CSV").click()
     assert best.value.path().read_text().splitlines()[0] == "parameter,value,unit"

@@ -132,6 +132,15 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         expect(page.get_by_text("Finished.")).to_be_visible()
         page.goto(f"{api.url}/#/evaluations/1")
         expect(page.get_by_text("Your token is read-only.")).to_be_visible()
+        page.goto(f"{api.url}/#/submit")
+        with page.expect_response(re.compile("validate_only")):
+            page.get_by_label("population").fill("7")
+        page.context.clear_cookies()  # the session ends
+        page.get_by_label("population").fill("77")
+        page.get_by_label("Token").fill(TOKEN)
+        page.get_by_role("button", name="Log in").click()
+        expect(page.get_by_label("population")).to_have_value("77")
+        expect(page.get_by_text("anna (may read)")).to_be_visible()
         kept = page.evaluate("JSON.stringify([document.cookie, {...localStorage}, {...sessionStorage}])")
         assert json.loads(kept) == ["", {}, {}]
         page.get_by_role("button", name="Log out").click()

@@ -298,6 +298,12 @@ def test_a_table_of_any_length_is_scrolled_row_by_row(shown: Shown, opening: Ope
     grid.press("End")
     last = page.locator("[role=row][aria-selected=true]")
     expect(last).to_have_attribute("aria-rowindex", str(rows_shown(page)[0] + 1))
+    expect(grid).to_have_attribute("aria-activedescendant", last.get_attribute("id") or "")
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("columnheader", name="scenario")).to_have_attribute("aria-sort", "ascending")
+    expect(last).to_be_in_viewport()  # also after the order has changed
     grid.press("Enter")
     expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation")
 

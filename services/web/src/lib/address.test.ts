@@ -31,4 +31,11 @@ describe("an address", () => {
     });
     expect(brushText([0.1 + 0.2, Infinity])).toBe("0.3:");
   });
+
+  test("holds every row at an end of a range: ends are rounded only outwards", () => {
+    for (const [low, high] of [[0.12345678, 87.6543219], [-2 / 3, 2 / 3], [-87.6543219, -0.12345678], [1 / 3, 1234567.8]] as const) {
+      const [from, to] = brushes({ "b.P1": brushText([low, high]) })["P1"] ?? [NaN, NaN];
+      expect(from <= low && high <= to && to - from <= (high - low) * 1.001, `${low} to ${high}`).toBe(true);
+    }
+  });
 });

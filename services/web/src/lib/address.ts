@@ -47,7 +47,12 @@ export function brushes(query: Readonly<Record<string, string>>): Record<string,
   return ranges;
 }
 
+/** Ends are rounded only outwards: a row at an end stays in its range. */
 export function brushText([low, high]: readonly [number, number]): string {
-  const end = (value: number): string => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
-  return `${end(low)}:${end(high)}`;
+  const end = (value: number, outwards: 1 | -1): string => {
+    if (!Number.isFinite(value)) return "";
+    const short = Number(value.toPrecision(6));
+    return String(outwards * short >= outwards * value ? short : value);
+  };
+  return `${end(low, -1)}:${end(high, 1)}`;
 }

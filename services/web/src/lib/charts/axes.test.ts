@@ -35,9 +35,16 @@ test("a range of a choice keeps its texts", () => {
 test("a selection is written as conditions of the API", () => {
   const axes = parameterAxes(table(), ["T", "mode"], PARAMETERS);
   expect(conditions({ words: { stage: ["calibration", "validation"] }, ranges: { T: [1, Infinity], mode: [0, 1], score: [-Infinity, 50] }, axes })).toEqual([
-    "stage=calibration", "stage=validation", "T>=1", "mode=eco", "mode=normal", "score<=50",
+    "stage=calibration", "stage=validation", "mode=eco", "mode=normal", "T>=1", "score<=50",
   ]);
   expect(conditions({ words: { stage: [] }, ranges: { mode: [0.2, 0.4] }, axes })).toEqual(["mode="]);
+});
+
+test("a choice that is kept by words and by a range has the rows of both in a file as well", () => {
+  const axes = parameterAxes(table(), ["mode"], PARAMETERS);
+  const both = (mode: string[], range: [number, number]) => conditions({ words: { mode }, ranges: { mode: range }, axes });
+  expect(both(["eco", "sport"], [0, 1])).toEqual(["mode=eco"]);
+  expect(both(["sport"], [0, 1])).toEqual(["mode="]);
 });
 
 test("the axis of a score holds what lies beyond its usual range, and less is brighter where less is better", () => {

@@ -16,11 +16,17 @@ test("a field has the mean, the best and the number of its rows, and no field wi
   const values = Float64Array.of(2, 4, 9, NaN, 1);
   const grid = gridOf(rows(5), xs, ys, values, AXIS, AXIS, 1);
   expect(grid.fields).toEqual([
-    { column: 0, line: 0, rows: 2, mean: 3, best: 4 },
-    { column: 11, line: 11, rows: 1, mean: 9, best: 9 },
+    { column: 0, line: 0, rows: 2, mean: 3, best: 4, across: [0.5, 0.9], up: [0.1, 0.5] },
+    { column: 11, line: 11, rows: 1, mean: 9, best: 9, across: [12, 12], up: [12, 12] },
   ]);
   expect(grid.left).toBe(2);
   expect(gridOf(rows(2), xs, ys, values, AXIS, AXIS, -1).fields[0]?.best).toBe(2);
+});
+
+test("the range of a field has its rows alone, also if those of the next lie on the end between both", () => {
+  const on = Float64Array.of(1, 1.5, 2, 3);
+  const { fields } = gridOf(rows(4), on, on, on, AXIS, AXIS, 1);
+  for (const { across: [low, high], rows: count } of fields) expect(on.filter((value) => value >= low && value <= high)).toHaveLength(count);
 });
 
 test("every row lies in a field or is counted as left out, wherever it lies", () => {

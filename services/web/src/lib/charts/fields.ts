@@ -11,6 +11,9 @@ export interface Field {
   rows: number;
   mean: number;
   best: number;
+  /** From the least to the largest value of its rows on each axis: the rows of the next field begin at the field's end. */
+  across: [number, number];
+  up: [number, number];
 }
 
 export interface Grid {
@@ -41,7 +44,7 @@ function partOf(ends: readonly number[], value: number): number {
 /** The rows in a grid over both axes. `sign`: 1 if more is better, else -1. */
 export function gridOf(rows: Uint32Array, xs: Float64Array, ys: Float64Array, values: Float64Array, across: Ends, up: Ends, sign: number): Grid {
   const [x, y] = [parts(across), parts(up)];
-  const sums = new Map<number, { rows: number; sum: number; best: number }>();
+  const sums = new Map<number, Pick<Field, "rows" | "best" | "across" | "up"> & { sum: number }>();
   let left = 0;
   rows.forEach((row) => {
     const [a, b, value] = [xs[row] ?? NaN, ys[row] ?? NaN, values[row] ?? NaN];
@@ -51,13 +54,15 @@ export function gridOf(rows: Uint32Array, xs: Float64Array, ys: Float64Array, va
     }
     const place = partOf(y, b) * (x.length - 1) + partOf(x, a);
     const known = sums.get(place);
-    if (known === undefined) sums.set(place, { rows: 1, sum: value, best: value });
+    if (known === undefined) sums.set(place, { rows: 1, sum: value, best: value, across: [a, a], up: [b, b] });
     else {
       known.rows += 1;
       known.sum += value;
       if (sign * value > sign * known.best) known.best = value;
+      known.across = [Math.min(known.across[0], a), Math.max(known.across[1], a)];
+      known.up = [Math.min(known.up[0], b), Math.max(known.up[1], b)];
     }
   });
-  const fields = [...sums].map(([place, { rows: count, sum, best }]): Field => ({ column: place % (x.length - 1), line: Math.floor(place / (x.length - 1)), rows: count, mean: sum / count, best }));
+  const fields = [...sums].map(([place, { sum, ...field }]): Field => ({ ...field, column: place % (x.length - 1), line: Math.floor(place / (x.length - 1)), mean: sum / field.rows }));
   return { x, y, fields, left };
 }

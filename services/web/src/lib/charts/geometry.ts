@@ -22,6 +22,14 @@ export function lastBefore(times: readonly number[], moment: number): number {
   return low - 1;
 }
 
+/** The index of the place nearest to a moment; null without places. */
+export function nearestTo(places: readonly number[], moment: number): number | null {
+  if (places.length === 0) return null;
+  const before = Math.max(0, lastBefore(places, moment));
+  const next = places[before + 1];
+  return next !== undefined && next - moment < moment - (places[before] as number) ? before + 1 : before;
+}
+
 /** A series at a moment, between its values as between points of a line; its first and last value beyond its ends. */
 export function at(times: readonly number[], values: readonly number[], moment: number): number {
   const before = lastBefore(times, moment);

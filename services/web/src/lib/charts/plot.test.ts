@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { across, floors, legend, logTicks, outline, reach, scales, spansDecades, type Frame, type Series } from "./plot";
+import { across, floors, legend, logTicks, numbersOf, outline, reach, scales, spansDecades, valueNear, type Frame, type Series } from "./plot";
 
 const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5], log: false };
 const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
@@ -39,4 +39,12 @@ test("counts of one size need no logarithmic scale", () => {
 
 test("runs of one group have one entry in the legend", () => {
   expect(legend([line([], { group: "x" }), line([], { group: "x" }), line([])]).length).toBe(2);
+});
+
+test("lines with places of their own are read at those, and nowhere else", () => {
+  const line = (x: number[], values: number[]): Series => ({ name: "v", colour: "", x, values });
+  const longest = [0, 1, 2, 3, 4];
+  expect([0.9, 2.2, 3].map((moment) => valueNear(line([0, 2], [5, 7]), longest, moment))).toEqual([5, null, null]);
+  expect([valueNear({ name: "v", colour: "", values: [1, 2, 3, 4, 5] }, longest, 2.6), valueNear(line([], []), longest, 1), valueNear(line([0, 0.5, 1], [1, 2, 3]), longest, 1)]).toEqual([4, null, 3]);
+  expect(numbersOf([line([0, 2], [5, 7])], longest, "time / s", "m")).toEqual({ head: ["line", "time / s", "m"], rows: [["v", 0, 5], ["v", 2, 7]] });
 });

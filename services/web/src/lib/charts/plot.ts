@@ -1,6 +1,7 @@
 /** Where the marks of a chart lie: scales, ticks and paths, in pixels from the upper left corner. */
 
-import { ticks } from "./geometry";
+import type { Sheet } from "../server/csv";
+import { nearestTo, ticks } from "./geometry";
 
 export interface Series {
   name: string;
@@ -134,6 +135,19 @@ export function outline(line: Series, x: readonly number[], floor: readonly numb
 export function spansDecades(counts: readonly number[]): boolean {
   const seen = counts.filter((count) => count > 0);
   return seen.length > 1 && Math.max(...seen) > 50 * Math.min(...seen);
+}
+
+/** The value of a line near a moment; null outside of places of its own. */
+export function valueNear(line: Series, x: readonly number[], moment: number): number | null {
+  const at = nearestTo(line.x ?? x, moment);
+  const isOutside = line.x !== undefined && (moment < (line.x[0] ?? 0) || moment > (line.x.at(-1) ?? 0));
+  return at === null || isOutside ? null : (line.values[at] ?? null);
+}
+
+/** The numbers of a chart: a row for each place, or for each value of each line if lines have places of their own. */
+export function numbersOf(series: readonly Series[], x: readonly number[], xTitle: string, yTitle: string): Sheet {
+  if (series.every((line) => line.x === undefined)) return { head: [xTitle, ...series.map((line) => line.name)], rows: x.map((value, at) => [value, ...series.map((line) => line.values[at] ?? null)]) };
+  return { head: ["line", xTitle, yTitle], rows: series.flatMap((line) => line.values.map((value, at) => [line.name, (line.x ?? x)[at] ?? null, value])) };
 }
 
 /** What the legend lists: each group once. */

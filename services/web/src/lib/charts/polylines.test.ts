@@ -8,6 +8,12 @@ test("a height and its value belong together", () => {
   expect([valueAt(AXIS, -100), valueAt(AXIS, 10_000)]).toEqual([10, -10]);
 });
 
+test("a drag beyond the end of an axis takes the end itself, not what is left of it in floating point", () => {
+  const axis = { ...AXIS, lower: -10, upper: 0.1 };
+  expect(axis.lower + (axis.upper - axis.lower)).toBeLessThan(axis.upper);
+  expect([valueAt(axis, -100), valueAt(axis, 10_000)]).toEqual([0.1, -10]);
+});
+
 test("keys move one end of a range, and never past the other or the axis", () => {
   expect(moved(AXIS, undefined, -1, "upper")).toEqual([-10, 9]);
   expect(moved(AXIS, [0, 0.5], -1, "upper")).toEqual([0, 0]);

@@ -30,8 +30,8 @@ export function heightOf(axis: Axis, value: number): number {
 
 /** The value at a height, at most at an end of the axis. */
 export function valueAt(axis: Axis, height: number): number {
-  const share = 1 - (height - TOP) / (HEIGHT - TOP - BOTTOM);
-  return axis.lower + Math.min(1, Math.max(0, share)) * (axis.upper - axis.lower);
+  const share = Math.max(0, 1 - (height - TOP) / (HEIGHT - TOP - BOTTOM));
+  return share >= 1 ? axis.upper : axis.lower + share * (axis.upper - axis.lower);
 }
 
 /** A range of an axis with one of its ends moved by so many steps of a twentieth, or of a choice, within the axis. */

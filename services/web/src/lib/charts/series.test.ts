@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { beside, chartsOf, timeOf } from "./series";
+import { beside, chartsOf, reportsBeside, timeOf } from "./series";
 
 test("series are drawn over the time that the simulator reports", () => {
   expect(timeOf({ speed: [1, 2], time: [0, 0.1] })).toBe("time");
@@ -28,4 +28,23 @@ test("runs beside each other keep their own times, and share the longest", () =>
   const chart = beside("Speed", "m/s", [{ name: "best", colour: "a", x: [0, 1], values: [3, 4] }, { name: "baseline", colour: "b", x: [0, 1, 2], values: [3, 2, 1] }]);
   expect(chart.x).toEqual([0, 1, 2]);
   expect(chart.series.map((line) => [line.name, line.x?.length, line.dash !== undefined])).toEqual([["best", 2, false], ["baseline", 3, true]]);
+});
+
+const run = (title: string, reported: Record<string, number[]>) => ({ title, colour: "a", reported });
+
+test("what runs report is drawn beside each other, each over its own time, in its unit", () => {
+  const { charts, left } = reportsBeside([run("best", { t: [0, 1], speed: [3, 4] }), run("baseline", { t: [0, 0.5, 1], speed: [3, 2, 1] })], { t: "ms", speed: "m/s" });
+  expect(charts).toMatchObject([{ xTitle: "time / ms", yTitle: "m/s", x: [0, 0.5, 1], series: [{ name: "best", x: [0, 1] }, { name: "baseline", x: [0, 0.5, 1] }] }]);
+  expect(left).toBe("");
+});
+
+test("what is not drawn beside each other is counted, with its reason", () => {
+  const many = Object.fromEntries(Array.from({ length: 8 }, (_, place) => [`v${place}`, [1, 2]]));
+  const long = reportsBeside([run("best", { time: [0, 1], ...many, events: [1, 2, 3] })], {});
+  expect([long.charts.length, long.charts.some(({ title }) => title === "events")]).toEqual([6, false]);
+  expect(long.left).toMatch(/^6 of 9 series are drawn; 1 have/);
+  const untimed = reportsBeside([run("best", { speed: [1, 2] })], {});
+  expect(untimed.charts).toEqual([]);
+  expect(untimed.left).toContain("time_s");
+  expect(reportsBeside([], {})).toEqual({ charts: [], left: "" });
 });

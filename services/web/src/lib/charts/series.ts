@@ -17,6 +17,8 @@ const TIMES = ["time", "time_s", "t", "t_s"];
 /** Series of one unit share a chart unless the smaller of them would be a flat line on it. */
 const FLAT = 6;
 const MOST_LINES = 6;
+/** Charts of two runs beside each other. */
+const MOST_CHARTS = 6;
 
 /** The series over which the others are drawn: a time that never goes back. Null if there is none. */
 export function timeOf(series: Reported): string | null {
@@ -51,13 +53,30 @@ export function chartsOf(series: Reported, units: Readonly<Record<string, string
 }
 
 /** A chart of one quantity of several runs, each with times of its own. */
-export function beside(title: string, unit: string, runs: readonly { name: string; colour: string; x: readonly number[]; values: readonly number[] }[]): SeriesChart {
+export function beside(title: string, unit: string, runs: readonly { name: string; colour: string; x: readonly number[]; values: readonly number[] }[], timeUnit = "s"): SeriesChart {
   const x = runs.reduce<readonly number[]>((longest, run) => (run.x.length > longest.length ? run.x : longest), []);
   return {
     title,
-    xTitle: "time / s",
+    xTitle: `time / ${timeUnit}`,
     yTitle: unit,
     x,
     series: runs.map((run, place) => ({ name: run.name, values: run.values, colour: run.colour, x: run.x, ...(place === 0 ? {} : { dash: "6 3" }) })),
   };
+}
+
+/** Charts of what several runs report, each over its own time; `left`: what is not drawn, in words. */
+export function reportsBeside(runs: readonly { title: string; colour: string; reported: Reported }[], units: Readonly<Record<string, string>>): { charts: SeriesChart[]; left: string } {
+  const times = runs.map(({ reported }) => timeOf(reported));
+  const time = times.find((name) => name !== null) ?? null;
+  const names = [...new Set(runs.flatMap(({ reported }) => Object.keys(reported)))].filter((name) => !times.includes(name));
+  if (time === null) return { charts: [], left: names.length === 0 ? "" : `The series are not drawn beside each other: none of them is a time (${TIMES.join(", ")}). The evaluations draw them by their steps.` };
+  const timed = names.flatMap((name): SeriesChart[] => {
+    const drawn = runs.flatMap(({ title, colour, reported }, place) => {
+      const [x, values] = [reported[times[place] ?? ""] ?? [], reported[name] ?? []];
+      return x.length > 0 && values.length === x.length ? [{ name: title, colour, x, values }] : [];
+    });
+    return drawn.length === 0 ? [] : [beside(name.replaceAll("_", " "), units[name] ?? "", drawn, units[time])];
+  });
+  const charts = timed.slice(0, MOST_CHARTS);
+  return { charts, left: names.length === charts.length ? "" : `${charts.length} of ${names.length} series are drawn${timed.length < names.length ? `; ${names.length - timed.length} have not the length of the time` : ""}. The evaluations draw all of them.` };
 }

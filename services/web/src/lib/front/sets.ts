@@ -3,12 +3,15 @@
 import { COLOURS, SERIES } from "../charts/palette";
 import type { Column, Table } from "../server/columns";
 import { parameterColumn } from "../server/rows";
-import type { FrontRow, FrontSummary } from "../server/types";
+import type { FrontRow, FrontSummary, TradeOff } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
 
 /** The names of the columns that hold what a front is searched for. */
 export const objectiveColumn = (name: string): string => `objective_${name}`;
+
+/** The names of the columns that hold what constraints bound. */
+export const constraintColumn = (name: string): string => `constraint_${name}`;
 
 /** Sets as a table with the columns of its files, and `further` ones. */
 export function tableOf(rows: readonly FrontRow[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
@@ -22,12 +25,14 @@ export function tableOf(rows: readonly FrontRow[], further: Readonly<Record<stri
   for (const [name, values] of Object.entries(further)) add(name, (_, place) => values[place]);
   spread(objectiveColumn, (row) => row.objectives);
   add("violation", (row) => row.violation);
+  spread(constraintColumn, (row) => row.constraints);
   add("knee", (row) => row.knee);
   add("best_in", (row) => row.best_in.join(" ") || null);
   add("wins", (row) => row.wins);
   add("alternatives", (row) => row.alternatives);
   add("degree", (row) => row.degree);
   spread((key) => `score_${key}`, (row) => row.scores);
+  spread((key) => `value_${key}`, (row) => row.values);
   add("reused", (row) => row.reused.join(" ") || null);
   spread((key) => `answer_${key}`, (row) => row.answers ?? {});
   spread(parameterColumn, (row) => row.parameters);
@@ -143,6 +148,12 @@ export function rangeOf(front: readonly number[], baseline: number | undefined, 
     if (within > most) most = within;
   }
   return [least, most];
+}
+
+/** Whether a trade-off is of these very sets: a rank of a running campaign names another set after an iteration. */
+export function isOf({ objectives, parameters }: Pick<TradeOff, "objectives" | "parameters">, first: Pick<FrontRow, "objectives" | "parameters">, second: Pick<FrontRow, "objectives" | "parameters">): boolean {
+  const like = (pairs: TradeOff["objectives"], of: "objectives" | "parameters"): boolean => pairs.every((pair) => pair.first === first[of][pair.name] && pair.second === second[of][pair.name]);
+  return like(objectives, "objectives") && like(parameters, "parameters");
 }
 
 export interface Label {

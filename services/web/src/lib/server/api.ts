@@ -27,6 +27,10 @@ export function whenRefused(handler: () => void): void {
   refused = handler;
 }
 
+/** The server asks for a token: nothing else is asked of it meanwhile. */
+let shut = false;
+const SESSION = "/session";
+
 let heard: (answered: boolean) => void = () => undefined;
 
 /** What to do when the server answers, and when it cannot be reached. */
@@ -41,6 +45,7 @@ export function isUnreached(error: unknown): boolean {
 
 /** Asks the server. Throws a Refusal for every error status; 401 asks for a token first. */
 export async function ask(path: string, options: RequestInit = {}, root = ROOT): Promise<Response> {
+  if (shut && root === ROOT && path !== SESSION) throw new Refusal(401, "The session has ended.");
   let answer: Response;
   try {
     answer = await fetch(root + path, { credentials: "same-origin", ...options });
@@ -50,8 +55,12 @@ export async function ask(path: string, options: RequestInit = {}, root = ROOT):
     throw new Refusal(0, "The server cannot be reached.");
   }
   heard(true);
+  if (answer.ok && path === SESSION) shut = false;
   if (answer.ok || answer.status === 304) return answer;
-  if (answer.status === 401) refused();
+  if (answer.status === 401) {
+    shut = true;
+    refused();
+  }
   throw await refusal(answer);
 }
 
@@ -74,7 +83,10 @@ export async function send<T>(method: "POST" | "PATCH" | "DELETE", path: string,
   return (answer.status === 204 ? undefined : await answer.json()) as T;
 }
 
-const MOST_ITEMS = 20_000;
+/** A key for `Idempotency-Key`. `crypto.randomUUID` exists on https and localhost alone. */
+export function newKey(): string {
+  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
 
 /** All items of a list that comes in pages; `asked`: further parts of the query. */
 export async function all<T>(path: string, asked = ""): Promise<T[]> {
@@ -85,7 +97,7 @@ export async function all<T>(path: string, asked = ""): Promise<T[]> {
     const page: { items: T[]; next_cursor: string | null } = await get(`${path}?${query}`);
     items.push(...page.items);
     cursor = page.next_cursor;
-  } while (cursor !== null && items.length < MOST_ITEMS);
+  } while (cursor !== null);
   return items;
 }
 

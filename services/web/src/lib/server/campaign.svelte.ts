@@ -5,7 +5,7 @@ import { follow } from "./live.svelte";
 import { Rate } from "../charts/rate";
 import type { Campaign, CampaignEvent, Generation } from "./types";
 
-const MOST_EVENTS = 300;
+export const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
 /** Between two readings that events ask for: a fast search has several iterations a second. */
 const APART_MILLISECONDS = 400;

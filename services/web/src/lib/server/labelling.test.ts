@@ -33,9 +33,9 @@ test("a campaign that is refused holds up no other, and is named with the reason
   expect(refusals).toEqual(["second: it is running"]);
 });
 
-test("what is archived instead of being deleted is a refusal with its reason", async () => {
+test("what is archived instead of being deleted is changed, and a refusal with its reason", async () => {
   const { done, refusals } = await deleted(CAMPAIGNS);
-  expect(done).toEqual(["a"]);
+  expect(done).toEqual(["a", "c"]);
   expect(refusals[0]).toBe("second: it is running");
   expect(refusals[1]).toContain("study (dddddddd, rerun of it)");
 });

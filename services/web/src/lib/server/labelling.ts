@@ -15,7 +15,7 @@ export interface Labels {
   name?: string;
 }
 
-/** The ids of the campaigns that were changed, and why the others were not. */
+/** The ids of the campaigns that were changed, and why the others were not, or not as was asked. */
 export interface Changed {
   done: string[];
   refusals: string[];
@@ -36,13 +36,17 @@ export function deleted(campaigns: readonly Named[]): Promise<Changed> {
   });
 }
 
-/** `change`: returns why it was not done, empty if it was. */
+/** `change`: returns what was done instead, empty if nothing was; throws if the server refuses. */
 async function each(campaigns: readonly Named[], change: (campaign: Named) => Promise<string>): Promise<Changed> {
   const [done, refusals]: [string[], string[]] = [[], []];
   for (const campaign of campaigns) {
-    const refusal = await change(campaign).catch((error: unknown) => `${campaign.name}: ${messageOf(error)}`);
-    if (refusal === "") done.push(campaign.id);
-    else refusals.push(refusal);
+    try {
+      const instead = await change(campaign);
+      done.push(campaign.id);
+      if (instead !== "") refusals.push(instead);
+    } catch (error) {
+      refusals.push(`${campaign.name}: ${messageOf(error)}`);
+    }
   }
   return { done, refusals };
 }

@@ -12,15 +12,20 @@ export const reach = {
   get lost(): boolean {
     return lost;
   },
-  /** How often it came back: what reads this in an effect runs again then. */
+  /** How often it came back, or a user did: what reads this in an effect runs again then. */
   get returns(): number {
     return returns;
   },
 };
 
+/** Has views read what they missed: after a login. */
+export function returned(): void {
+  returns += 1;
+}
+
 whenHeard((answered) => {
   clearTimeout(timer);
-  if (answered && lost) returns += 1;
+  if (answered && lost) returned();
   lost = !answered;
   if (lost) timer = setTimeout(() => void ask("/healthz", { cache: "no-store" }, "").catch(() => undefined), WAIT_MILLISECONDS);
 });

@@ -40,6 +40,8 @@ const ROWS = {
     rank: "number",
     objective: "number",
     rating: "number",
+    violation: "number",
+    constraints: "other",
     scores: "other",
     reused: "other",
     parameters: "other",
@@ -56,6 +58,7 @@ const BESIDE = {
     objectives: "other",
     weighted: "number",
     violation: "number",
+    constraints: "other",
     knee: "other",
     best_in: "other",
     wins: "number",
@@ -63,6 +66,7 @@ const BESIDE = {
     alternatives: "number",
     degree: "number",
     scores: "other",
+    values: "other",
     reused: "other",
     answers: "other",
     parameters: "other",
@@ -87,7 +91,7 @@ const BESIDE = {
 };
 
 const OTHERS = new Set([ROWS.EvaluationRow, ...Object.values(BESIDE)].flatMap(Object.keys));
-const PREFIXES = ["score_", "objective_", "answer_", "measure_"];
+const PREFIXES = ["score_", "objective_", "constraint_", "value_", "answer_", "measure_"];
 
 /** The column of a parameter, as the API's files name it: no other column of any table has that name. */
 export function parameterColumn(name: string): string {

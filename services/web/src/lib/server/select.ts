@@ -34,12 +34,16 @@ export function select(table: Table, wanted: Wanted): Uint32Array {
 
 /** The selection as conditions of the API, for files and commands. */
 export function conditions({ words, ranges, axes = [] }: Wanted): string[] {
-  const alternatives = Object.entries(words).flatMap(([name, values]) => values.map((value) => `${name}=${value}`));
+  const kept = new Map(Object.entries(words).filter(([, values]) => values.length > 0));
   const bounds = Object.entries(ranges).flatMap(([name, [low, high]]) => {
     const axis = axes.find((entry) => entry.name === name && entry.choices);
-    if (axis) return (chosen(axis, [low, high]).length > 0 ? chosen(axis, [low, high]) : [""]).map((word) => `${name}=${word}`);
-    return [...(Number.isFinite(low) ? [`${name}>=${low}`] : []), ...(Number.isFinite(high) ? [`${name}<=${high}`] : [])];
+    if (!axis) return [...(Number.isFinite(low) ? [`${name}>=${low}`] : []), ...(Number.isFinite(high) ? [`${name}<=${high}`] : [])];
+    // To the API words of a column are alternatives: a range of its choices keeps some of those that are wanted.
+    const within = chosen(axis, [low, high]);
+    kept.set(name, kept.get(name)?.filter((word) => within.includes(word)) ?? within);
+    return [];
   });
+  const alternatives = [...kept].flatMap(([name, values]) => (values.length > 0 ? values : [""]).map((value) => `${name}=${value}`));
   return [...alternatives, ...bounds];
 }
 

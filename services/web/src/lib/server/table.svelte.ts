@@ -16,7 +16,15 @@ export class TableState {
   /** Rows that were read so far, while it is being read. */
   reading = $state<number | null>(null);
   problem = $state("");
+  /** The path whose rows the table has. */
+  shown = $state("");
+  /** Whether the table has all rows of its path. */
+  whole = $state(false);
+  /** The path that is being read, or was read last. */
+  private path = "";
   private abort: AbortController | null = null;
+  /** Asked for again while it is being read. */
+  private again = false;
 
   /** `parameters`: those with choices hold words, which may look like numbers. */
   constructor(row: RowName, private readonly parameters: () => readonly Ranged[] = () => []) {
@@ -29,10 +37,15 @@ export class TableState {
     return numeric === undefined ? (parameterOf(name, this.parameters())?.choices ?? []).length > 0 : !numeric;
   }
 
+  /** Reads a table, another one at once; the same one after the reading that is under way, which a fast search would never let end. */
   async load(path: string): Promise<void> {
+    if (this.abort !== null && path === this.path) {
+      this.again = true;
+      return;
+    }
     this.abort?.abort();
     const abort = (this.abort = new AbortController());
-    this.reading = 0;
+    [this.path, this.again, this.reading] = [path, false, 0];
     try {
       const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
       const reader = new CsvReader({ has: (name) => this.isText(name) });
@@ -46,20 +59,21 @@ export class TableState {
         this.reading = reader.length;
         if (reader.length < worth) continue;
         worth = TIMES_AS_LONG * reader.length;
-        if (reader.length > this.table.length) this.table = reader.soFar();
+        if (path === this.shown && reader.length <= this.table.length) continue;
+        [this.table, this.shown, this.whole] = [reader.soFar(), path, false];
       }
       if (this.abort !== abort) return;
-      this.table = reader.finish();
-      this.problem = "";
+      [this.table, this.shown, this.whole, this.problem] = [reader.finish(), path, true, ""];
     } catch (error) {
       if (abort.signal.aborted) return;
       this.problem = error instanceof Refusal ? error.message : `The table broke off: ${String(error)}`;
     }
-    this.reading = null;
+    [this.abort, this.reading] = [null, null];
+    if (this.again) void this.load(path);
   }
 
   stop(): void {
     this.abort?.abort();
-    this.abort = null;
+    [this.abort, this.again] = [null, false];
   }
 }

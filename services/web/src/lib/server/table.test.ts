@@ -13,3 +13,47 @@ test("parameters with choices hold words, whatever they look like, and columns o
   await rows.load("/evaluations");
   expect(["gear", "parameter_score", "P1", "score"].map((name) => cell(rows.table, name, 1))).toEqual(["5", "4.0", 2, 3]);
 });
+
+/** Answers that come when the test sends them, by the number of their request. */
+function answers(): { asked: string[]; send: (request: number, csv: string, last?: boolean) => Promise<void> } {
+  const asked: string[] = [];
+  const streams: ReadableStreamDefaultController<Uint8Array>[] = [];
+  vi.stubGlobal("fetch", async (path: string, { signal }: { signal: AbortSignal }) => {
+    asked.push(path);
+    return new Response(new ReadableStream({ start: (stream) => { streams.push(stream); signal.addEventListener("abort", () => stream.error(signal.reason)); } }));
+  });
+  return {
+    asked,
+    async send(request, csv, last = true) {
+      await vi.waitUntil(() => streams.length > request);
+      streams[request]?.enqueue(new TextEncoder().encode(csv));
+      if (last) streams[request]?.close();
+      await new Promise((done) => setTimeout(done, 20));
+    },
+  };
+}
+
+test("rows of another path are known to be old until the first rows of the new one are here, also if there are fewer", async () => {
+  const { send } = answers();
+  const rows = new TableState("Solution");
+  const many = `rank,objective\n${Array.from({ length: 9_000 }, (_, row) => `${row},1\n`).join("")}`;
+  void rows.load("/solutions");
+  await send(0, many);
+  expect([rows.shown, rows.whole, rows.table.length]).toEqual(["/solutions", true, 9_000]);
+  void rows.load("/solutions?weights=S1=2");
+  expect(rows.shown).toBe("/solutions");
+  await send(1, many.slice(0, many.length / 2), false);
+  expect([rows.shown, rows.whole, rows.reading]).toEqual(["/solutions?weights=S1=2", false, rows.table.length]);
+  await send(1, many.slice(many.length / 2));
+  expect([rows.whole, rows.reading, rows.table.length]).toEqual([true, null, 9_000]);
+});
+
+test("a table that grows faster than it can be read is read to its end, then once more", async () => {
+  const { asked, send } = answers();
+  const rows = new TableState("Solution");
+  for (let moment = 0; moment < 3; moment++) void rows.load("/solutions");
+  await send(0, "rank\n1\n");
+  expect([rows.table.length, asked.length]).toEqual([1, 2]);
+  await send(1, "rank\n1\n2\n");
+  expect([rows.table.length, rows.reading, asked.length]).toEqual([2, null, 2]);
+});

@@ -1,5 +1,5 @@
-import { expect, test } from "vitest";
-import { postCommands, pythonOf, setCommand, tableCommands, tradeOffCommands } from "./commands";
+import { expect, test, vi } from "vitest";
+import { copied, postCommands, pythonOf, setCommand, tableCommands, tradeOffCommands } from "./commands";
 
 test("values are written as Python writes them", () => {
   expect(pythonOf({ a: null, b: [true, 1.5, "x\"y"], c: {} })).toBe('{"a": None, "b": [True, 1.5, "x\\"y"], "c": {}}');
@@ -17,9 +17,25 @@ test("a table can be had in three ways", () => {
 
 test("what is selected is selected in every way", () => {
   const shown = tableCommands("http://h:1", "0123456789abcdef", "evaluations", {}, ["outcome=reused", "P1>=0.5", "mode=it's"]);
-  expect(shown.cli).toContain(`--where outcome=reused --where 'P1>=0.5' --where 'mode=it'\\''s'`);
+  expect(shown.cli).toContain(`--where outcome=reused --where "P1>=0.5" --where "mode=it's"`);
   expect(shown.python).toContain('client.frame("0123456789abcdef", "evaluations", where=["outcome=reused", "P1>=0.5", "mode=it\'s"])');
   expect(shown.curl).toContain("evaluations?where=outcome%3Dreused&where=P1%3E%3D0.5&where=mode%3Dit%27s&format=csv'");
+});
+
+test("a word is quoted so that the shells of Windows read it as well, unless a shell would read in it", () => {
+  const cli = (condition: string): string => tableCommands("", "0123456789abcdef", "evaluations", {}, [condition]).cli;
+  expect(cli("mode=50 %")).toContain("--where 'mode=50 %' ");
+  expect(cli("mode=$it's")).toContain(`--where 'mode=$it'\\''s' `);
+  expect(cli('mode="a b"')).toContain(`--where 'mode="a b"' `);
+});
+
+test("a browser without a clipboard copies nothing and says so", async () => {
+  vi.stubGlobal("navigator", {});
+  expect(await copied("text")).toBe(false);
+  const writeText = vi.fn(async () => undefined);
+  vi.stubGlobal("navigator", { clipboard: { writeText } });
+  expect([await copied("text"), writeText.mock.calls]).toEqual([true, [["text"]]]);
+  vi.unstubAllGlobals();
 });
 
 test("a quote in a body does not end the shell's word", () => {

@@ -41,9 +41,20 @@ function options(query: Readonly<Record<string, string>>): string[] {
   return Object.entries(query).map(([name, value]) => (value === "true" ? `--${name}` : `--${name} ${quoted(value)}`));
 }
 
-/** A word of a shell. */
+/** A word of a shell. The one of Windows knows double quotes alone; within them others read some characters. */
 function quoted(text: string): string {
-  return /^[\w.,:/=-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
+  if (/^[\w.,:/=-]+$/.test(text)) return text;
+  return /["$`\\!%]/.test(text) ? `'${text.replaceAll("'", "'\\''")}'` : `"${text}"`;
+}
+
+/** Copies a text; false if the browser gives the page no clipboard, as on plain http. */
+export async function copied(text: string): Promise<boolean> {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    return false;
+  }
 }
 
 /** A campaign, a rerun or a comparison to submit. */

@@ -33,9 +33,10 @@ test("a search takes words of settings: optimizer, mode, objectives", () => {
   expect(["nsga2 both", "energy", "predicted", "nsga2 predicted"].map((search) => shown(arranged(known, search, ["created", "down"])))).toEqual([["a"], ["a"], ["b"], []]);
 });
 
-test("columns sort both ways, and a missing best comes last", () => {
+test("columns sort both ways, and a missing best comes last in both", () => {
   const known = [campaign("a", { best: { objective: 2 } }), campaign("b"), campaign("c", { best: { objective: 5 } })];
   expect(shown(arranged(known, "", ["best", "down"]))).toEqual(["c", "a", "b"]);
+  expect(shown(arranged(known, "", ["best", "up"]))).toEqual(["a", "c", "b"]);
   expect(shown(arranged(known, "", ["name", "down"]))).toEqual(["c", "b", "a"]);
 });
 

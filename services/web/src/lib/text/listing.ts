@@ -63,10 +63,11 @@ export function subjectOf(campaign: Known, known: readonly Known[]): string | nu
   return known.findLast((entry) => entry.id !== campaign.id && calibrates(entry) && entry.links["influence_map"]?.endsWith(`/${map}`))?.id ?? null;
 }
 
-function valueOf(campaign: Known, column: Column): number | string {
+/** Null if there is none yet. */
+function valueOf(campaign: Known, column: Column): number | string | null {
   if (column === "name" || column === "state") return campaign[column].toLowerCase();
-  if (column === "best") return campaign.best?.objective ?? -Infinity;
-  if (column === "saved") return savedShare(campaign) ?? -1;
+  if (column === "best") return campaign.best?.objective ?? null;
+  if (column === "saved") return savedShare(campaign);
   if (column === "simulated") return countedCells(campaign).simulated;
   return column === "took" ? campaign.seconds.wall : (campaign.created_at ?? "");
 }
@@ -77,6 +78,7 @@ export function arranged<T extends Known>(campaigns: readonly T[], search: strin
   const listed = campaigns.filter((campaign) => isFound(campaign, search, problemOf(campaign)));
   const ordered = [...listed].sort((a, b) => {
     const [x, y] = [valueOf(a, column), valueOf(b, column)];
+    if (x === null || y === null) return Number(x === null) - Number(y === null);
     return x === y ? 0 : sign * (x < y ? -1 : 1);
   });
   const subjects = new Map(ordered.map((campaign) => [campaign.id, subjectOf(campaign, listed)]));
