@@ -1,5 +1,7 @@
 """The command line's entry point: all commands in one application."""
 
+import io
+import sys
 from importlib.metadata import version
 from typing import Annotated
 
@@ -45,5 +47,8 @@ def root(
 
 
 def main() -> None:
-    """Runs the command line."""
+    """Runs the command line. Text that the console cannot show is escaped; files and pipes get UTF-8."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace", encoding=None if stream.isatty() else "utf-8")
     app()

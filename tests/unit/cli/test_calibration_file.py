@@ -56,7 +56,8 @@ class Campaigns:
             links={} if self.light is None else {"trust": "/trust"},
         )
 
-    def trust(self, _: str) -> TrustAnswer:
+    def trust(self, _: str, place: tuple[int, int]) -> TrustAnswer:
+        assert place == (0, 1)
         assert self.light is not None
         reasons = [
             Reason(light=self.light, about="end", text="Worst."),
@@ -187,7 +188,7 @@ def test_a_set_of_a_campaign_with_a_red_light_is_preliminary(monkeypatch: pytest
         .output.splitlines()
     )
     assert f"* state: {state}" in written
-    assert f"* light of the campaign: {light}" in written
+    assert f"* light of the set: {light}" in written
     assert ("* reason 1: Worst." in written) is (light != "green")
     assert "* reason 2: Better." not in written
 

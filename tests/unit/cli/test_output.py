@@ -20,6 +20,7 @@ from drivecal.cli.views.output import (
     cells_text,
     duration,
     lots_text,
+    objective_text,
     print_campaign,
     print_columns,
     print_solutions,
@@ -81,7 +82,8 @@ def test_lots_are_summed_up_over_the_scenarios() -> None:
 
 def test_the_cells_add_up_on_their_line() -> None:
     assert cells_text(CELLS) == (
-        "60 requested = 44 simulated + 6 repeated + 9 reused + 1 failed (2 of the simulated were audits); 40 carried over"
+        "60 requested = 44 simulated + 6 repeated + 9 reused + 1 failed (2 of the simulated were audits); "
+        "40 more carried over from the iteration before"
     )
 
 
@@ -142,6 +144,14 @@ def test_a_ranking_with_references_prints_the_command_that_simulates_such_a_set(
         "* taken from a reference; this simulates the set of rank 2:",
         "drivecal evaluate P1=0.5 --vehicle hybrid",
     ]
+
+
+@pytest.mark.parametrize(
+    ("objective", "text"),
+    [(6.25, "6.2500"), (0.0, "0.0000"), (-0.5, "-0.5000"), (2.14e-5, "2.14e-05"), (1234567.5, "1.23457e+06")],
+)
+def test_small_and_large_objectives_keep_their_digits(objective: float, text: str) -> None:
+    assert objective_text(objective) == text
 
 
 def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixture[str]) -> None:

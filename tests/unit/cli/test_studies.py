@@ -7,6 +7,7 @@ from typing import Any, cast
 import pytest
 from tests.unit.report.rows import study
 
+from drivecal.cli.commands import studies
 from drivecal.cli.commands.studies import known, wanted_of
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, StudyPage
@@ -21,6 +22,22 @@ class Server:
     def studies(self, identifier: str) -> StudyPage:
         own: dict[str, Any] = {"campaign": identifier, "state": self._campaign.state}
         return StudyPage(items=[study().model_copy(update=own)])
+
+
+def test_a_study_that_is_being_made_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = Campaign(id="0" * 32, name="searched", state="succeeded")
+    maker = Campaign(id="1" * 32, name="study", state="running", spec={"robustness": {"delta": 0.1}})
+
+    class Busy(Server):
+        def studies(self, _: str) -> StudyPage:
+            return StudyPage(items=[study().model_copy(update={"campaign": maker.id, "state": "running"})])
+
+        def campaign(self, _: str) -> Campaign:
+            return maker
+
+    ended = maker.model_copy(update={"state": "succeeded"})
+    monkeypatch.setattr(studies, "follow", lambda _, identifier: ended if identifier == maker.id else None)
+    assert known(cast("Client", Busy(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1})) is ended
 
 
 @pytest.mark.parametrize(

@@ -46,9 +46,11 @@ def parameters(
         typer.echo("\n".join(_yaml(sections)))
     for source, content in contents:
         if content.skipped:
-            tell(f"{source}: {len(content.skipped):,} curves, maps and other arrays are left out")
+            tell(
+                f"{source}: {len(content.skipped):,} curves, maps, other arrays, variants and values that follow from others are left out"
+            )
     if sections.guessed:
-        tell(f"no file has a range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
+        tell(f"no file has a usable range of {', '.join(sections.guessed)}: {span:.0%} around the value was taken; correct it")
     if sections.left_out:
         tell(f"no file has the choices of {', '.join(sections.left_out)}: left out; give an A2L with the enumeration, too")
     missing = sections.parameters.keys() - sections.baseline.keys()

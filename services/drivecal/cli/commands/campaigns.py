@@ -32,7 +32,9 @@ from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.contracts.organising import Deletion
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import InvalidInputError, Problem
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
@@ -75,6 +77,9 @@ def rerun(
     problem: Annotated[
         str | None, typer.Option(help="Another push of the same problem, e.g. with another formula of its score.")
     ] = None,
+    from_best: Annotated[
+        bool, typer.Option("--from-best", help="Begin with the best stored set under the new weights and score.")
+    ] = False,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
@@ -88,7 +93,17 @@ def rerun(
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     with connect(url) as client:
         first = client.campaign(client.full_id(identifier))
-        changes["weights"] = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
+        wanted = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
+        changes["weights"] = wanted
+        if from_best and evaluator is not None and first.spec["problem"] == HIGHWAY:
+            message = "stored runs of the built-in problem are rated by another evaluator in the rerun only"
+            raise InvalidInputError(Problem("--from-best", message, "leave it out"))
+        if from_best:
+            score = (
+                f"{evaluator or first.spec['evaluator']}@{problem or first.spec['problem']}" if evaluator or problem else None
+            )
+            best = client.solutions(first.id, wanted or None, 1, score).items
+            changes["optimizer"] = {"start_sets": [row.parameters for row in best]}
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
 
@@ -230,7 +245,9 @@ def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
 
 
 def _print_expected(expected: ExpectedRuns) -> None:
-    typer.echo(f"the campaign can run; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
+    built_in = " (built in)" if expected.problem == HIGHWAY else ""
+    problem = f" on the problem {expected.problem}{built_in}" if expected.problem else ""
+    typer.echo(f"the campaign can run{problem}; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
         typer.echo(f"  {stage:<12}{runs:>12,}")
@@ -252,7 +269,8 @@ def kind_text(campaign: Campaign) -> str:
         return campaign.kind
     studies = [study for study in STUDIES if spec.get(study)]
     vehicle = (spec.get("vehicle") or {}).get("model")
-    return ", ".join([" + ".join(studies), *([vehicle] if vehicle else [])]) if studies else "analysis"
+    driven = [vehicle] if vehicle and spec.get("problem", HIGHWAY) == HIGHWAY else []
+    return ", ".join([" + ".join(studies), *driven]) if studies else "analysis"
 
 
 def counted(campaign: Campaign) -> CellCounts:

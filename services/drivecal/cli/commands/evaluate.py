@@ -16,6 +16,7 @@ from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
+from drivecal.report.rows import shortened
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
 TRACE_FILES = (*traces.SUFFIXES, traces.MEASUREMENT)
@@ -67,7 +68,9 @@ def evaluate(
     if trace is not None and trace.suffix == traces.MEASUREMENT:
         require_library()
     with connect(url) as client:
-        evaluation = _ended(client, client.evaluate(specification), timeout)
+        queued = client.evaluate(specification)
+        tell(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
+        evaluation = _ended(client, queued, timeout)
         if trace is not None:
             series = trace_of(client, evaluation.id, timeout)
             if trace.suffix == traces.MEASUREMENT:
@@ -136,6 +139,9 @@ def _print(evaluation: Evaluation) -> None:
         header,
         [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
     )
+    for item in evaluation.items:
+        if item.detail:
+            typer.echo(f"{item.scenario}: {shortened(item.detail)}; --json shows all of it")
     if evaluation.objective is not None and len(evaluation.items) > 1:
         typer.echo(f"mean score {evaluation.objective:.4f}")
     if evaluation.metrics:

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect
-from drivecal.cli.views.output import print_answer, print_columns
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.scales import told
@@ -38,7 +38,10 @@ def print_explanation(explanation: Explanation) -> None:
         result += f", score {told(explanation.score)}"
     if explanation.failure:
         result += f" ({explanation.failure})"
-    typer.echo(f"evaluation {explanation.evaluation}: {where}\n{result}\n\n{explanation.sentence}")
+    if explanation.attempts > 1:
+        result += f", {explanation.attempts} attempts"
+    known = [f"evaluation {explanation.evaluation}: {where}", parameters_text(explanation.parameters), result]
+    typer.echo("\n".join([*known, "", explanation.sentence]))
     if explanation.detail is not None:
         typer.echo(explanation.detail)
     if explanation.reference is not None:

@@ -181,7 +181,8 @@ def _values(entry: Mapping[str, Any]) -> str:
 
 
 def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]) -> None:
-    typer.echo(f"{report['name']}  {report['digest']}  ({len(report['files'])} files, {_size(report['size'])})")
+    size = f"{len(report['files'])} files, packed {_size(report['size'])}"
+    typer.echo(f"{report['name']}  {report['digest']}  ({size})")
     if report["tools"] is not None:
         typer.echo(f"probe     {' '.join(report['tools'].split())}")
     if report["parameters"] is not None:
@@ -201,6 +202,8 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
         print_columns(["scenario", "set", *scores, *measures, "failure", "same bits", "seconds"], rows)
     for warning in report["warnings"]:
         typer.echo(f"warning   {warning}")
+    if ran:
+        typer.echo("these sets alone were tried; others may fail, or leave the range of a score")
 
 
 def _doubts_elsewhere(checked: Sequence["CheckedScenario"]) -> list[str]:
@@ -227,4 +230,6 @@ def _sentence(result: "CheckedScenario") -> str:
 
 
 def _size(size: int) -> str:
+    if size < 10_000:
+        return f"{size:,} bytes"
     return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.1f} kB"

@@ -212,7 +212,9 @@ def _calibration_file(
         ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))
         figures = solution_figures(campaign, setup, chosen, robustness, ranked_by)
     characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
-    deserved = client.trust(campaign.id) if "trust" in campaign.links else None
+    deserved = None
+    if "trust" in campaign.links and chosen.iteration is not None and chosen.individual is not None:
+        deserved = client.trust(campaign.id, (chosen.iteration, chosen.individual))
     quality = quality_of(campaign, setup, chosen, deserved, figures)
     return write(cast("CalibrationFormat", form), characteristics, quality)
 
@@ -244,7 +246,9 @@ def _time_series(client: Client, identifier: str, table: TableName, row: int, qu
     for scenario, score in chosen.scores.items():
         cell = client.cell(identifier, chosen.iteration, chosen.individual, scenario)
         trace = trace_of(client, str(cell))
-        recordings.append(RecordedScenario(scenario, trace, {"evaluation": str(cell)} | run_facts(score, trace.failure), units))
+        known = {"evaluation": str(cell)} | run_facts(score, trace.failure)
+        known |= {"origin of the score": "taken from a reference"} if scenario in chosen.reused else {}
+        recordings.append(RecordedScenario(scenario, trace, known, units))
     facts = {"campaign": campaign.id, "name": campaign.name, "set": f"{row} of {table}", "problem": problem}
     facts |= {f"parameter {name}": value_text(value, 17) for name, value in chosen.parameters.items()}
     return measurement(recordings, facts, campaign.ended_at or campaign.created_at)
@@ -279,7 +283,17 @@ def _pieces(client: Client, identifier: str, table: TableName, form: Format, que
 
 @contextmanager
 def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
-    """Opens a file that appears under its name only when it is complete."""
+    """Opens a file that appears under its name only when it is complete. Devices and pipes are written as they are."""
+    if path.exists() and not path.is_file():  # before links are followed: those of /dev/stdout lead nowhere
+        try:
+            with path.open("wb") as stream:
+                yield stream
+        except OSError as error:
+            raise InvalidInputError(
+                Problem(str(path), f"it cannot be written: {error.strerror}", "give another file")
+            ) from error
+        return
+    path = path.resolve()
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with unfinished.open("wb") as stream:

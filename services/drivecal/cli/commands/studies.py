@@ -46,14 +46,20 @@ def _bench(campaign: Campaign) -> dict[str, Any]:
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:
-    """Returns the campaign that made the wanted study: itself, else the newest, if it succeeded; None without a study."""
+    """Returns the campaign that made the wanted study: itself, else the newest, if it succeeded; one that makes it now is followed to its
+    end. None without a study."""
     if campaign.state == CampaignState.SUCCEEDED and campaign.spec.get(wanted.stage) and wanted.is_made_by(campaign):
         return campaign
     for study in client.studies(campaign.id).items:
-        if study.stage == wanted.stage and study.state == CampaignState.SUCCEEDED and study.campaign != campaign.id:
+        state = CampaignState(study.state)
+        if (
+            study.stage == wanted.stage
+            and study.campaign != campaign.id
+            and (state is CampaignState.SUCCEEDED or not state.ended)
+        ):
             maker = client.campaign(study.campaign)
             if wanted.is_made_by(maker):
-                return maker
+                return maker if state is CampaignState.SUCCEEDED else _followed(client, maker)
     return None
 
 
@@ -65,7 +71,10 @@ def specification(campaign: Campaign, study: str, stages: Mapping[str, Any]) -> 
 
 def make(client: Client, campaign: Campaign, study: str, stages: Mapping[str, Any]) -> Campaign:
     """Submits the campaign of `specification` and returns it at its end. Exits unless it succeeds."""
-    made = client.submit(specification(campaign, study, stages))
+    return _followed(client, client.submit(specification(campaign, study, stages)))
+
+
+def _followed(client: Client, made: Campaign) -> Campaign:
     tell(f"campaign {made.id} makes the study")
     ended = follow(client, made.id)
     if CampaignState(ended.state) is not CampaignState.SUCCEEDED:

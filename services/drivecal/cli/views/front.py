@@ -22,12 +22,13 @@ def print_front(rows: Sequence[FrontRow], summary: FrontSummary, limit: int) -> 
     weighted = ["weighted"] if first.weighted is not None else []
     typer.echo()
     print_columns(
-        ["rank", *first.objectives, *weighted, "wins", "sets", "", *first.parameters],
+        ["rank", *first.objectives, *weighted, *first.constraints, "wins", "sets", "", *first.parameters],
         [
             [
                 row.rank,
                 *(f"{amount:.6g}" for amount in row.objectives.values()),
                 *([] if row.weighted is None else [f"{row.weighted:.4f}"]),
+                *(f"{amount:.6g}" for amount in row.constraints.values()),
                 None if row.wins is None else f"{row.wins:.1%}",
                 row.alternatives,
                 front_marks(row),
@@ -48,7 +49,7 @@ def print_trade_off(answer: TradeOff) -> None:
         typer.echo(line)
     typer.echo(f"{len(answer.parameters)} parameters differ, by {answer.distance:.3f} of their ranges (root mean square)")
     typer.echo()
-    listed = [*answer.scores, *answer.parameters]
+    listed = [*answer.constraints, *answer.scores, *answer.values, *answer.parameters]
     print_columns(["", f"rank {answer.first}", f"rank {answer.second}"], [_values(each) for each in listed])
 
 

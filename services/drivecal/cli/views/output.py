@@ -21,6 +21,10 @@ Shown = TypeVar("Shown", bound=BaseModel)
 
 OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
 """Colours on terminals, those of the page on a dark ground."""
+SMALL, LARGE = 0.01, 1e6
+"""Objectives between them have four decimals."""
+DIGITS = 15
+"""Significant digits of values that users may type again."""
 
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
@@ -106,10 +110,13 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
         typer.echo("no parameter set has a result in every scenario yet")
         return
     first = solutions[0]
-    header = ["rank", "objective", "rating", *first.scores, *first.parameters]
+    broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in solutions) else []
+    header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
     rows = [
         [
-            *(solution.rank, f"{solution.objective:.4f}", f"{solution.rating:.3f}"),
+            *(solution.rank, objective_text(solution.objective), f"{solution.rating:.3f}"),
+            *(f"{solution.violation:.1%}" if solution.violation > 0 else "-" for _ in broken),
+            *(f"{amount:.6g}" for amount in solution.constraints.values()),
             *(f"{told(score)}*" if scenario in solution.reused else score for scenario, score in solution.scores.items()),
             *solution.parameters.values(),
         ]
@@ -145,7 +152,8 @@ def cells_text(cells: CellCounts) -> str:
         *([f"{cells.sampled:,} predictions were simulated as samples"] if cells.sampled else []),
     ]
     listed = f" ({'; '.join(checks)})" if checks else ""
-    return f"{cells.requested:,} requested = {_sum(cells)}{listed}; {cells.carried_over:,} carried over"
+    kept = f"; {cells.carried_over:,} more carried over from the iteration before" if cells.carried_over else ""
+    return f"{cells.requested:,} requested = {_sum(cells)}{listed}{kept}"
 
 
 def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
@@ -198,9 +206,14 @@ def saved(cells: CellCounts) -> float:
     return answered / cells.requested if cells.requested else 0.0
 
 
-def parameters_text(parameters: Mapping[str, float | str]) -> str:
+def objective_text(objective: float) -> str:
+    """Returns an objective with four decimals, or with six digits if it is small or large."""
+    return f"{objective:.4f}" if objective == 0 or SMALL <= abs(objective) < LARGE else f"{objective:.6g}"
+
+
+def parameters_text(parameters: Mapping[str, float | str], digits: int = 6) -> str:
     """Returns values as `P1=0.5 mode=eco`."""
-    return " ".join(f"{name}={value_text(value)}" for name, value in parameters.items())
+    return " ".join(f"{name}={value_text(value, digits)}" for name, value in parameters.items())
 
 
 def duration(seconds: float) -> str:
@@ -219,9 +232,9 @@ def when(moment: datetime | None) -> str:
 
 
 def _set_text(shown: Best | Baseline) -> str:
-    objective = "no result yet" if shown.objective is None else f"{shown.objective:.4f}"
+    objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
     broken = f"  breaks the constraints on results by {shown.violation:.1%}" if shown.violation > 0 else ""
-    return f"{objective}{broken}  {parameters_text(shown.parameters)}"
+    return f"{objective}{broken}  {parameters_text(shown.parameters, DIGITS)}"
 
 
 def _text(value: object) -> str:

@@ -28,6 +28,8 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
     Raises InvalidInputError if the file cannot be written.
     """
     columns = columns_of(trace)
+    if not columns:
+        raise InvalidInputError(Problem("--trace", "the run has no time series", "declare some under `series` in problem.yaml"))
     try:
         if file.suffix == ".json":
             file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
