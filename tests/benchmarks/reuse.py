@@ -7,7 +7,8 @@ by seed, with 95 % t-intervals. `black box` denies certificates, as for a functi
 
 A seed takes 15 to 20 minutes on two cores. Every finished campaign adds a line to `docs/pages/results/data/reuse.jsonl`, with the machine,
 the versions and the commit of the code, so that seeds of several days add up: campaigns of the same code and machine are not made again.
-`--commit` counts those of other commits too.
+`--commit` counts those of other commits too. Runs and optima do not depend on the machine: `--counts` prints these alone, beside campaigns
+of any machine and under any load.
 """
 
 import argparse
@@ -143,21 +144,19 @@ def interval(values: Sequence[float]) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def table(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) -> Iterator[str]:
-    """Yields a line per kind: ratios to `off`, and the difference of the optimum."""
-    yield f"{'':36}{'runs':>24}{'CPU':>24}{'wall':>24}{'optimum, points':>30}"
+def table(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int], names: Sequence[str]) -> Iterator[str]:
+    """Yields a line per kind: ratios of `names` to `off`, and the difference of the optimum."""
+    yield f"{'':36}{''.join(f'{name:>24}' for name in names)}{'optimum, points':>30}"
     for kind in KINDS:
         pairs = [(outcomes[kind, seed], outcomes["off", seed]) for seed in seeds if (kind, seed) in outcomes]
         if pairs:
-            ratios = (
-                interval([getattr(one, name) / getattr(off, name) for one, off in pairs]) for name in ("runs", "cpu", "wall")
-            )
+            ratios = (interval([getattr(one, name) / getattr(off, name) for one, off in pairs]) for name in names)
             shown = "".join(f"{mean:>9.3f} ({low:.3f}, {high:.3f})" for mean, low, high in ratios)
             mean, low, high = interval([one.best - off.best for one, off in pairs])
             yield f"{kind:36}{shown}{mean:>+12.4f} ({low:+.4f}, {high:+.4f})"
 
 
-def missed(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) -> list[str]:
+def missed(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int], names: Sequence[str]) -> list[str]:
     """Returns what is not as wanted."""
     problems = []
     for kind in KINDS:
@@ -165,6 +164,8 @@ def missed(outcomes: Mapping[tuple[str, int], Outcome], seeds: Sequence[int]) ->
         if not pairs:
             continue
         for name, most in WANTED.get(kind, {}).items():
+            if name not in names:
+                continue
             mean, _, _ = interval([getattr(one, name) / getattr(off, name) for one, off in pairs])
             if mean > most:
                 problems.append(f"{kind}: {name} {mean:.3f} of off, at most {most} wanted")
@@ -185,7 +186,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--commit", action="append", default=[], help="whose campaigns count as well as those of the current code"
     )
+    parser.add_argument("--counts", action="store_true", help="runs and optima alone; campaigns of any machine count")
     given = parser.parse_args(arguments)
+    names = ("runs",) if given.counts else ("runs", "cpu", "wall")
     kinds = [kind for kind in KINDS if kind == "off" or given.only is None or kind in given.only]
     given.file.parent.mkdir(parents=True, exist_ok=True)
     known = map(Outcome.read, given.file.read_text(encoding="utf-8").splitlines() if given.file.exists() else [])
@@ -194,7 +197,7 @@ def main(arguments: list[str]) -> int:
         (one.kind, one.seed): one
         for one in known
         if (one.population, one.iterations) == size
-        and one.measured_with.machine in {here.machine, ""}
+        and (given.counts or one.measured_with.machine in {here.machine, ""})
         and one.measured_with.commit in {here.commit, *given.commit}
     }
     seeds = range(1, given.seeds + 1)
@@ -207,8 +210,8 @@ def main(arguments: list[str]) -> int:
                     file.write(json.dumps(asdict(outcome)) + "\n")
                 print(f"seed {seed}, {kind}: {outcome.runs:,} runs, {outcome.wall:.0f} s, best {outcome.best:.4f}", flush=True)
     print()
-    print("\n".join(table(outcomes, seeds)))
-    problems = missed(outcomes, seeds)
+    print("\n".join(table(outcomes, seeds, names)))
+    problems = missed(outcomes, seeds, names)
     print("\n".join(problems))
     return int(bool(problems))
 
