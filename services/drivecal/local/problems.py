@@ -250,8 +250,8 @@ def doubtful_ranges(manifest: Manifest, checked: Sequence[CheckedScenario]) -> l
         measured = f"{least:g}" if least == most else f"{least:g} to {most:g}"
         if most < lower - FAR * width or least > upper + FAR * width:
             warnings.append(
-                f"scores.{name}.range is [{lower:g}, {upper:g}], and the measured scores are {measured}: thresholds and tolerances are"
-                " shares of the range"
+                f"scores.{name}.range is [{lower:g}, {upper:g}], and the measured scores are {measured}: thresholds of an analysis"
+                " are shares of the range, and without `failed` a score beyond its worse end counts as that of a failed run"
             )
         elif 0 < most - least < NARROW * width:
             share = f"{(most - least) / width:.2g} of it ({measured})"
