@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 import threading
@@ -145,7 +146,12 @@ def test_waiting_has_an_end(run: Run, submitted: str) -> None:
     assert result.exit_code == 6
     assert f"drivecal watch {submitted}" in result.stderr
     assert run("submit", "-", "--wait", "--timeout", "0", stdin="{}").exit_code == 6
-    assert run("evaluate", *SETS, "--timeout", "0").exit_code == 6
+    waited = run("evaluate", *SETS, "--timeout", "0")
+    assert waited.exit_code == 6
+    (command,) = re.findall(r"`drivecal (show \w+)`", waited.stderr)
+    shown = run(*command.split(), "--json")
+    assert json.loads(shown.stdout)["parameters"] == {name: float(value) for name, value in (pair.split("=") for pair in SETS)}
+    assert run(*command.split()).stdout.splitlines()[0].endswith(" is queued")
 
 
 def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) -> None:

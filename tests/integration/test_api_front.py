@@ -102,6 +102,15 @@ def test_the_summary_tells_the_whole(ended: Ended) -> None:
     assert summary.hypervolume == volumes[-1] == pytest.approx(area)
 
 
+def test_ranks_of_the_summary_are_those_under_its_weights(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        for weights in (None, {JERK: 9.0}):
+            summary, rows = client.front_summary(ended.first, weights), client.front(ended.first, weights)
+            assert summary.extremes == {name: row.rank for row in rows for name in row.best_in}
+            assert summary.knee == next((row.rank for row in rows if row.knee), None)
+        assert client.front_summary(ended.first, {JERK: 9.0}).extremes != client.front_summary(ended.first).extremes
+
+
 def test_everything_stored_may_add_to_the_front(ended: Ended) -> None:
     with Client(ended.api.url) as client:
         own, whole = client.front_summary(ended.first), client.front_summary(ended.first, everything=True)

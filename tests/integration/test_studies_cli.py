@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -210,6 +211,26 @@ def test_the_optima_are_the_best_solutions_with_their_regions(
     monkeypatch.setattr("drivecal.campaigns.results.optima.MOST_BEST", 1)
     (first,) = api.http.get(f"{url}/optima").json()["items"]
     assert first["to_worse"] == optima[0]["to_worse"], "sets that are not looked at are not worse"
+
+
+def test_a_campaign_without_a_search_has_no_optima_and_a_report(run: Run, api: RunningApi, ended: str, tmp_path: Path) -> None:
+    run("robustness", ended, "--steps", "1", "--samples", "2", "--delta", "0.07", "--solutions", "1")
+    study = newest(api)["id"]
+    assert api.http.get(f"/api/v1/campaigns/{study}/optima").json()["items"] == []
+    assert len(api.http.get(f"/api/v1/campaigns/{study}/optima?format=csv").text.splitlines()) == 1
+    result = run("report", study, "-o", str(tmp_path / "report"))
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "report" / "index.html").exists()
+
+
+def test_a_calibration_file_has_the_degree_of_a_study_by_another_campaign(run: Run, api: RunningApi, ended: str) -> None:
+    run("robustness", ended, "--steps", "2", "--samples", "2", "--delta", "0.01", "--solutions", "1")
+    (row,) = api.http.get(f"/api/v1/campaigns/{newest(api)['id']}/robustness").json()["items"]
+    solutions = api.http.get(f"/api/v1/campaigns/{ended}/solutions?limit=1000").json()["items"]
+    rank = next(each["rank"] for each in solutions if each["parameters"] == row["parameters"])
+    written = run("export", ended, "--table", "solutions", "--row", str(rank), "--format", "dcm").stdout
+    at_least = "at least " if row["at_least"] else ""
+    assert f"* degree of robustness: {at_least}{row['degree']}" in written.splitlines()
 
 
 def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(api: RunningApi, ended: str) -> None:

@@ -9,6 +9,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.results import Reason
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.scales import objective_text
 
 SHORT = 8
 """Characters of a campaign's id in a sentence."""
@@ -51,7 +52,7 @@ def of_later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> 
     if later is None or campaign.best is None or abs(later.gain) <= EQUAL:
         return
     by = f" (campaign {', '.join(each[:SHORT] for each in later.campaigns)})" if later.campaigns else ""
-    values = f"{later.objective:.4f} beside {campaign.best.objective:.4f} at the end of the search"
+    values = f"{objective_text(later.objective)} beside {objective_text(campaign.best.objective)} at the end of the search"
     if later.gain < 0:
         text = f"Later simulations{by} show that the best set is worse, and the first set has {values}"
     elif chosen is not None and chosen.parameters == later.parameters:
@@ -78,9 +79,10 @@ def of_earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
         return
     weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
     score = "" if earlier.score is None else f" --score {earlier.score}"
+    values = f"{objective_text(earlier.objective)}{copied} beside {objective_text(campaign.best.objective)}"
     text = (
-        f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: "
-        f"{earlier.objective:.4f}{copied} beside {campaign.best.objective:.4f}; `drivecal solutions {earlier.campaign[:SHORT]} "
-        f"--weights {weights}{score}` lists it, and the same rerun with --from-best searches from there."
+        f"The earlier campaign holds a better set under {'these weights' if earlier.score is None else 'this score'}: {values}; "
+        f"`drivecal solutions {earlier.campaign[:SHORT]} --weights {weights}{score}` lists it, and the same rerun with --from-best "
+        "searches from there."
     )
     yield Reason(light="amber", about="earlier", text=text)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
+from drivecal.domain.scales import objective_text
 
 CONFIRMED = "confirmed by simulation"
 """Beginning of the verdict if the best set has only scores of its own."""
@@ -38,14 +39,13 @@ class Confirmation:
         """Returns the verdict as a sentence, from the first set of the final ranking and a set that is believed to be better."""
         sets = "1 set" if len(self.tried) == 1 else f"{len(self.tried)} sets"
         if not best.reused and untried is not None and _is_better(untried, best):
-            believed = (
-                f"the best simulated objective is {best.objective:.4f}, others are believed to reach {untried.objective:.4f}"
-            )
+            reach = f"others are believed to reach {objective_text(untried.objective)}"
+            believed = f"the best simulated objective is {objective_text(best.objective)}, {reach}"
             return f"{UNTRIED}: {believed}; no more than {sets} (reduction.confirm) were tried"
         if not best.reused:
-            if abs(best.objective - self.believed) <= EQUAL:
-                return f"{CONFIRMED}: the best objective is {best.objective:.4f}, as the search believed; {sets} tried"
-            return f"{CONFIRMED}: the best objective is {best.objective:.4f}, the search believed {self.believed:.4f}; {sets} tried"
+            equal = abs(best.objective - self.believed) <= EQUAL
+            believed = "as the search believed" if equal else f"the search believed {objective_text(self.believed)}"
+            return f"{CONFIRMED}: the best objective is {objective_text(best.objective)}, {believed}; {sets} tried"
         where = ", ".join(best.reused)
         owed = f"{NOT_CONFIRMED}: the best set's score in {where} is still a reference's"
         if best.parameter_set in self.tried:

@@ -41,6 +41,11 @@ def alternatives_at(best: Sequence[float | None], alternatives: Sequence[int]) -
     return converged_at(changes(best, alternatives), UNCHANGED_ALTERNATIVES + 1)
 
 
+def last_change(values: Sequence[float | None]) -> int:
+    """Returns the iteration, counted from 1, that changed `values` last; 1 if none did."""
+    return next((index + 2 for index in range(len(values) - 2, -1, -1) if not _equal(values[index], values[-1])), 1)
+
+
 def changes(best: Sequence[float | None], alternatives: Sequence[int]) -> list[float]:
     """Returns how often best objective or number of alternatives had changed by each iteration."""
     states = list(zip(best, alternatives, strict=True))

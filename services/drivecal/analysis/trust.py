@@ -355,12 +355,14 @@ def _robustness(driven: Sequence[Driven]) -> Iterator[Reason]:
     recommended = next((row for study in driven for row in study.rows if row.recommended), None)
     if recommended is None:
         return
+    more = "at least " if recommended.at_least else ""
+    kept = f"the vehicles of the study that differ by up to {more}{recommended.radius:.1%} of the ranges"
     if recommended.degree:
-        more = "at least " if recommended.at_least else ""
-        text = f"The recommended set keeps its scores in vehicles that differ by up to {more}{recommended.radius:.1%} of the ranges."
+        text = f"The recommended set keeps its scores, within the study's limit, in {kept}."
         yield Reason(light="green", about="robustness", text=text)
     else:
-        text = "Even the most robust set loses its scores in the vehicles most like the nominal one."
+        so_far = f" (it holds in {kept})" if recommended.radius else ""
+        text = f"The recommended set breaks the study's limit in its first box of vehicles{so_far}."
         yield Reason(light="amber", about="robustness", text=text)
 
 

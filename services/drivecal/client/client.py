@@ -242,9 +242,12 @@ class Client(CampaignLists):
         """Returns a campaign's front, best first under given `weights` of the objectives; with `everything` of all that is stored."""
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
 
-    def front_summary(self, identifier: str, *, everything: bool = False) -> FrontSummary:
-        """Returns the objectives, knee, extremes and hypervolumes of a front."""
-        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", everything=everything or None)
+    def front_summary(
+        self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
+    ) -> FrontSummary:
+        """Returns the objectives, knee, extremes and hypervolumes of a front, with ranks as `front` has them."""
+        query = {"weights": weights_text(weights), "everything": everything or None}
+        return self._get(FrontSummary, "campaigns", identifier, "front", "summary", **query)
 
     def evaluated_sets(self, identifier: str, *, everything: bool = False) -> Rows[JudgedSet]:
         """Returns all sets that have a value of every objective, dominated ones as well; `everything` as for the front."""

@@ -16,12 +16,13 @@ from drivecal.reduction.audit import is_audited
 @dataclass(frozen=True, slots=True)
 class RequestedCell:
     """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration; `reference_key` is None without an influence
-    map."""
+    map. `is_given`: of the baseline or a start set, whose score no reference answers, for others are compared with it."""
 
     individual: int
     scenario: str
     parameters: ParameterSet
     reference_key: bytes | None = None
+    is_given: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +87,8 @@ def assign(
         reusable = policy.reuses and cell.reference_key is not None and cell.scenario not in policy.stopped
         if reusable and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
-            donor = references.get(kind)
-            leader = same_class.get(kind) if donor is None else None
+            donor = None if cell.is_given else references.get(kind)
+            leader = None if cell.is_given or donor is not None else same_class.get(kind)
             if donor is None and leader is None:
                 same_class[kind] = position
         if donor is None and leader is None:

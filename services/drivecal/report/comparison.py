@@ -10,10 +10,11 @@ from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
 from drivecal.contracts.tables import Generation
+from drivecal.domain.scales import objective_text
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
 from drivecal.report.markup import document, files, paragraph, table, verbatim
-from drivecal.report.rows import Number, compared_groups, fixed, percent, reduction_effect
+from drivecal.report.rows import Number, compared_groups, fixed, objective_number, percent, reduction_effect
 
 SPECIFICATION = "comparison.json"
 COUNTED = (
@@ -116,7 +117,7 @@ def summary(comparison: ComparisonData) -> list[str]:
         for run in comparison.runs:
             groups.setdefault(run.optimizer, []).append(run)
         shares = ", ".join(f"{name} in {sum(run.success for run in runs)} of {len(runs)} runs" for name, runs in groups.items())
-        sentences.append(f"The best objective that any run found is {best:.4f}: {shares}.")
+        sentences.append(f"The best objective that any run found is {objective_text(best)}: {shares}.")
     for effect in comparison.effects:
         overall = effect.optimizer is None or sum(other.reduction == effect.reduction for other in comparison.effects) == 1
         if overall:
@@ -128,11 +129,11 @@ def _effect_sentence(effect: ReductionEffect) -> str:
     different = effect.better + effect.worse
     interval = ""
     if effect.lower_95 is not None and effect.upper_95 is not None:
-        interval = f" (95 % interval {effect.lower_95:+.4f} to {effect.upper_95:+.4f})"
+        interval = f" (95 % interval {objective_text(effect.lower_95, '+')} to {objective_text(effect.upper_95, '+')})"
     return (
         f"{effect.reduction} in the place of {effect.base}: in {effect.pairs} pairs of searches with the same seed, {effect.better} ended "
         f"with a better optimum, {effect.equal} with an equal and {effect.worse} with a worse one; the mean difference is "
-        f"{effect.mean_difference:+.4f}{interval}, the sign test gives p = {effect.sign_test:.3g}"
+        f"{objective_text(effect.mean_difference, '+')}{interval}, the sign test gives p = {effect.sign_test:.3g}"
         f"{'' if different else f', and at most {effect.different_upper_95:.0%} of such searches end elsewhere (95 %)'}. "
         f"It took {effect.simulations:,} simulations in the place of {effect.base_simulations:,}, {effect.saved_share:.1%} less."
     )
@@ -183,8 +184,15 @@ def _pairs(pairs: Sequence[ComparedPair]) -> str:
     header += ["simulations without", "with", "saved"]
     rows = [
         [
-            *(pair.optimizer, pair.population, pair.seed, pair.reduction, fixed(pair.base_best, 4), fixed(pair.best, 4)),
-            *(Number(f"{pair.difference:+.4f}"), pair.base_simulations, pair.simulations, pair.saved),
+            *(
+                pair.optimizer,
+                pair.population,
+                pair.seed,
+                pair.reduction,
+                objective_number(pair.base_best),
+                objective_number(pair.best),
+            ),
+            *(Number(objective_text(pair.difference, "+")), pair.base_simulations, pair.simulations, pair.saved),
         ]
         for pair in pairs
     ]
@@ -206,8 +214,8 @@ def _runs(runs: Sequence[ComparedRun], *, several: bool) -> str:
         "seed": lambda run: run.seed,
         "reduction": lambda run: run.reduction,
         "state": lambda run: run.state,
-        "best": lambda run: fixed(run.simulated_best, 4),
-        "believed": lambda run: fixed(run.best, 4),
+        "best": lambda run: objective_number(run.simulated_best),
+        "believed": lambda run: objective_number(run.best),
         "rating": lambda run: fixed(run.rating, 3),
         "sets": lambda run: run.alternatives,
         "mean": lambda run: fixed(run.mean, 3),

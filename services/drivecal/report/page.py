@@ -21,7 +21,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         "Search": _search(findings, drawn),
         "Reuse": _reuse(findings, drawn),
         "Best sets": _best(findings, drawn),
-        "Front": front.parts(findings.front, findings.front_summary, campaign.id),
+        "Front": front.parts(findings.front, findings.front_summary, campaign.id, _figures(drawn, "figure-front")),
         "Robustness": _robustness(findings, drawn),
         "Validation": _validation(findings, drawn),
         "Cost": reuse.accounting(findings.accounting),
@@ -55,7 +55,7 @@ def _influence(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
 def _search(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
     if not findings.generations:
         return [paragraph("There is no iteration (yet).")] if _searched(findings.campaign) else []
-    converged = search.convergence(findings.generations)
+    converged = search.convergence(findings.generations, findings.front_summary)
     afterwards = search.afterwards(findings.campaign, findings.generations)
     return [
         bullets([*converged, *([afterwards] if afterwards else [])]) if converged else "",

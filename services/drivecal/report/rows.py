@@ -11,7 +11,7 @@ from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
-from drivecal.domain.scales import COMFORT, Scale, unit_text
+from drivecal.domain.scales import COMFORT, Scale, objective_text, unit_text
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "certified", "failed")
 """Outcomes of requested cells, frequent ones first."""
@@ -32,6 +32,11 @@ class Number(str):
 def fixed(value: float | None, digits: int, separator: Literal["", ","] = "") -> Number | None:
     """Returns a number with so many decimals and the `separator` of thousands; None for an unknown value."""
     return None if value is None else Number(f"{value:{separator}.{digits}f}")
+
+
+def objective_number(value: float | None) -> Number | None:
+    """Returns an objective as `objective_text` writes it; None for an unknown one."""
+    return None if value is None else Number(objective_text(value))
 
 
 def percent(share: float | None, digits: int = 2) -> Number | None:
@@ -173,6 +178,10 @@ def exceeds_limit(released: Mapping[str, Released]) -> bool:
     return any(lots.upper_95 is not None and lots.upper_95 > lots.limit for lots in released.values())
 
 
+LOTS = ("scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance", "limit", "at most (95 %)")
+"""Columns of `released_lots`. As in `PREDICTIONS`, those beyond the tolerance are errors, others that differ are not."""
+
+
 def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
     """Returns a row per scenario with inspected lots of predicted answers."""
     return [
@@ -190,7 +199,7 @@ def compared_groups(groups: Sequence[ComparedGroup], *, with_reduction: bool) ->
     return [
         [
             *(group.optimizer, group.population, *([group.reduction] if with_reduction else [])),
-            *(fixed(value, 4) for value in (group.best, group.mean, group.minimum)),
+            *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
             *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
             *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
             *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
@@ -201,11 +210,13 @@ def compared_groups(groups: Sequence[ComparedGroup], *, with_reduction: bool) ->
 
 def reduction_effect(effect: ReductionEffect) -> list[object]:
     """Returns the row of an effect up to the share of different searches; the saved simulations follow."""
-    known = effect.lower_95 is not None and effect.upper_95 is not None
+    interval = None
+    if effect.lower_95 is not None and effect.upper_95 is not None:
+        interval = Number(f"{objective_text(effect.lower_95, '+')} to {objective_text(effect.upper_95, '+')}")
     return [
         *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
-        Number(f"{effect.mean_difference:+.4f}"),
-        Number(f"{effect.lower_95:+.4f} to {effect.upper_95:+.4f}") if known else None,
+        Number(objective_text(effect.mean_difference, "+")),
+        interval,
         *(effect.better, effect.equal, effect.worse),
         *(Number(f"{effect.sign_test:.3g}"), percent(effect.different_upper_95, 1)),
     ]

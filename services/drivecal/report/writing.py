@@ -6,7 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from drivecal.report.data import ReportData
-from drivecal.report.figures import cells, optima_coordinates, population, robustness_degrees
+from drivecal.report.figures import cells, front, optima_coordinates, population, robustness_degrees
 from drivecal.report.figures.drawing import Drawn
 from drivecal.report.figures.spider import overview_figures, scenario_figure
 from drivecal.report.folder import writable
@@ -36,7 +36,7 @@ def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], fo
 
 
 def figures(findings: ReportData) -> Iterator[Drawn]:
-    """Yields Figures 9 to 12 and 14 of the paper for this campaign, without empty ones."""
+    """Yields Figures 9 to 12 and 14 of the paper for this campaign, and its front, without empty ones."""
     yield from _influence(findings)
     if findings.generations:
         baseline = findings.campaign.baseline
@@ -47,6 +47,8 @@ def figures(findings: ReportData) -> Iterator[Drawn]:
         chosen = findings.recommended
         values = None if chosen is None else chosen.parameters
         yield optima_coordinates.drawn(findings.optima, findings.solutions, findings.setup.parameters, values)
+    if findings.front_summary is not None and len(findings.front_summary.objectives) > 1 and findings.front:
+        yield front.drawn(findings.front, findings.front_summary)
     if findings.robustness:
         yield from robustness_degrees.drawn(findings.robustness)
     if findings.validation:

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from math import ceil
-from typing import Any
+from typing import Any, Literal
 
 LARGEST_EXACT = 2**53
 """Whole numbers below it are the same as floats."""
 ROUNDING_SHARE = 1e-9
 """Share of the span up to which scores without steps count as equal."""
 
+SMALL, LARGE = 0.01, 1e6
+"""Objectives between them have four decimals."""
 MOST_BARS = 100
 """Bars on each side of a histogram of differences, without the outermost, which holds all that is beyond the span."""
 
@@ -112,6 +114,14 @@ class Scale:
 def unit_text(unit: str | None, before: str = " ") -> str:
     """Returns a unit for readers, after `before`; nothing for values without unit."""
     return "" if unit in {None, "", "1"} else f"{before}{unit}"
+
+
+def objective_text(objective: float, sign: Literal["", "+"] = "") -> str:
+    """Returns an objective for readers, with four decimals, or with six significant digits if it is small or large; with `+` signed, as
+    differences are."""
+    if objective == 0 or SMALL <= abs(objective) < LARGE:
+        return f"{objective:{sign}.4f}"
+    return f"{objective:{sign}.6g}"
 
 
 def told(score: float | None) -> str:

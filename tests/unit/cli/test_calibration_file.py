@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from drivecal.calibration_data import cdfx, dcm
 from drivecal.cli.commands import results
 from drivecal.cli.main import app
-from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page
+from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page, Study, StudyPage
 from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Light, Reason, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
@@ -77,7 +77,17 @@ class Campaigns:
             scenarios=[ScenarioSetup(scenario=name, weight=0.5, fingerprint="f") for name in ("follow", "brake")],
         )
 
-    def robustness(self, _: str) -> list[RobustnessRow]:
+    def studies(self, _: str) -> StudyPage:
+        study: dict[str, Any] = {"name": "s", "stage": "robustness", "settings": {}, "ended_at": None}
+        listed = [
+            Study(campaign="running", state="running", **study),
+            Study(campaign="another vehicle", state="succeeded", vehicle="hybrid", **study),
+            Study(campaign="newest", state="succeeded", **study),
+        ]
+        return StudyPage(items=listed)
+
+    def robustness(self, campaign: str) -> list[RobustnessRow]:
+        assert campaign == "newest"
         best = SCORES[None][0]
         row: dict[str, Any] = {
             "objective": 3.0,
@@ -137,7 +147,7 @@ class Campaigns:
             )
         ]
 
-    def front_summary(self, _: str, *, everything: bool = False) -> FrontSummary:
+    def front_summary(self, _: str, __: str | None = None, *, everything: bool = False) -> FrontSummary:
         assert not everything
         common = {"scenarios": {"follow": 0.5, "brake": 0.5}, "tolerance": 0.0, "reference": 20.0, "best": 1.0, "worst": 2.0}
         return FrontSummary(

@@ -20,7 +20,6 @@ from drivecal.cli.views.output import (
     cells_text,
     duration,
     lots_text,
-    objective_text,
     print_campaign,
     print_columns,
     print_solutions,
@@ -33,7 +32,7 @@ from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, P
 from drivecal.contracts.results import Reason, TrustAnswer
 from drivecal.contracts.tables import Solution
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.scales import COMFORT
+from drivecal.domain.scales import COMFORT, objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
 PREDICTED = CellCounts(proposed=100, requested=100, repeated=5, reused=5, predicted=40, certified=10, simulated=40, sampled=8)

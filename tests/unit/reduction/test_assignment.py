@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -101,3 +103,12 @@ def test_every_leader_stands_earlier_and_is_simulated(
         if one.plan is Outcome.REPEATED:
             assert one.leader is not None
             assert cells[one.leader].parameters == cells[position].parameters
+
+
+def test_no_reference_answers_a_given_set_which_answers_others() -> None:
+    cells = [replace(_cell(0, "a", "k"), is_given=True), _cell(1, "b", "k")]
+    stored = assign(cells, Policy("influence"), {}, {("S1", b"k"): DONOR})
+    assert stored == [Assignment(Outcome.SIMULATED), Assignment(Outcome.REUSED, donor=DONOR)]
+    assert assign(cells, Policy("influence"), {}, {}) == [Assignment(Outcome.SIMULATED), Assignment(Outcome.REUSED, leader=0)]
+    known = assign(cells[:1], Policy("influence"), {("S1", _set("a")): DONOR}, {})
+    assert known == [Assignment(Outcome.REPEATED, donor=DONOR)]

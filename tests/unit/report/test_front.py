@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,11 +11,12 @@ from tests.unit.report.rows import findings
 from drivecal.cli.views.front import print_front
 from drivecal.cli.views.output import print_campaign
 from drivecal.contracts.campaign import CellCounts
-from drivecal.contracts.results import FrontObjective, FrontSummary
+from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow
 from drivecal.report.page import page
 from drivecal.report.rows import shown_of_front
 from drivecal.report.sections import front, influence
+from drivecal.report.writing import figures
 
 SIZE, KNEE = 30, 25
 
@@ -84,6 +86,28 @@ def test_a_report_with_objectives_has_a_section_about_the_front() -> None:
     assert "drivecal front c" in command
     assert 'id="section-front"' in page(findings(front=ROWS, front_summary=SUMMARY), {}, [], "0")
     assert 'id="section-front"' not in page(findings(), {}, [], "0")
+
+
+def test_a_report_draws_the_front_its_knee_and_extremes_and_the_hypervolume() -> None:
+    comfort = SUMMARY.objectives[0].model_copy(update={"name": "comfort", "unit": "1", "direction": "maximise"})
+    summary = SUMMARY.model_copy(
+        update={
+            "objectives": [comfort, *SUMMARY.objectives],
+            "baseline": FrontBaseline(objectives={"comfort": 3.5, "jerk": 12.0}, violation=0, rank=None),
+            "growth": [FrontGrowth(iteration=number, hypervolume=volume, size=3) for number, volume in ((0, 10.0), (1, 12.5))],
+        }
+    )
+    (figure,) = [each for each in figures(findings(front=ROWS, front_summary=summary)) if each.name == "figure-front"]
+    pair, volumes = figure.figure.axes
+    drawn = {line.get_marker(): np.asarray(line.get_xydata()).tolist() for line in pair.lines}
+    assert drawn["o"] == [[each.objectives["comfort"], each.objectives["jerk"]] for each in ROWS]
+    assert drawn["*"] == [[7 - KNEE / 10, 9 - KNEE / 10]]
+    assert drawn["x"] == [[3.5, 12.0]]
+    assert sum(line.get_marker() == "D" for line in pair.lines) == 2
+    assert np.asarray(volumes.lines[0].get_xydata()).tolist() == [[1, 10.0], [2, 12.5]]
+    assert (pair.get_xlabel(), pair.get_ylabel()) == ("comfort (more is better)", "jerk / m/s3 (less is better)")
+    alone = findings(front=ROWS, front_summary=SUMMARY)
+    assert not [each for each in figures(alone) if each.name == "figure-front"]
 
 
 @pytest.mark.parametrize("objectives", [None, [{"score": "comfort"}]])

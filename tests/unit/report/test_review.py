@@ -126,7 +126,7 @@ def test_the_sheet_shows_values_results_origins_and_confidence() -> None:
         "Subject to max of gap <= 3 (S1, S2).",
         "Light: amber.",
         "amber: No study of robustness.",
-        "S2 4 1 90 30 2 5.0% 3.40%",
+        "S2 0 4 1 90 30 2 5.0% 3.40%",
         "degree of robustness 7",
         "The scores in S2 of set 1",
     ):
@@ -168,7 +168,7 @@ def test_a_bound_that_excludes_nothing_is_no_number() -> None:
     released = {"S2": Released(lots=4, rejected=0, predicted=9, sampled=1, different=0, limit=0.05, upper_95=1.0)}
     known = reviewed()
     text = text_of(sheet(review(replace(known, campaign=known.campaign.model_copy(update={"released": released})))))
-    assert "S2 4 0 9 1 0 5.0% no bound" in text
+    assert "S2 0 4 0 9 1 0 5.0% no bound" in text
 
 
 def test_a_score_that_another_campaign_simulated_later_names_its_cell() -> None:

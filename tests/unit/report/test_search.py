@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from tests.unit.report.rows import generation
+from tests.unit.report.test_front import SUMMARY
 
 from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.report.figures import cells
@@ -14,20 +15,43 @@ from drivecal.report.sections import search
 def test_the_criteria_of_tables_5_and_7_are_stated_with_what_was_found() -> None:
     steady = [generation(0, best=4.0, alternatives=1)] + [generation(i, best=6.0, alternatives=min(i, 5)) for i in range(1, 13)]
     best, alternatives = search.convergence(steady)
-    assert best.startswith("Converged by its best objective: found in iteration 2 of 13, it then stayed")
+    assert best.startswith(
+        "Converged by the paper's criterion for the best objective: found in iteration 2 of 13, it then stayed"
+    )
     assert "10 iterations" in best
-    assert alternatives.startswith("Converged by its number of alternative optima: found in iteration 6 of 13")
+    assert alternatives.startswith(
+        "Converged by the paper's criterion for the number of alternative optima: found in iteration 6 of 13"
+    )
     best, alternatives = search.convergence(steady[:9])
-    assert best.startswith("Not converged by its best objective: it last changed in iteration 2 of 9")
-    assert alternatives.startswith("Not converged by its number of alternative optima: it last changed in iteration 6 of 9")
+    assert best.startswith("Not converged by the paper's criterion for the best objective: it last changed in iteration 2 ")
+    assert alternatives.startswith(
+        "Not converged by the paper's criterion for the number of alternative optima: it last changed in iteration 6 "
+    )
 
 
 def test_a_number_of_alternatives_is_not_older_than_the_best_objective_that_has_it() -> None:
     late = [generation(number, best=4.0 if number < 6 else 6.0, alternatives=1) for number in range(15)]
     best, alternatives = search.convergence(late)
-    assert best.startswith("Not converged by its best objective: it last changed in iteration 7 of 15")
-    assert alternatives.startswith("Converged by its number of alternative optima: found in iteration 7 of 15")
-    assert search.convergence(late[:10])[1].startswith("Not converged by its number of alternative optima")
+    assert best.startswith("Not converged by the paper's criterion for the best objective: it last changed in iteration 7 ")
+    assert alternatives.startswith(
+        "Converged by the paper's criterion for the number of alternative optima: found in iteration 7 of 15"
+    )
+    assert search.convergence(late[:10])[1].startswith(
+        "Not converged by the paper's criterion for the number of alternative optima"
+    )
+
+
+def test_iterations_without_a_result_count_and_rounding_is_no_change() -> None:
+    rounding = (None, None, 0.5, 0.6, 0.6000000000000001)
+    best, _ = search.convergence([generation(number, best=value) for number, value in enumerate(rounding)])
+    assert "it last changed in iteration 4 of 5" in best
+
+
+def test_several_objectives_have_no_criterion_of_a_single_one() -> None:
+    (first,) = SUMMARY.objectives
+    several = SUMMARY.model_copy(update={"objectives": [first, first]})
+    assert search.convergence([generation(0, best=6.0)], several) == []
+    assert len(search.convergence([generation(0, best=6.0)], SUMMARY)) == 2
 
 
 def test_a_search_that_was_too_short_is_not_called_converged() -> None:

@@ -88,20 +88,24 @@ class EvaluationsOf(TableOf):
     measures: bool = False
 
 
-class SummaryOf(Parameters):
-    """A front: of the campaign's own search, or with `everything` of all that is stored in its setups and space."""
+class SetsOf(Parameters):
+    """Sets of the campaign's own search, or with `everything` all that are stored in its setups and space."""
 
     everything: bool = False
 
 
-class EvaluatedOf(TableOf, SummaryOf):
+class EvaluatedOf(TableOf, SetsOf):
     """A page of all evaluated sets by their objectives."""
 
 
-class FrontOf(TableOf, SummaryOf):
-    """A page of a front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
+class SummaryOf(SetsOf):
+    """A front, ranked by weights of the objectives such as `comfort=2,gap=1`; others have weight 1."""
 
     weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
+
+
+class FrontOf(TableOf, SummaryOf):
+    """A page of a front."""
 
 
 class ImportanceOf(Parameters):
@@ -134,7 +138,6 @@ class TradeOffOf(SummaryOf):
 
     first: Annotated[int, Field(ge=1)]
     second: Annotated[int, Field(ge=1)]
-    weights: Annotated[str, StringConstraints(max_length=20_000)] | None = None
 
 
 class SubmissionOf(Parameters):

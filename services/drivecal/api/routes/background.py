@@ -108,11 +108,11 @@ def trust_in(
         for study, document in documents
         if study.stage == StageName.VALIDATION
     ]
-    own = _vehicle(campaign.spec)
+    own = campaign.spec.get("vehicle")
     driven = [
         Driven(study.campaign, [RobustnessRow.model_validate(item) for item in document["items"]])
         for study, document in documents
-        if study.stage == StageName.ROBUSTNESS and _vehicle(study.spec) == own
+        if study.stage == StageName.ROBUSTNESS and study.spec.get("vehicle") == own
     ]
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)

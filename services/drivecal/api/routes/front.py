@@ -41,9 +41,10 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
 
 @router.get("/summary")
 def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDependency) -> FrontSummary:
-    """Objectives with their ranges on the front, its knee and extremes, and the hypervolume after each iteration."""
+    """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and the hypervolume after each
+    iteration."""
     campaign, _, front = _front(database, campaign_id, everything=query.everything)
-    return summary(front, baseline_of(database, campaign, front))
+    return summary(weighted(front, query.weights)[0], baseline_of(database, campaign, front))
 
 
 @router.get("/evaluated", responses=page_or_file(JudgedSet))

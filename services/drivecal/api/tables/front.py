@@ -88,7 +88,7 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
 
 
 def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> FrontSummary:
-    """Returns the summary of a front in its own order."""
+    """Returns the summary of a front in its order."""
     growth = [FrontGrowth(iteration=number, hypervolume=volume, size=size) for number, volume, size in front.hypervolumes()]
     listed = [
         _objective(goal, column, front, reference)
@@ -169,9 +169,10 @@ def _of_rank(front: CampaignFront, rank: int, field: str) -> FrontMember:
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:
-    gain = difference.gain or 0.0
+    first, second = (goal.compared(float(value or 0.0)) for value in (difference.first, difference.second))
+    equal = f"stays within its tolerance of {goal.tolerance:g}" if goal.tolerance else "stays as it is"
     values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
-    return f"{goal.name} {'stays as it is' if gain == 0 else 'gets better' if gain > 0 else 'gets worse'}: {values}"
+    return f"{goal.name} {equal if first == second else 'gets better' if second > first else 'gets worse'}: {values}"
 
 
 def _objective(goal: Objective, column: int, front: CampaignFront, reference: float) -> FrontObjective:

@@ -40,7 +40,7 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification], functi
     for index, listed in enumerate(parameters):
         where = f"parameters[{index}]"
         if listed.name not in known:
-            diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", f"one of {', '.join(known)}")
+            diagnostics.add(f"{where}.name", f"{function.name} has no parameter {listed.name!r}", _remedy(known))
             continue
         if any(listed.name == other.name for other in grids):
             diagnostics.add(f"{where}.name", f"{listed.name} is listed twice", "list each parameter once")
@@ -61,6 +61,10 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification], functi
             _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
     diagnostics.raise_if_any()
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
+
+
+def _remedy(names: Sequence[str]) -> str:
+    return f"one of {', '.join(names)}; if another problem is meant, name it in `problem`"
 
 
 def _default_space(function: Parameterised) -> dict[str, Parameter]:
@@ -131,7 +135,7 @@ def search_space(
         where = f"fixed.{name}"
         value = _value(given)
         if name not in names:
-            diagnostics.add(where, f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
+            diagnostics.add(where, f"{function.name} has no parameter {name!r}", _remedy(names))
         elif name in by_name:
             try:
                 by_name[name].index(value, where)
@@ -177,7 +181,7 @@ def free_values(given: Mapping[str, Setting], function: Parameterised, diagnosti
     names = tuple(defaults)
     for name in given:
         if name not in names:
-            diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", f"one of {', '.join(names)}")
+            diagnostics.add(f"parameters.{name}", f"{function.name} has no parameter {name!r}", _remedy(names))
     values: dict[str, Value] = {}
     for name in names:
         where = f"parameters.{name}"

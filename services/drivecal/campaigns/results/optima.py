@@ -51,8 +51,7 @@ class Alternatives:
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
     """The first sets of a `ranking`, best first, that share the best objective: at most MOST_BEST."""
-    first = ranking[0]
-    alike = (abs(each.objective - first.objective) <= EQUAL and each.violation == first.violation for each in ranking)
+    alike = (abs(each.objective - ranking[0].objective) <= EQUAL and each.violation == ranking[0].violation for each in ranking)
     equal = sum(1 for _ in takewhile(bool, alike))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:

@@ -173,7 +173,7 @@ class Calibration(CampaignStage):
         batch, problem = self._batches.pop(0), self._problem
         sets = problem.space.parameter_sets(self._area.expand(self._proposal.population[batch]))
         wanted = [
-            RequestedCell(individual, scenario, parameters)
+            RequestedCell(individual, scenario, parameters, is_given=self._iteration == 0 and individual in self._given)
             for individual, parameters in zip(batch, sets, strict=True)
             for scenario in problem.scenarios
         ]
@@ -192,9 +192,14 @@ class Calibration(CampaignStage):
         if self._planner is None:
             return planned
         best = self._ranking.surest()
-        given = range(len(self._problem.start_sets)) if asked.number == 0 else ()  # first in the start population
+        given = self._given if asked.number == 0 else ()
         reaches = None if self._problem.goals is None else self._ranking.reaches_front
         return self._planner.plan(connection, planned, None if best is None else best.objective, given, reaches)
+
+    @property
+    def _given(self) -> range:
+        """Individuals of the start population that are the baseline or a given start set."""
+        return range(len(self._problem.start_sets))
 
     def _policy(self) -> Policy:
         reduction = self._problem.specification.reduction

@@ -16,6 +16,7 @@ from drivecal.cli.application import (
     tell,
 )
 from drivecal.cli.views.comparisons import comparison_document, print_comparison
+from drivecal.cli.views.evaluation import print_evaluation
 from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.savings import (
@@ -127,7 +128,7 @@ def list_campaigns(
 
 @app.command()
 def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
-    """Show one campaign."""
+    """Show one campaign, or a single evaluation by its whole id."""
     with connect(url) as client:
         _print_whole(client, client.campaign(client.full_id(identifier)), as_json)
 
@@ -214,10 +215,12 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 
 
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """Prints a campaign, from the first answered cell on with its account or the tables of a comparison.
-
-    Single evaluations have neither, pruned campaigns no account.
+    """Prints a campaign, from the first answered cell on with its account or the tables of a comparison; a single evaluation as `evaluate`
+    does. Pruned campaigns have no account.
     """
+    if campaign.kind == "evaluation":
+        print_answer(client.evaluation(campaign.id), as_json, print_evaluation)
+        return
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     accounted = answered and "generations" in campaign.links and campaign.pruned_at is None
     account = client.accounting(campaign.id) if accounted else None

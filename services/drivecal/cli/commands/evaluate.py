@@ -9,14 +9,14 @@ import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, code_of_state, connect, tell
 from drivecal.cli.views import traces
+from drivecal.cli.views.evaluation import print_evaluation
 from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns
+from drivecal.cli.views.output import print_answer
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
-from drivecal.report.rows import shortened
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
 TRACE_FILES = (*traces.SUFFIXES, traces.MEASUREMENT)
@@ -78,7 +78,7 @@ def evaluate(
             else:
                 traces.save(series, trace)
             tell(f"time series: {trace}")
-    print_answer(evaluation, as_json, _print)
+    print_answer(evaluation, as_json, print_evaluation)
     raise typer.Exit(code_of_state(evaluation.state))
 
 
@@ -126,27 +126,3 @@ def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | Se
         evaluation.scenario or "", trace, run_facts(evaluation.score, evaluation.failure), units_of(client, problem)
     )
     return measurement([recording], facts, None)
-
-
-def _print(evaluation: Evaluation) -> None:
-    typer.echo(parameters_text(evaluation.parameters))
-    for note in evaluation.notes:
-        typer.echo(f"note: {note}")
-    if evaluation.error:
-        typer.echo(f"error: {evaluation.error}")
-    header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]
-    print_columns(
-        header,
-        [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
-    )
-    for item in evaluation.items:
-        if item.detail:
-            typer.echo(f"{item.scenario}: {shortened(item.detail)}; --json shows all of it")
-    if evaluation.objective is not None and len(evaluation.items) > 1:
-        typer.echo(f"mean score {evaluation.objective:.4f}")
-    if evaluation.metrics:
-        typer.echo("")
-        print_columns(
-            ["metric", "value"],
-            [[name, None if value is None else f"{value:.4g}"] for name, value in evaluation.metrics.items()],
-        )

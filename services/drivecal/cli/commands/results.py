@@ -23,7 +23,8 @@ from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import HIGHWAY
-from drivecal.contracts.tables import FrontRow, Solution, TableName
+from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, TableName
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
@@ -94,7 +95,7 @@ def front(
             print_answer(client.trade_off(campaign_id, *ranks, weights, everything=everything), as_json, print_trade_off)
             return
         rows = client.front(campaign_id, weights, everything=everything)
-        summary = client.front_summary(campaign_id, everything=everything)
+        summary = client.front_summary(campaign_id, weights, everything=everything)
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
@@ -202,10 +203,11 @@ def _calibration_file(
     labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
     weights, score = query.get("weights"), query.get("score")
     given = None if weights is None else assignments(weights.split(","), "--weights")
-    campaign, robustness = client.campaign(identifier), client.robustness(identifier)
+    campaign = client.campaign(identifier)
+    robustness = _examined(client, campaign)
     chosen = _chosen(client, identifier, table, row, query)
     if isinstance(chosen, FrontRow):
-        summary = client.front_summary(identifier, everything="everything" in query)
+        summary = client.front_summary(identifier, weights, everything="everything" in query)
         figures = front_figures(campaign, chosen, summary, robustness, given)
     else:
         own = weights is None and score is None
@@ -217,6 +219,14 @@ def _calibration_file(
         deserved = client.trust(campaign.id, (chosen.iteration, chosen.individual))
     quality = quality_of(campaign, setup, chosen, deserved, figures)
     return write(cast("CalibrationFormat", form), characteristics, quality)
+
+
+def _examined(client: Client, campaign: Campaign) -> list[RobustnessRow]:
+    """Returns the sets that robustness studies examined in the campaign's vehicle, those of the newest study first."""
+    vehicle = (campaign.spec.get("vehicle") or {}).get("model")
+    ended = (study for study in client.studies(campaign.id).items if study.state == CampaignState.SUCCEEDED)
+    studies = (study for study in ended if study.stage == "robustness" and study.vehicle == vehicle)
+    return [row for study in studies for row in client.robustness(study.campaign)]
 
 
 def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:

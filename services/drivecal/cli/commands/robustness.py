@@ -15,7 +15,7 @@ from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.errors import ConflictError
-from drivecal.report.rows import fixed
+from drivecal.report.rows import fixed, objective_number
 
 
 @app.command()
@@ -128,7 +128,7 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
         ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
         [
             [
-                *(row.rank, degree_text(row), f"{row.radius:.4g}", fixed(row.objective, 4)),
+                *(row.rank, degree_text(row), f"{row.radius:.4g}", objective_number(row.objective)),
                 " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
                 *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
             ]

@@ -13,7 +13,7 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
 from drivecal.contracts.tables import Solution
 from drivecal.domain.events import ASKED
-from drivecal.domain.scales import told
+from drivecal.domain.scales import objective_text, told
 from drivecal.report.rows import OUTCOMES, totals
 from drivecal.report.sections.commands import evaluation
 
@@ -21,8 +21,6 @@ Shown = TypeVar("Shown", bound=BaseModel)
 
 OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
 """Colours on terminals, those of the page on a dark ground."""
-SMALL, LARGE = 0.01, 1e6
-"""Objectives between them have four decimals."""
 DIGITS = 15
 """Significant digits of values that users may type again."""
 
@@ -193,22 +191,18 @@ def self_check_text(campaign: Campaign) -> str:
 def lots_text(campaign: Campaign) -> str:
     """Returns the inspections of predicted answers on a line; empty before the first."""
     names = ("lots", "rejected", "predicted", "sampled", "different")
-    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
+    lots, rejected, predicted, sampled, beyond = totals(campaign.released.values(), *names)
     if not lots:
         return ""
     inspected = "1 lot was" if lots == 1 else f"{lots:,} lots were"
-    return f"{inspected} inspected, {rejected:,} rejected; {predicted:,} answers released; {different:,} of {sampled:,} samples differed"
+    samples = f"{beyond:,} of {sampled:,} samples beyond the tolerance"
+    return f"{inspected} inspected, {rejected:,} rejected; {predicted:,} answers released; {samples}"
 
 
 def saved(cells: CellCounts) -> float:
     """Returns the share of the requested cells that needed no simulation."""
     answered = cells.repeated + cells.reused + cells.predicted + cells.certified
     return answered / cells.requested if cells.requested else 0.0
-
-
-def objective_text(objective: float) -> str:
-    """Returns an objective with four decimals, or with six digits if it is small or large."""
-    return f"{objective:.4f}" if objective == 0 or SMALL <= abs(objective) < LARGE else f"{objective:.6g}"
 
 
 def parameters_text(parameters: Mapping[str, float | str], digits: int = 6) -> str:

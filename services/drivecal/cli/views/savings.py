@@ -10,7 +10,7 @@ from drivecal.contracts.campaign import ErrorRate, Narrowed, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import TrustAnswer
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.report.rows import FAILURES, LOTS_NOTE, error_rates, exceeds_limit, failure_causes, released_lots, totals
+from drivecal.report.rows import FAILURES, LOTS, LOTS_NOTE, error_rates, exceeds_limit, failure_causes, released_lots, totals
 
 
 def print_trust(trust: TrustAnswer) -> None:
@@ -49,10 +49,10 @@ def print_lots(released: Mapping[str, Released]) -> None:
     rows = released_lots(released)
     if not rows:
         return
-    typer.echo("\npredicted answers, released in lots after the simulation of a sample (different: by more than the tolerance)")
-    print_columns(
-        ["scenario", "asked", "lots", "rejected", "released", "sampled", "different", "limit", "at most (95 %)"], rows
+    typer.echo(
+        "\npredicted answers, released in lots after the simulation of a sample (asked: batches in which the predictor was)"
     )
+    print_columns(LOTS, rows)
     if exceeds_limit(released):
         typer.echo(LOTS_NOTE)
 

@@ -4,7 +4,8 @@ import json
 
 from drivecal.report.markup import bullets, command, paragraph, subheading, table
 from drivecal.report.review.data import Review, ReviewedSet
-from drivecal.report.rows import LOTS_NOTE, PREDICTIONS, bound, exceeds_limit, interval_text, percent, predictions
+from drivecal.report.rows import PREDICTIONS, bound, interval_text, percent, predictions
+from drivecal.report.sections.reuse import lots_table
 
 
 def robustness(review: Review) -> list[str]:
@@ -70,24 +71,8 @@ def sureness(review: Review) -> list[str]:
 
 
 def _lots(reviewed: ReviewedSet, label: str) -> list[str]:
-    campaign = reviewed.campaign
-    rows = [
-        [
-            *(name, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different),
-            *(percent(lots.limit, 1), bound(lots.upper_95)),
-        ]
-        for name, lots in campaign.released.items()
-        if lots.lots
-    ]
-    if not rows:
-        return []
-    header = ["scenario", "lots", "rejected", "released answers", "sampled", "different", "limit", "95 % bound"]
-    caption = (
-        f"Lots of predicted answers{label}; limit: of the expected errors released for each prediction in a lot; bound: of the share of "
-        "errors among released answers. A set with a predicted score is not ranked"
-    )
-    note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []
-    return [table(header, rows, caption), *note, command(f"drivecal show {campaign.id}")]
+    table_of_lots = lots_table(reviewed.campaign, label)
+    return [*table_of_lots, command(f"drivecal show {reviewed.campaign.id}")] if table_of_lots else []
 
 
 def _audits(reviewed: ReviewedSet, label: str) -> list[str]:

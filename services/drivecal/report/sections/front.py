@@ -11,7 +11,7 @@ SHOWN = 20
 """Sets that the page shows, if no more are marked."""
 
 
-def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: str) -> list[str]:
+def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: str, drawings: Sequence[str] = ()) -> list[str]:
     """Returns the section; nothing without objectives."""
     if summary is None:
         return []
@@ -34,6 +34,7 @@ def parts(rows: Sequence[FrontRow], summary: FrontSummary | None, identifier: st
     ]
     return [
         bullets(lines),
+        *drawings,
         table(header, cells, caption),
         paragraph("All sets, and what one gains and costs against another:"),
         verbatim(f"drivecal front {identifier} --limit {len(rows)}"),

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 
 from drivecal.contracts.campaign import Baseline, Best, Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow, Solution
-from drivecal.domain.scales import told, unit_text
+from drivecal.domain.scales import objective_text, told, unit_text
 from drivecal.report.data import ReportData
 from drivecal.report.markup import bullets, paragraph, table
-from drivecal.report.rows import Number, errors_text, fixed, percent, range_text, totals
+from drivecal.report.rows import Number, errors_text, fixed, objective_number, percent, range_text, totals
 from drivecal.report.sections import reuse, search
 
 SHOWN = 20
@@ -25,14 +25,14 @@ def summary(findings: ReportData) -> list[str]:
     least = "at least " * (len(findings.optima) < best.alternatives)
     where = f", in {least}{regions} distinct regions" if regions > 1 else ""
     share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
-    first = f"The best objective is {best.objective:.4f} ({_meaning(campaign)}); {share}."
+    first = f"The best objective is {objective_text(best.objective)} ({_meaning(campaign)}); {share}."
     if campaign.baseline is not None and campaign.baseline.objective is not None:
-        first += f" The baseline has {campaign.baseline.objective:.4f}."
+        first += f" The baseline has {objective_text(campaign.baseline.objective)}."
     if findings.solutions and findings.solutions[0].reused:
         where = ", ".join(findings.solutions[0].reused)
         first += f" The best set's score in {where} is a reference's; a search prefers those that are too good."
         first += " The command under Versions and repetition simulates it."
-    sentences = [first, *search.convergence(findings.generations)[:1]]
+    sentences = [first, *search.convergence(findings.generations, findings.front_summary)[:1]]
     if findings.accounting is not None:
         sentences.append(findings.accounting.sentence)
     sentences += [_errors(campaign), _predictions(campaign), _proofs(findings), *_studies(findings)]
@@ -68,11 +68,12 @@ def _errors(campaign: Campaign) -> str:
 
 def _predictions(campaign: Campaign) -> str:
     names = ("lots", "rejected", "predicted", "sampled", "different")
-    lots, rejected, predicted, sampled, different = totals(campaign.released.values(), *names)
+    lots, rejected, predicted, sampled, beyond = totals(campaign.released.values(), *names)
     if not lots:
         return ""
     text = f"{predicted:,} answers are predictions of released lots"
-    return f"{text}; of {sampled:,} samples of {lots:,} lots {different:,} differed, {rejected:,} lots were rejected and simulated."
+    samples = f"of {sampled:,} samples of {lots:,} lots {beyond:,} are beyond the tolerance"
+    return f"{text}; {samples}, {rejected:,} lots were rejected and simulated."
 
 
 def _proofs(findings: ReportData) -> str:
@@ -112,7 +113,7 @@ def _compared(findings: ReportData, best: Best) -> str:
 def _row(name: str, compared: Best | Baseline | RobustnessRow, best: Best) -> list[object]:
     scores = [compared.scores.get(scenario) for scenario in best.scores]
     values = [compared.parameters.get(parameter) for parameter in best.parameters]
-    return [name, fixed(compared.objective, 4), *scores, *values]
+    return [name, objective_number(compared.objective), *scores, *values]
 
 
 def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow]) -> str:
@@ -124,7 +125,7 @@ def solutions_table(solutions: Sequence[Solution], optima: Iterable[OptimumRow])
     broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in shown) else []
     rows = [
         [
-            *(solution.rank, fixed(solution.objective, 4), fixed(solution.rating, 3)),
+            *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
             known[solution.rank].region if solution.rank in known else None,
             *(percent(solution.violation or None, 1) for _ in broken),
             *(Number(f"{amount:.6g}") for amount in solution.constraints.values()),

@@ -8,6 +8,7 @@ from drivecal.contracts.evaluation import FailureCause
 from drivecal.report.markup import paragraph, table
 from drivecal.report.rows import (
     FAILURES,
+    LOTS,
     LOTS_NOTE,
     OUTCOMES,
     Number,
@@ -48,23 +49,14 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     return [*content, *predicted, *_proved(account), *_certified(campaign)]
 
 
-def lots_table(campaign: Campaign) -> list[str]:
-    """Returns the table of inspected lots by scenario; nothing without lots."""
+def lots_table(campaign: Campaign, label: str = "") -> list[str]:
+    """Returns the table of inspected lots by scenario; nothing without lots. `label` follows the first words of its caption."""
     rows = released_lots(campaign.released)
-    header = [
-        "scenario",
-        "batches asked",
-        "lots",
-        "rejected",
-        "released answers",
-        "sampled",
-        "different",
-        "limit",
-        "95 % bound",
-    ]
+    header = [*LOTS[:-1], "95 % bound"]
     caption = (
-        "Predicted answers: a sample of each lot was simulated, then it was released or all of it simulated. Different: by more than the "
-        "tolerance; limit: of the expected errors released, for each prediction in a lot. A set with a predicted score is not ranked"
+        f"Predicted answers{label}: a sample of each lot was simulated, then it was released or all of it simulated. Asked: batches in "
+        "which the predictor was; beyond tolerance: samples; limit: of the expected errors released, for each prediction in a lot. A set "
+        "with a predicted score is not ranked"
     )
     note = [paragraph(f"The {LOTS_NOTE}.")] if exceeds_limit(campaign.released) else []
     return [table(header, rows, caption), *note] if rows else []

@@ -10,7 +10,7 @@ from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
 from drivecal.report.data import Studied
 from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import Number, fixed
+from drivecal.report.rows import Number, fixed, objective_number
 
 Robust = Studied[RobustnessRow]
 
@@ -95,7 +95,7 @@ def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
-            *(nominal[row.rank], fixed(row.objective, 4), fixed(row.rating, 3)),
+            *(nominal[row.rank], objective_number(row.objective), fixed(row.rating, 3)),
             *row.scores.values(),
             Number(degree(row)),
             *(vehicle.get(key_of(row.parameters)) for vehicle in elsewhere),

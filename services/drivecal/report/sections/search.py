@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at, changes
+from drivecal.analysis.convergence import UNCHANGED_ALTERNATIVES, UNCHANGED_BEST, alternatives_at, best_at, changes, last_change
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import Generation
 from drivecal.report.markup import table
 from drivecal.report.rows import fixed
@@ -12,13 +13,16 @@ MOST_LINES = 13
 """Iterations that a table in the page shows; all of them are in the file."""
 
 
-def convergence(generations: Sequence[Generation]) -> list[str]:
-    """Returns a sentence for each criterion, without unanswered iterations."""
-    answered = [generation for generation in generations if generation.best is not None]
+def convergence(generations: Sequence[Generation], front: FrontSummary | None = None) -> list[str]:
+    """Returns a sentence for each criterion; nothing before the first result, and of several objectives, for the criteria are about a best
+    set and not about a `front`. Unanswered iterations at the end are left out."""
+    if front is not None and len(front.objectives) > 1:
+        return []
+    answered = [place for place, generation in enumerate(generations, 1) if generation.best is not None]
     if not answered:
         return []
-    best = [generation.best for generation in answered]
-    alternatives = [generation.alternatives for generation in answered]
+    best = [generation.best for generation in generations[: answered[-1]]]
+    alternatives = [generation.alternatives for generation in generations[: answered[-1]]]
     for_the_best = f"for at least {UNCHANGED_BEST} iterations"
     for_the_alternatives = f"for more than {UNCHANGED_ALTERNATIVES} iterations"
     return [
@@ -46,14 +50,15 @@ def afterwards(campaign: Campaign, generations: Sequence[Generation]) -> str:
 
 
 def _sentence(what: str, values: Sequence[float | None], converged: int | None, criterion: str) -> str:
-    last, of = len(values) - 1, f"of {len(values)}"
+    of = f"of {len(values)}"
+    by = f"by the paper's criterion for the {what}"
     if converged is not None:
-        return f"Converged by its {what}: found in iteration {converged} {of}, it then stayed as it was {criterion}."
-    changed = next((index + 2 for index in range(last - 1, -1, -1) if values[index] != values[last]), 1)
+        return f"Converged {by}: found in iteration {converged} {of}, it then stayed as it was {criterion}."
+    changed = last_change(values)
     wanted = f"would have to stay {criterion}."
     if changed == 1:
         return f"The {what} never changed in {len(values)} iterations, too few to call it converged: it {wanted}"
-    return f"Not converged by its {what}: it last changed in iteration {changed} {of}, and {wanted}"
+    return f"Not converged {by}: it last changed in iteration {changed} {of}, and {wanted}"
 
 
 def shown(generations: Sequence[Generation]) -> list[Generation]:
