@@ -72,8 +72,7 @@ def collect(client: Client, identifier: str) -> ReportData:
     used = client.map_of(campaign)
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     compromises = bool(campaign.spec.get("objectives")) and campaign.best is not None
-    own = (campaign.spec.get("vehicle") or {}).get("model")
-    studies = sorted(client.studies(identifier).items, key=lambda study: study.vehicle != own)
+    studies = sorted(client.studies(identifier).items, key=lambda study: not study.in_own_vehicle)
     return ReportData(
         campaign=campaign,
         setup=client.setup(identifier),

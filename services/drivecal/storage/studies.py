@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, and_, or_, select
 
 from drivecal.domain.campaigns import StageName
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.bulk import insert
 from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import campaigns, studies
@@ -58,6 +59,11 @@ def about(connection: Connection, campaign_id: str, campaign_sequence: int, infl
     )
     rows = connection.execute(query)
     return [record(StoredStudy, row, campaign_sequence=row.sequence, campaign=row.id, stage=row.made) for row in rows]
+
+
+def is_in_own_vehicle(study: StoredStudy, campaign: StoredCampaign) -> bool:
+    """Returns whether a study drove the vehicle of the campaign whose results it is about, with equal parameters."""
+    return bool(study.spec.get("vehicle") == campaign.spec.get("vehicle"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -324,7 +324,7 @@ STUDIES: tuple[StudyName, ...] = get_args(StudyName)
 
 class Study(Answer):
     """A study of a campaign's results, made by that `campaign` itself or by another one; `settings` as in its specification, `vehicle`:
-    the model that was driven."""
+    the model that was driven, `in_own_vehicle`: it is the vehicle of the campaign whose results are studied, with equal parameters."""
 
     campaign: str
     name: str
@@ -332,6 +332,7 @@ class Study(Answer):
     state: str
     settings: dict[str, Any]
     vehicle: str | None = None
+    in_own_vehicle: bool = True
     ended_at: datetime | None
 
 

@@ -81,7 +81,7 @@ class Campaigns:
         study: dict[str, Any] = {"name": "s", "stage": "robustness", "settings": {}, "ended_at": None}
         listed = [
             Study(campaign="running", state="running", **study),
-            Study(campaign="another vehicle", state="succeeded", vehicle="hybrid", **study),
+            Study(campaign="another vehicle", state="succeeded", in_own_vehicle=False, **study),
             Study(campaign="newest", state="succeeded", **study),
         ]
         return StudyPage(items=listed)

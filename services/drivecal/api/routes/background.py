@@ -77,7 +77,7 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id))
         made = _about(connection, campaign)
-    return StudyPage(items=[_study(study) for study in made])
+    return StudyPage(items=[_study(study, campaign) for study in made])
 
 
 @router.get("/trust")
@@ -108,11 +108,10 @@ def trust_in(
         for study, document in documents
         if study.stage == StageName.VALIDATION
     ]
-    own = campaign.spec.get("vehicle")
     driven = [
         Driven(study.campaign, [RobustnessRow.model_validate(item) for item in document["items"]])
         for study, document in documents
-        if study.stage == StageName.ROBUSTNESS and study.spec.get("vehicle") == own
+        if study.stage == StageName.ROBUSTNESS and studies.is_in_own_vehicle(study, campaign)
     ]
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)
@@ -215,7 +214,7 @@ def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> boo
     return alike and all(theirs.get(field) == ours.get(field) for field in SAME_FOR_A_MAP)
 
 
-def _study(made: StoredStudy) -> Study:
+def _study(made: StoredStudy, campaign: StoredCampaign) -> Study:
     as_it_is = {name: getattr(made, name) for name in Study.model_fields if hasattr(made, name)}
-    settings = made.spec.get(made.stage) or {}
-    return Study(**as_it_is, settings=settings, vehicle=_vehicle(made.spec))
+    own = studies.is_in_own_vehicle(made, campaign)
+    return Study(**as_it_is, settings=made.spec.get(made.stage) or {}, vehicle=_vehicle(made.spec), in_own_vehicle=own)

@@ -202,9 +202,9 @@ def bound_text(bound: Bound) -> str:
 
 def _degrees(connection: Connection, campaign: StoredCampaign) -> dict[tuple[tuple[str, float | str], ...], int]:
     """Degrees of robustness by parameters, of the newest study in the campaign's vehicle that succeeded."""
-    vehicle = campaign.spec["vehicle"]
     for study in studies.about(connection, campaign.id, campaign.sequence, None):
-        if study.stage != StageName.ROBUSTNESS or study.state != CampaignState.SUCCEEDED or study.spec["vehicle"] != vehicle:
+        succeeded = study.stage == StageName.ROBUSTNESS and study.state == CampaignState.SUCCEEDED
+        if not succeeded or not studies.is_in_own_vehicle(study, campaign):
             continue
         document = studies.get(connection, study.campaign_sequence, StageName.ROBUSTNESS)
         if document is not None:

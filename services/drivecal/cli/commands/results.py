@@ -223,9 +223,8 @@ def _calibration_file(
 
 def _examined(client: Client, campaign: Campaign) -> list[RobustnessRow]:
     """Returns the sets that robustness studies examined in the campaign's vehicle, those of the newest study first."""
-    vehicle = (campaign.spec.get("vehicle") or {}).get("model")
     ended = (study for study in client.studies(campaign.id).items if study.state == CampaignState.SUCCEEDED)
-    studies = (study for study in ended if study.stage == "robustness" and study.vehicle == vehicle)
+    studies = (study for study in ended if study.stage == "robustness" and study.in_own_vehicle)
     return [row for study in studies for row in client.robustness(study.campaign)]
 
 
