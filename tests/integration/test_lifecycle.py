@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,14 @@ from tests.support.databases import migrated
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import UnavailableError
+from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage import campaigns, generations, results
@@ -123,6 +125,69 @@ def test_a_paused_campaign_is_cancelled_at_once(database: Database) -> None:
         dispatcher.step()
     _request(database, campaign, "cancel")
     assert _finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+
+
+class _LostAnswer:
+    """A database that commits the transaction that brings a campaign into `state`, and whose answer to that commit is lost."""
+
+    def __init__(self, database: Database, campaign: StoredCampaign, state: CampaignState) -> None:
+        self._database, self._campaign, self._state = database, campaign, state
+        self.is_lost = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._database, name)
+
+    @contextmanager
+    def transaction(self) -> Iterator[Connection]:
+        with self._database.transaction() as connection:
+            yield connection
+        if not self.is_lost and _get(self._database, self._campaign).state is self._state:
+            self.is_lost = True
+            raise UnavailableError("the answer to the commit was lost")
+
+
+def _lose_the_answer(used: _LostAnswer, dispatcher: Dispatcher) -> None:
+    """Works until the answer is lost, and does then as `Dispatcher.run` does."""
+    for _ in range(200):
+        try:
+            dispatcher.step()
+        except UnavailableError:
+            dispatcher._forget_jobs()
+            break
+    assert used.is_lost
+
+
+def test_a_pause_whose_answer_is_lost_simulates_nothing_more_until_it_is_resumed(database: Database) -> None:
+    campaign, backend = _submit(database, optimizer=SPECIFICATION["optimizer"] | {"iterations": 2}), ComputedBackend()
+    used: Any = _LostAnswer(database, campaign, CampaignState.PAUSED)
+    dispatcher = _dispatcher(used, backend)
+    for _ in range(4):
+        dispatcher.step()
+    _request(database, campaign, "pause")
+    _lose_the_answer(used, dispatcher)
+    sent = len(backend.sent)
+    for _ in range(5):
+        dispatcher.step()
+    assert (_get(database, campaign).state, len(backend.sent), dispatcher._active) == (CampaignState.PAUSED, sent, {})
+    _request(database, campaign, "resume")
+    assert _finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
+    assert max(Counter(backend.sent).values()) == 1
+
+
+def test_a_failure_whose_answer_is_lost_simulates_nothing_more(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_job: StagedCampaign, _completions: object) -> None:
+        raise ConflictError("for a test")
+
+    campaign, backend = _submit(database), ComputedBackend()
+    used: Any = _LostAnswer(database, campaign, CampaignState.FAILED)
+    dispatcher = _dispatcher(used, backend)
+    with monkeypatch.context() as patched:
+        patched.setattr(StagedCampaign, "record", fails)
+        _lose_the_answer(used, dispatcher)
+    sent = len(backend.sent)
+    for _ in range(5):
+        dispatcher.step()
+    assert (len(backend.sent), dispatcher._active) == (sent, {})
 
 
 @pytest.mark.parametrize("part", ["setups", "evaluator", "space"])
