@@ -24,12 +24,14 @@ from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.retention import removal
 
 LOOK_SECONDS = 0.25
 """Interval between checks for new campaigns and requests."""
 TELL_SECONDS = 0.5
 POLL_SECONDS = 0.1
-TIDY_SECONDS = 60.0
+TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
+"""Intervals of tidying, and while there is more to remove than goes in a transaction."""
 IDLE_SECONDS = 15.0
 """Time without a campaign after which the dispatcher prepares for the next: longer than it takes to start a server and submit."""
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
@@ -97,8 +99,8 @@ class Dispatcher:
                 self._when_idle()
                 self._when_idle = None
         if self._clock() >= self._next_tidy:
-            self._tidy()
-            self._next_tidy = self._clock() + TIDY_SECONDS
+            more = self._tidy()
+            self._next_tidy = self._clock() + (BUSY_TIDY_SECONDS if more else TIDY_SECONDS)
         for active in list(self._active.values()):
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=active.stage):
                 self._advance(active)
@@ -110,10 +112,12 @@ class Dispatcher:
     def _report(self) -> None:
         self._tell(self._pool.workers(), self._pool.trouble())
 
-    def _tidy(self) -> None:
+    def _tidy(self) -> bool:
+        """Removes what is old, and some of what is out of use; True if there may be more of it."""
         with self._database.transaction() as connection:
             events.prune(connection, now() - self._event_age)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
+            return removal.remove_some_keys(connection)
 
     def _look(self) -> None:
         """Starts queued campaigns, resumes running campaigns, and applies requested actions."""

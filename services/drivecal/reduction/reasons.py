@@ -21,7 +21,11 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
     beginning = {None: "To be simulated", "failed": "Sent to be simulated, without a result"}.get(
         explanation.outcome, "Simulated"
     )
-    where = "" if explanation.reference is None else _where(explanation.reference, explanation.campaign)
+    where = (
+        "an evaluation that was deleted"
+        if explanation.reference is None
+        else _where(explanation.reference, explanation.campaign)
+    )
     match explanation.reason:
         case "repeated":
             return f"{_copied('Repeated', explanation)}: {where} has the same parameter set in the same setup."
@@ -29,8 +33,9 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
             listed = _listed(explanation.differences)
             return f"{_copied('Reused', explanation)}: {where} differs only where {explanation.scenario} is not influenced: {listed}."
         case "certified":
+            certified = f"Certified: with these values every decision is that of {where}, so both runs are the same."
             names = ", ".join(difference.parameter for difference in explanation.differences) or "nothing"
-            return f"Certified: with these values every decision is that of {where}, so both runs are the same. They differ in {names}."
+            return certified if explanation.reference is None else f"{certified} They differ in {names}."
         case "audited":
             listed = _listed(explanation.differences)
             return f"{beginning} to check the reduction, which would have reused {where}: {listed}. {_verdict(explanation, tolerated)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -9,19 +10,23 @@ from sqlalchemy import func, select
 from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
-from tests.support.storage import campaign
+from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.results.verification import verify
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
-from drivecal.storage import campaigns, results
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, evaluations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.organising import deletion, labels, saved_views
 from drivecal.storage.organising.deletion import delete_campaign
 from drivecal.storage.organising.labels import Archived
-from drivecal.storage.references import influence_maps
+from drivecal.storage.references import influence_maps, reference_keys
+from drivecal.storage.references import runs as runs_of
+from drivecal.storage.retention import removal
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
@@ -35,7 +40,8 @@ def carried_out(database: Database, **changes: Any) -> StoredCampaign:
 
 def deleted(database: Database, stored: StoredCampaign) -> None:
     with database.transaction() as connection:
-        delete_campaign(connection, stored.id)
+        numbers = delete_campaign(connection, stored.id)
+    deletion.remove_cells(database, numbers)
 
 
 def listed(database: Database, archived: Archived = "without", *tags: str) -> list[str]:
@@ -133,7 +139,10 @@ def test_archiving_and_listing_again_are_idempotent(database: Database) -> None:
 
 
 @pytest.mark.slow("postgresql")
-def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(database: Database) -> None:
+def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(deletion, "SLICE", 7)
     first = carried_out(database)
     stock = runs(database)
     simulated = sum(counts.simulated for counts in (first.counts(stage) for stage in first.stages))
@@ -203,6 +212,9 @@ def test_a_comparison_is_deleted_with_its_runs_and_no_run_alone(database: Databa
 def test_a_database_with_a_deleted_comparison_is_whole(database: Database) -> None:
     whole = run(database, submit_comparison(database, populations=[6], iterations=2), ComputedBackend(answer=influenced))
     assert whole.cells.requested
+    with database.transaction() as connection:
+        delete_campaign(connection, whole.id)
+    assert [problem for check in verify(database, full=True) for problem in check.problems] == []  # an interrupted deletion
     deleted(database, whole)
     assert [problem for check in verify(database, full=True) for problem in check.problems] == []
 
@@ -218,6 +230,65 @@ def test_a_comparison_is_not_deleted_while_a_study_examines_one_of_its_runs(data
         with pytest.raises(ConflictError):
             delete_campaign(connection, whole.id)
         assert [use.campaign for use in deletion.references(connection, whole)] == [study.id]
+
+
+def test_an_interrupted_deletion_goes_on(database: Database) -> None:
+    with database.transaction() as connection:
+        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
+        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
+        for each in (run_of_it, whole):
+            evaluations.insert(
+                connection,
+                each.sequence,
+                [
+                    NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
+                    for n, identifier in enumerate(sample_set_ids(connection, 3))
+                ],
+            )
+            campaigns.end(connection, each.sequence, CampaignState.CANCELLED)
+        numbers = delete_campaign(connection, whole.id)
+    assert numbers == [run_of_it.sequence, whole.sequence]
+    assert (listed(database, "with"), cells(database, whole)) == ([], 3)
+    deleted(database, whole)
+    assert (cells(database, run_of_it), cells(database, whole)) == (0, 0)
+
+
+def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(removal, "KEYS", 2)
+    with database.transaction() as connection:
+        first = campaigns.request_action(connection, campaign(connection).id, "cancel")
+        common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
+        made = influence_maps.insert(connection, source=first.id, **common)
+        setup = setup_id(connection)
+        number = evaluations.insert(
+            connection,
+            first.sequence,
+            [
+                NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, identifier, Outcome.SIMULATED)
+                for n, identifier in enumerate(sample_set_ids(connection, 5))
+            ],
+        )
+        sets = sample_set_ids(connection, 5)
+        runs_of.insert_results(
+            connection, [new_run(setup, one, evaluation=cell) for one, cell in zip(sets, number, strict=True)]
+        )
+    for under in (made.sequence, made.sequence + 1):
+        reference_keys.sync(
+            database, under, setup, EVALUATOR, 10**9, lambda _, values: [n.to_bytes(16, "big") for n in range(len(values))]
+        )
+    deleted(database, first)
+    left: list[int] = []
+    more = True
+    while more:
+        with database.transaction() as connection:
+            assert [index.influence_map_sequence for index in reference_keys.indexes(connection)] == [made.sequence + 1]
+            left.append(connection.execute(select(func.count()).select_from(tables.reference_keys)).scalar_one())
+            more = removal.remove_some_keys(connection)
+    assert left[0] == 10
+    assert left[-1] == 5
+    assert all(before - after <= 3 for before, after in pairwise(left))
 
 
 def test_saved_views_are_replaced_by_name_renamed_and_removed(database: Database) -> None:

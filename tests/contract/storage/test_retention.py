@@ -17,7 +17,7 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.organising.deletion import delete_campaign
+from drivecal.storage.organising.deletion import delete_campaign, remove_cells
 from drivecal.storage.retention import removal
 
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 2, "seed": 1}
@@ -73,7 +73,8 @@ def test_a_single_evaluation_goes_whole(database: Database) -> None:
 def test_what_a_deleted_campaign_left_goes_with_its_row(database: Database) -> None:
     first = run(database, submit(database, optimizer=SEARCH))
     with database.transaction() as connection:
-        delete_campaign(connection, first.id)
+        numbers = delete_campaign(connection, first.id)
+    remove_cells(database, numbers)
     assert [check for check in verify(database, full=True) if check.problems] == []
     retention.carry_out(database, retention.plan(database, now(), 10), lambda *_: None)
     with database.read() as connection:

@@ -105,12 +105,12 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
     with database.transaction() as connection:
         stored = campaigns.get(connection, campaign_id, deleted=True)
         referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
-        if not referring:
-            deletion.delete_campaign(connection, campaign_id)
-            return Deletion(id=campaign_id, deleted=True, archived=False, referring=[])
-        labels.change(connection, campaign_id, archived=True)
+        if referring:
+            labels.change(connection, campaign_id, archived=True)
+        numbers = [] if referring else deletion.delete_campaign(connection, campaign_id)
+    deletion.remove_cells(database, numbers)
     listed = [Referring(**asdict(reference)) for reference in referring]
-    return Deletion(id=campaign_id, deleted=False, archived=True, referring=listed)
+    return Deletion(id=campaign_id, deleted=not listed, archived=bool(listed), referring=listed)
 
 
 @router.get("/{campaign_id}/accounting")

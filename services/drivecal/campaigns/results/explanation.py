@@ -13,6 +13,7 @@ from drivecal.campaigns.results.prediction import inspected_lot, prediction_of
 from drivecal.contracts.explanation import Audit, Difference, Explanation, Prediction, Proof, Reason, Reference
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import billionths
@@ -195,8 +196,12 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     return nearest, stored
 
 
-def _reference(case: _Case, evaluation_id: int) -> tuple[Reference, list[Difference]]:
-    donor = results.by_id(case.connection, evaluation_id)
+def _reference(case: _Case, evaluation_id: int) -> tuple[Reference | None, list[Difference]]:
+    """Returns an evaluation that a cell names, and how their parameters differ; None if it was deleted with its campaign."""
+    try:
+        donor = results.by_id(case.connection, evaluation_id)
+    except NotFoundError:
+        return None, []
     by_name = dict(zip(donor.parameters.names, donor.parameters.codes, strict=True))
     values = np.array([by_name[name] for name in case.cell.parameters.names], dtype=np.int64)
     score = donor.score
@@ -230,8 +235,8 @@ def _difference(case: _Case, donor: StoredEvaluation, difference: explanation.Pa
     )
 
 
-def _audit(case: _Case, reference: Reference) -> Audit:
-    own, donor = case.cell.score, reference.score
+def _audit(case: _Case, reference: Reference | None) -> Audit:
+    own, donor = case.cell.score, None if reference is None else reference.score
     known = own is not None and donor is not None
     change = abs((own or 0) - (donor or 0))
     return Audit(
@@ -243,11 +248,13 @@ def _audit(case: _Case, reference: Reference) -> Audit:
 
 
 def _proof(case: _Case) -> Proof | None:
-    """The certificate for a cell that something else answered; None without a certificate."""
+    """The certificate for a cell that something else answered; None without one, or if the evaluation that it names was deleted."""
     cell = case.cell
     if cell.proven_by is None or cell.outcome not in {Outcome.REUSED, Outcome.SIMULATED}:
         return None
     proving, _ = _reference(case, cell.proven_by)
+    if proving is None:
+        return None
     if cell.outcome is Outcome.SIMULATED:
         return Proof(reference=proving, score=cell.score, agrees=cell.proof_agrees, wrong=None)
     known = cell.score is not None and proving.score is not None
@@ -306,6 +313,7 @@ def _later(case: _Case) -> str:
     later = runs.simulated_later(case.connection, case.campaign.sequence, case.evaluator, case.cell.id)
     return "".join(
         f" Evaluation {run.evaluation} of campaign {run.campaign} simulated this very cell later: score "
-        f"{told(_reference(case, run.evaluation)[0].score)}, which counts in rankings."
+        f"{told(reference.score)}, which counts in rankings."
         for run in later
+        if (reference := _reference(case, run.evaluation)[0]) is not None
     )

@@ -1,31 +1,38 @@
 """Deletion of campaigns that nothing refers to.
 
-A deleted campaign loses its tables, events and every cell that made no run. What it simulated stays in the reference table, with the cells
-that are the origin of these runs: other campaigns were answered by them, or will be. They need the campaign's row, which stays, marked as
-deleted, and which no list and no look-up by id returns.
+A deleted campaign loses its tables, events and every cell that nothing simulated. What it simulated stays in the reference table, with the
+cells that are the origin of these runs, and those that repeated a stored run: other campaigns were answered by them, or name them in
+certificates. They need the campaign's row, which stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes
+them if nothing refers to them.
+
+The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, delete, exists, or_, select, update
+from sqlalchemy import Connection, delete, exists, func, or_, select, update
 
 from drivecal.domain.errors import ConflictError
+from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
     campaigns,
     evaluations,
     influence_maps,
     leases,
-    reference_indexes,
-    reference_keys,
     runs,
     saved_views,
     traces,
 )
 from drivecal.storage.engine.types import now
 from drivecal.storage.retention import removal
+
+SLICE = 20_000
+"""Numbers of cells whose rows go in a transaction."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +64,17 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
     return list(referring.values())
 
 
-def delete_campaign(connection: Connection, campaign_id: str) -> None:
-    """Deletes an ended campaign, a comparison with its runs. Deleting again changes nothing.
+def delete_campaign(connection: Connection, campaign_id: str) -> list[int]:
+    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing.
 
+    Returns the numbers of campaigns whose cells `remove_cells` removes, also if they were marked before: that may have been interrupted.
     Raises NotFoundError for a campaign that never was, and ConflictError while it runs, if it belongs to a comparison, or if others refer
     to it.
     """
     campaign = stored_campaigns.get(connection, campaign_id, lock=True, deleted=True)
+    family = _family(connection, campaign)
     if campaign.deleted_at is not None:
-        return
+        return list(family)
     if not campaign.state.ended:
         raise ConflictError(f"{campaign_id} is {campaign.state}; only ended campaigns are deleted: cancel it first")
     if campaign.parent_sequence is not None:
@@ -75,26 +84,35 @@ def delete_campaign(connection: Connection, campaign_id: str) -> None:
     if referring:
         listed = ", ".join(f"{reference.campaign} ({reference.use})" for reference in referring[:5])
         raise ConflictError(f"{len(referring)} campaigns refer to {campaign_id}: {listed}; archive it, or delete them first")
-    for sequence, identifier in _family(connection, campaign).items():
-        _remove(connection, sequence, identifier)
+    for sequence, identifier in family.items():
+        _mark(connection, sequence, identifier)
+    return list(family)
+
+
+def remove_cells(database: Database, numbers: Sequence[int]) -> None:
+    """Removes what `delete_campaign` left of campaigns: slices of cells, each in a transaction, then all else. Call it again if it was
+    interrupted."""
+    for sequence in numbers:
+        mine = evaluations.c.campaign_sequence == sequence
+        with database.read() as connection:
+            first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
+        for start in range(first or 0, (last or 0) + 1, SLICE):
+            with database.transaction() as connection:
+                _remove_slice(connection, sequence, start)
+        with database.transaction() as connection:
+            connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))
+            removal.remove_records(connection, sequence)
+            connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(parent_sequence=None))
 
 
 def _family(connection: Connection, campaign: StoredCampaign) -> dict[int, str]:
-    """Returns the ids of a campaign and of its runs, by number."""
+    """Returns the ids of a campaign's runs and its own, by number. It is the last: runs are found by it until their cells are gone."""
     mine = select(campaigns.c.sequence, campaigns.c.id).where(campaigns.c.parent_sequence == campaign.sequence)
     rows = connection.execute(mine.order_by(campaigns.c.sequence))
-    return {campaign.sequence: campaign.id} | {row.sequence: row.id for row in rows}
+    return {row.sequence: row.id for row in rows} | {campaign.sequence: campaign.id}
 
 
-def _remove(connection: Connection, sequence: int, identifier: str) -> None:
-    mine = evaluations.c.campaign_sequence == sequence
-    cells = select(evaluations.c.id).where(mine)
-    connection.execute(delete(traces).where(or_(traces.c.campaign_sequence == sequence, traces.c.evaluation_id.in_(cells))))
-    connection.execute(delete(leases).where(leases.c.evaluation_id.in_(cells)))
-    made_its_run = exists().where(runs.c.id == evaluations.c.run_id, runs.c.evaluation_id == evaluations.c.id)
-    connection.execute(delete(evaluations).where(mine, ~made_its_run))
-    connection.execute(update(evaluations).where(mine).values(lot=None))
-    removal.remove_records(connection, sequence)
+def _mark(connection: Connection, sequence: int, identifier: str) -> None:
     connection.execute(delete(saved_views).where(saved_views.c.campaign == identifier))
     emptied: dict[str, Any] = {
         "tags": [],
@@ -107,21 +125,26 @@ def _remove(connection: Connection, sequence: int, identifier: str) -> None:
     }
     freed: dict[str, Any] = {
         "influence_map_id": None,
-        "parent_sequence": None,
         "idempotency_key": None,
         "error_rate": {},
         "released": None,
     }
     marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
-    _remove_maps(connection, identifier)
-
-
-def _remove_maps(connection: Connection, source: str) -> None:
-    """Removes maps that a campaign made, with the reference indexes computed under them."""
-    maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == source)))
-    under = reference_indexes.c.influence_map_sequence.in_(maps)
-    indexes = list(connection.scalars(select(reference_indexes.c.id).where(under)))
-    connection.execute(delete(reference_keys).where(reference_keys.c.index_id.in_(indexes)))
-    connection.execute(delete(reference_indexes).where(under))
+    maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == identifier)))
+    removal.retire_maps(connection, maps)
     connection.execute(delete(influence_maps).where(influence_maps.c.sequence.in_(maps)))
+
+
+def _remove_slice(connection: Connection, sequence: int, start: int) -> None:
+    """Removes the cells of a campaign with SLICE numbers from `start` on, without those that others may refer to."""
+    cell = evaluations.c
+    # "+ 0", or the database might go through all cells of the campaign for each slice
+    mine = cell.id.between(start, start + SLICE - 1) & (cell.campaign_sequence + 0 == sequence)
+    made_its_run = exists().where(runs.c.id == cell.run_id, runs.c.evaluation_id == cell.id)
+    goes = mine & ~made_its_run & cell.outcome.is_distinct_from(Outcome.SIMULATED)
+    for table in (traces, leases):
+        here = table.c.evaluation_id.between(start, start + SLICE - 1)
+        connection.execute(delete(table).where(here, exists().where(cell.id == table.c.evaluation_id, mine)))
+    connection.execute(delete(evaluations).where(goes))
+    connection.execute(update(evaluations).where(mine, cell.lot.is_not(None)).values(lot=None))

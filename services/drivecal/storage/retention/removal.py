@@ -70,6 +70,23 @@ def retire_indexes(connection: Connection, setup_ids: Collection[int]) -> list[i
     return list(connection.scalars(select(table.id).where(table.influence_map_sequence < 0).order_by(table.id)))
 
 
+def retire_maps(connection: Connection, maps: Collection[int]) -> None:
+    """Takes the reference indexes under influence maps out of use, whose keys `remove_some_keys` removes."""
+    table = reference_indexes.c
+    under = table.influence_map_sequence.in_(list(maps))
+    connection.execute(update(reference_indexes).where(under).values(influence_map_sequence=-table.id))
+
+
+def remove_some_keys(connection: Connection) -> bool:
+    """Removes some keys of the retired indexes; False if none is left."""
+    table = reference_indexes.c
+    index = connection.scalar(select(table.id).where(table.influence_map_sequence < 0).order_by(table.id).limit(1))
+    if index is None:
+        return False
+    remove_keys(connection, index)
+    return True
+
+
 def remove_keys(connection: Connection, index: int) -> bool:
     """Removes some keys of a retired index, and the index with the last of them; False once it is gone."""
     key, mine = reference_keys.c.key, reference_keys.c.index_id == index
