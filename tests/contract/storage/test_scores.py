@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome, Rating
-from drivecal.storage import evaluations, results
+from drivecal.storage import campaigns, evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.references import ratings, reference_keys, runs
@@ -63,3 +65,28 @@ def test_scores_of_cells(database: Database, predicted: bool) -> None:
         assert [repr(row.predicted_score) for row in rows] == (SHOWN if predicted else ["None"] * len(SCORES))
         answered: list[CellScore] = list(results.answers(connection, sequence, StageName.CALIBRATION, corrected_by=EVALUATOR))
         assert [repr(cell.score) for cell in answered] == SHOWN
+
+
+def test_campaigns_of_other_setups_rated_nothing_that_is_asked_for(database: Database) -> None:
+    def rated_all(evaluator: str, *fingerprints: str) -> bool:
+        with database.read() as connection:
+            return ratings.are_all_by(connection, evaluator, fingerprints)
+
+    def start(spec: dict[str, Any], resolution: dict[str, Any] | None) -> int:
+        with database.transaction() as connection:
+            sequence = campaigns.insert(connection, name="x", spec=spec).sequence
+            campaigns.start(connection, sequence)
+            if resolution is not None:
+                campaigns.set_resolution(connection, sequence, resolution)
+            return sequence
+
+    assert rated_all("a 1", "f1")
+    start({"robustness": None}, {"evaluator": "b 1", "setups": {"S1": "f1", "S2": "f2"}})
+    assert (rated_all("a 1", "f2", "f3"), rated_all("a 1", "f3", "f4"), rated_all("b 1", "f1")) == (False, True, True)
+    unknown = start({}, None)
+    assert not rated_all("a 1", "f3")
+    with database.transaction() as connection:
+        campaigns.set_resolution(connection, unknown, {"evaluator": "b 1", "setups": {"S1": "f2"}})
+    assert rated_all("a 1", "f3")
+    start({"robustness": {"samples": 5}}, {"evaluator": "b 1", "setups": {"S1": "f2"}})
+    assert not rated_all("a 1", "f3"), "it simulates other vehicles, whose setups it does not list"

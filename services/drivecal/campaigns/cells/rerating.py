@@ -3,6 +3,7 @@
 import logging
 
 from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, ratings
@@ -21,7 +22,7 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     simulated when needed; so do successful runs if it needs time series. Resumable: rated runs are skipped.
     """
     with database.transaction() as connection:
-        if ratings.are_all_by(connection, view.bench.evaluator_id):
+        if ratings.are_all_by(connection, view.bench.evaluator_id, _fingerprints(view.bench)):
             return 0
         setup_ids = ensure_setups(connection, view.bench)
         number = None if only is None else parameter_sets.ensure(connection, [only])[0]
@@ -58,7 +59,7 @@ def note_of(database: Database, view: View) -> str | None:
     `rate_stored_runs`. The text stays the same when the campaign resumes."""
     bench = view.bench
     with database.transaction() as connection:
-        if ratings.are_all_by(connection, bench.evaluator_id):
+        if ratings.are_all_by(connection, bench.evaluator_id, _fingerprints(bench)):
             return None
         setup_ids = list(ensure_setups(connection, bench).values())
     with database.read() as connection:  # counts all runs of the setups: outside the write transaction
@@ -80,3 +81,7 @@ def note_of(database: Database, view: View) -> str | None:
     verb = "was" if every == 1 else "were"
     beginning = f"{count} of these setups, of all campaigns, {verb} first rated by another score than {bench.evaluator_id}"
     return f"{beginning}: {'; '.join(parts)}"
+
+
+def _fingerprints(bench: Bench) -> list[str]:
+    return [setup.fingerprint for setup in bench.setups.values()]

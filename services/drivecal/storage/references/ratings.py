@@ -4,10 +4,11 @@ They follow from the metrics that are stored with a run, so that whether an eval
 or for which campaign, it was asked. (Ratings that a run is simulated again for are written down by `runs.insert_results`.)
 """
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, case, exists, func, select
+from sqlalchemy import Connection, case, exists, func, or_, select
 
 from drivecal.domain.evaluations import Rating
 from drivecal.storage.engine.bulk import insert as insert_into
@@ -16,12 +17,18 @@ from drivecal.storage.engine.tables import campaigns, ratings, runs
 from drivecal.storage.references import metrics
 
 
-def are_all_by(connection: Connection, evaluator: str) -> bool:
-    """True if every campaign that may have simulated anything used `evaluator` ("name version"): it has rated every run then, for
-    results are stored with their ratings. Reads campaigns only; there may be millions of runs."""
-    used = func.coalesce(campaigns.c.resolution["evaluator"].as_string(), "")
-    others = exists().where(campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator)
-    return not connection.scalar(select(others))
+def are_all_by(connection: Connection, evaluator: str, fingerprints: Collection[str]) -> bool:
+    """True if every campaign that may have simulated in these setups used `evaluator` ("name version"): it has rated all their runs then,
+    for results are stored with their ratings. Reads campaigns only; there may be millions of runs."""
+    resolved = campaigns.c.resolution
+    used = func.coalesce(resolved["evaluator"].as_string(), "")
+    others = campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator
+    varied = campaigns.c.spec["robustness"].as_string().is_not(None)  # with other vehicles, whose setups no resolution lists
+    anywhere = exists().where(*others, or_(resolved["setups"].as_string().is_(None), varied))
+    if connection.scalar(select(anywhere)):
+        return False
+    setups = select(resolved["setups"].as_string()).where(*others).distinct()
+    return not any(set(fingerprints) & set(json.loads(listed).values()) for listed in connection.scalars(setups))
 
 
 @dataclass(frozen=True, slots=True)
