@@ -12,7 +12,7 @@ from sqlalchemy import text
 from drivecal.bundles.archives import content_digest
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.errors import InvalidInputError, NotFoundError, TooLargeError
-from drivecal.storage import admission
+from drivecal.storage import admission, campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.transfer import copy_rows
@@ -166,5 +166,21 @@ def test_large_archives_are_copied_in_portions_of_bounded_size(
     target.upgrade()
     with database.read() as source, target.transaction() as connection:
         copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == "bundles" else None)
+    assert portions == [1, 2, 3]
+    target.dispose()
+
+
+def test_large_documents_are_copied_in_portions_of_bounded_size(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK_BYTES", 1000)
+    with database.transaction() as connection:
+        for _ in range(3):
+            campaigns.insert(connection, name="long", spec={"starts": "x" * 1000})
+    portions: list[int] = []
+    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
+    target.upgrade()
+    with database.read() as source, target.transaction() as connection:
+        copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == "campaigns" else None)
     assert portions == [1, 2, 3]
     target.dispose()

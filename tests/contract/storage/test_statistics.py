@@ -114,7 +114,8 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
             for n, parameter_set in enumerate(sample_set_ids(connection, 4))
         ]
         ids = evaluations.insert(connection, sequence, cells)
-        leases.take(connection, dict.fromkeys(ids, 0), 60.0)
+        leases.take(connection, dict.fromkeys(ids[:2], 0), 60.0)
+        leases.take(connection, dict.fromkeys(ids[2:], 0), -60.0)  # a slow cell outlasts its lease
         leases.give_back(connection, {ids[0]: 1})
     found, _ = look(database, Tally())
     assert found.leases == 3

@@ -38,6 +38,9 @@ def wrapped(error: Exception) -> DBAPIError:
         (psycopg.errors.QueryCanceled("no"), UnavailableError, "took longer than it may"),
         (psycopg.errors.AdminShutdown("bye"), UnavailableError, "does not answer: bye"),
         (psycopg.errors.DeadlockDetected("deadlock"), UnavailableError, "does not answer: deadlock"),
+        (psycopg.errors.ReadOnlySqlTransaction("read-only"), UnavailableError, "ended the transaction: read-only"),
+        (psycopg.errors.IdleInTransactionSessionTimeout("idle"), UnavailableError, "ended the transaction: idle"),
+        (psycopg.errors.TransactionTimeout("long"), UnavailableError, "ended the transaction: long"),
         (psycopg.OperationalError(), UnavailableError, "does not answer: OperationalError"),
     ],
 )
@@ -50,7 +53,15 @@ def test_the_state_of_the_database_is_told_in_drivecals_own_errors(
         assert caught.value.__cause__ is raised
 
 
-@pytest.mark.parametrize("error", [sqlite_error(sqlite3.SQLITE_ERROR), psycopg.errors.SyntaxError("SELEKT"), KeyError("x")])
+@pytest.mark.parametrize(
+    "error",
+    [
+        sqlite_error(sqlite3.SQLITE_ERROR),
+        psycopg.errors.SyntaxError("SELEKT"),
+        psycopg.errors.InFailedSqlTransaction("x"),
+        KeyError("x"),
+    ],
+)
 def test_mistakes_in_the_program_are_not_dressed_up(error: Exception) -> None:
     for raised in (error, wrapped(error)):
         with pytest.raises(type(raised)) as caught, translated("the file"):

@@ -13,6 +13,12 @@ from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableErro
 _NO_DATABASE = {sqlite3.SQLITE_NOTADB: "is not an SQLite database", sqlite3.SQLITE_CORRUPT: "is a damaged SQLite database"}
 _NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
 _FOR_NOW = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
+_NOT_NOW = (
+    psycopg.errors.ReadOnlySqlTransaction,  # a server that takes over, or gives up, is read-only for a while
+    psycopg.errors.IdleInTransactionSessionTimeout,
+    psycopg.errors.TransactionTimeout,
+)
+"""Errors of PostgreSQL's class 25 that waiting mends; the driver calls all of that class internal errors."""
 
 
 @contextmanager
@@ -54,6 +60,8 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
         return UnavailableError(
             f"the database {database} took longer than it may for one statement; try again, or ask for less"
         )
+    if isinstance(error, _NOT_NOW):
+        return UnavailableError(f"the database {database} ended the transaction: {error}")
     if isinstance(error, psycopg.OperationalError | psycopg.InterfaceError):
         lines = str(error).splitlines() or [type(error).__name__]
         return UnavailableError(f"the database {database} does not answer: {lines[0]}")

@@ -16,10 +16,11 @@ from sqlalchemy import Connection, func, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import processes
+from drivecal.storage import leases, processes
 from drivecal.storage.campaign_stages import by_stage
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.tables import campaigns, leases
+from drivecal.storage.engine.tables import campaigns
+from drivecal.storage.engine.tables import leases as leases_table
 from drivecal.storage.engine.types import now
 from drivecal.storage.processes import StoredProcess
 from drivecal.storage.references import runs
@@ -96,8 +97,9 @@ def read(connection: Connection, tally: Tally) -> tuple[Statistics, Tally]:
     dispatcher = processes.read(connection, processes.DISPATCHER)
     out = 0
     if dispatcher is not None:  # as many as are at workers, and those that broke down: never many
-        current = (leases.c.term == dispatcher.term) & (leases.c.expires_at > now())
-        out = connection.scalar(select(func.count()).select_from(leases).where(current)) or 0
+        # whatever the time: a slow cell outlasts its lease, which ends when the cell comes back
+        current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
+        out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
     return Statistics(sums, out, runs.largest_id(connection), dispatcher), following
 
 

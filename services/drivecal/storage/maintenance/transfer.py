@@ -36,7 +36,7 @@ from drivecal.storage.engine.schema import REVISION_TABLE
 CHUNK = 20_000
 """Rows that are in memory at a time, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked."""
 CHUNK_BYTES = 64 * 2**20
-"""Bytes of archives and other blobs after which a portion ends."""
+"""Bytes of archives and characters of documents after which a portion ends."""
 
 Progress = Callable[[str, int, int], None]
 """Told every now and then: the table, how many of its rows are copied, and how many it has."""
@@ -85,7 +85,7 @@ def _some(source: Connection, rows: Iterator[tuple[Any, ...]]) -> list[tuple[Any
         size = 0
         for row in rows:
             some.append(row)
-            size += sum(len(value) for value in row if isinstance(value, bytes))
+            size += sum(len(value) for value in row if isinstance(value, bytes | str))
             if len(some) >= CHUNK or size >= CHUNK_BYTES:
                 break
         return some
