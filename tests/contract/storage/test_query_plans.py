@@ -32,12 +32,13 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.maintenance import statistics
 from drivecal.storage.maintenance.statistics import Tally
+from drivecal.storage.organising import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.reference_candidates import Integers
 
 ROWS = 4_000
-SMALL = {"reference_indexes", "leases", "processes"}
-"""One row per map, setup and evaluator, and one per cell at a worker: PostgreSQL rightly reads all of them."""
+SMALL = {"reference_indexes", "leases", "processes", "traces"}
+"""One row per map, setup and evaluator, one per cell at a worker, and some traces: PostgreSQL rightly reads all of them."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
@@ -182,6 +183,10 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
     "cells of a run": (
         lambda connection: connection.execute(text("SELECT id FROM evaluations WHERE run_id = 7")).all(),
         "ix_evaluations_run_id",
+    ),
+    "a slice of a deleted campaign": (
+        lambda connection: deletion.remove_slice(connection, 1, range(1, some(connection))),
+        "pk_evaluations|evaluations USING INTEGER PRIMARY KEY",
     ),
     "a watermark": (runs.largest_id, "pk_runs|SEARCH runs"),
 }

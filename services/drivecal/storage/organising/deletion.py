@@ -98,7 +98,7 @@ def remove_cells(database: Database, numbers: Sequence[int]) -> None:
             first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
         for start in range(first or 0, (last or 0) + 1, SLICE):
             with database.transaction() as connection:
-                _remove_slice(connection, sequence, start)
+                remove_slice(connection, sequence, range(start, start + SLICE))
         with database.transaction() as connection:
             connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))
             removal.remove_records(connection, sequence)
@@ -136,15 +136,15 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
     connection.execute(delete(influence_maps).where(influence_maps.c.sequence.in_(maps)))
 
 
-def _remove_slice(connection: Connection, sequence: int, start: int) -> None:
-    """Removes the cells of a campaign with SLICE numbers from `start` on, without those that others may refer to."""
+def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:
+    """Removes the cells of a campaign with these numbers, without those that others may refer to."""
     cell = evaluations.c
     # "+ 0", or the database might go through all cells of the campaign for each slice
-    mine = cell.id.between(start, start + SLICE - 1) & (cell.campaign_sequence + 0 == sequence)
+    mine = cell.id.between(numbers.start, numbers.stop - 1) & (cell.campaign_sequence + 0 == sequence)
     made_its_run = exists().where(runs.c.id == cell.run_id, runs.c.evaluation_id == cell.id)
     goes = mine & ~made_its_run & cell.outcome.is_distinct_from(Outcome.SIMULATED)
     for table in (traces, leases):
-        here = table.c.evaluation_id.between(start, start + SLICE - 1)
+        here = table.c.evaluation_id.between(numbers.start, numbers.stop - 1)
         connection.execute(delete(table).where(here, exists().where(cell.id == table.c.evaluation_id, mine)))
     connection.execute(delete(evaluations).where(goes))
     connection.execute(update(evaluations).where(mine, cell.lot.is_not(None)).values(lot=None))
