@@ -67,6 +67,21 @@ def test_a_fault_costs_its_run_only(tmp_path: Path, body: str, breakdown: Breakd
         assert session.evaluate({"x": 2}).measures == {"y": 4.0}
 
 
+def test_the_exit_code_of_a_shell_names_the_signal_that_ended_its_program(tmp_path: Path) -> None:
+    write(tmp_path, 'if [ "$x" = 1 ]; then sh -c "kill -9 \\$\\$"; exit $?; fi; exit 200')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        shown = lost(session, {"x": 1}, Breakdown.CRASH)
+        assert all(part in shown for part in ("exit code 137", "SIGKILL", "memory"))
+        assert "SIG" not in lost(session, {"x": 2}, Breakdown.CRASH)
+
+
+def test_a_fault_leaves_no_temporary_files_to_the_next_run(tmp_path: Path) -> None:
+    write(tmp_path, '[ -e "$TMPDIR/lock" ] && exit 3; touch "$TMPDIR/lock"; exit 4')
+    with opened("command", tmp_path, command=COMMAND) as session:
+        for _ in range(2):
+            assert "exit code 4" in lost(session, {"x": 1}, Breakdown.CRASH)
+
+
 def test_a_flood_of_output_does_not_block(tmp_path: Path) -> None:
     write(tmp_path, "head -c 5000000 /dev/zero; head -c 5000000 /dev/zero >&2")
     with opened("command", tmp_path, command=COMMAND) as session:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pickle
 import time
@@ -21,7 +22,7 @@ from tests.support.simulators import (
     write_server,
 )
 
-from drivecal.adapters import pipes, process
+from drivecal.adapters import answers, pipes, process
 from drivecal.adapters.scratch import GRANTED, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -125,6 +126,9 @@ def test_a_request_holds_scenario_data_parameters_and_seed(tmp_path: Path) -> No
         ("failure=3", "`failure` is not the name"),
         ("failure='hang'", "hang means that a run has no result"),
         ("failure='crashed', measures=dict(z=1)", "does not declare: z"),
+        ("failure='crashed', measures=dict(y='1')", "y is not a number"),
+        ("failure='crashed', measures=[1]", "no object `measures`"),
+        ("measures=None", "no object `measures`"),
         ("error='licence server away'", "licence server away"),
     ],
 )
@@ -138,6 +142,56 @@ def test_a_failure_of_the_system_under_test_is_a_result(tmp_path: Path) -> None:
     with served(tmp_path, "answer(id=request['id'], failure='collision', measures={})\ncontinue") as session:
         outcome = session.evaluate({"x": 1.0})
     assert (outcome.failure, outcome.measures) == ("collision", {})
+
+
+@pytest.mark.parametrize("measures", ["None", "dict(y=None, z=float('nan'))", "dict(y=float('inf'))"])
+def test_a_failed_run_needs_no_numbers(tmp_path: Path, measures: str) -> None:
+    series = "dict(t=[0.0, float('nan')])"
+    fields = f"failure='collision', measures={measures}, series={series}, error=None"
+    with served(tmp_path, f"answer(id=request['id'], {fields})\ncontinue") as session:
+        outcome = session.evaluate({"x": 1.0}, series=True)
+    assert (outcome.failure, outcome.measures, outcome.series) == ("collision", {}, {})
+
+
+def test_a_failed_run_keeps_the_numbers_that_it_has() -> None:
+    declared = Declared("trial", ("y", "z"), series=("t", "u"))
+    answer = {"failure": "collision", "measures": {"y": 1.5, "z": None}, "series": {"t": [0, 1], "u": [None]}}
+    outcome = answers.outcome(answer, declared, series=True)
+    assert (outcome.measures, outcome.series) == ({"y": 1.5}, {"t": [0.0, 1.0]})
+
+
+def test_an_error_of_null_is_none(tmp_path: Path) -> None:
+    body = "answer(id=request['id'], error=None, measures=dict(y=1.0))\ncontinue"
+    with served(tmp_path, body, start="answer(ready=True, error=None)\nreturn") as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "os.abort()",
+        "os.write(1, b'nonsense\\n')",
+        "time.sleep(600)",
+        "answer(id=request['id'], measures=dict(y=4.0))\nos._exit(0)",
+    ],
+)
+def test_a_fault_leaves_no_files_to_the_next_process(tmp_path: Path, fault: str) -> None:
+    """As a lock of a program that was killed, in its working directory or among its temporary files."""
+    start = """
+for folder in ('.', os.environ['HOME'], os.environ['TMPDIR']):
+    if os.path.exists(os.path.join(folder, 'lock')): sys.exit('locked')
+"""
+    body = f"for folder in ('.', os.environ['HOME']): open(os.path.join(folder, 'lock'), 'x').close()\n{fault}"
+    with served(tmp_path, "if x == 1.0:\n    " + body.replace("\n", "\n    "), start) as session:
+        (session._scratch.folder / "packages").mkdir()
+        for _ in range(2):
+            with contextlib.suppress(NoMeasuresError):
+                session._timeout = 2.0
+                session.evaluate({"x": 1.0})
+            session._timeout = 60.0
+            eventually(lambda: session._pipes is None or not session._pipes.is_fresh())
+            assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+        assert (session._scratch.folder / "packages").is_dir()
 
 
 def test_a_failure_that_is_not_declared_is_refused_if_any_is(tmp_path: Path) -> None:
@@ -213,11 +267,20 @@ def test_a_simulator_that_says_it_is_not_ready_cannot_be_opened(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("command", "detail"),
-    [("./nothing", "does not exist"), ("no-such-program", "PATH"), ("./plain", "chmod"), ("./broken", "cannot be started")],
+    [
+        ("./nothing", "does not exist"),
+        ("no-such-program", "PATH"),
+        ("./plain", "chmod"),
+        ("./broken", "/no/such/interpreter"),
+        ("./windows", "Windows"),
+        ("./unknown", "cannot be started"),
+    ],
 )
 def test_a_command_that_cannot_run_cannot_be_opened(tmp_path: Path, command: str, detail: str) -> None:
     (tmp_path / "plain").write_text("")
     write_script(tmp_path / "broken", "#!/no/such/interpreter\n")
+    write_script(tmp_path / "windows", "#!/bin/sh\r\n")
+    write_script(tmp_path / "unknown", "neither script nor program\n")
     with pytest.raises(UnavailableError, match=detail), opened("process", tmp_path, command=[command]):
         pass
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from drivecal.domain.evaluations import Breakdown
@@ -26,22 +26,41 @@ def document(content: bytes, source: str) -> dict[str, Any]:
 
 
 def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> RunOutcome:
-    """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration."""
-    if "error" in answer:
+    """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration.
+
+    A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
+    """
+    if answer.get("error") is not None:
         raise _error(f"the simulator reports: {_shown(str(answer['error']))}")
-    failure = answer.get("failure")
+    failure, reported, recorded = answer.get("failure"), answer.get("measures"), answer.get("series", {})
     if failure is not None:
         _check_failure(failure, declared)
-    if not isinstance(answer.get("measures", {} if failure is not None else None), dict):
+        reported, recorded = _kept({} if reported is None else reported, _has_value), _kept(recorded, _has_values)
+    if not isinstance(reported, dict):
         raise _error("the answer has no object `measures`")
-    measures = {name: _number(name, value) for name, value in answer.get("measures", {}).items()}
+    measures = {name: _number(name, value) for name, value in reported.items()}
     if undeclared := sorted(measures.keys() - set(declared.measures)):
         raise _error(
             f"measures that problem.yaml does not declare: {_joined(undeclared)}; declared: {_joined(declared.measures)}"
         )
     if failure is None and (missing := [name for name in declared.measures if name not in measures]):
         raise _error(f"the answer lacks measures: {_joined(missing)}; give all that problem.yaml declares, or a `failure`")
-    return RunOutcome(measures, failure, _series(answer.get("series", {}), declared) if series else {})
+    return RunOutcome(measures, failure, _series(recorded, declared) if series else {})
+
+
+def _kept(reported: object, has_value: Callable[[object], bool]) -> object:
+    """Returns what a failed run reports, without entries that have no value."""
+    if not isinstance(reported, dict):
+        return reported
+    return {name: value for name, value in reported.items() if has_value(value)}
+
+
+def _has_value(value: object) -> bool:
+    return value is not None and (not isinstance(value, float) or math.isfinite(value))
+
+
+def _has_values(values: object) -> bool:
+    return not isinstance(values, list) or all(map(_has_value, values))
 
 
 def _check_failure(failure: object, declared: Declared) -> None:

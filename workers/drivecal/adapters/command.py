@@ -51,6 +51,10 @@ class CommandSession:
             raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
         try:
             pipes.wait(self._timeout)
+        except NoMeasuresError:
+            pipes.stop()
+            self._scratch.clear()  # temporary files too: its locks would meet the next run
+            raise
         finally:
             pipes.stop()
         content = _content(self._files["results"], pipes.tail())

@@ -72,6 +72,11 @@ class ProcessSession:
             self.close()
             raise
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether the first start has failed, which the next run will report."""
+        return self._failed_start is not None
+
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set."""
         with self._lock:
@@ -133,6 +138,7 @@ class ProcessSession:
         if self._pipes is not None:
             self._pipes.stop(_QUIT, QUIT_SECONDS)
             self._pipes = None
+        self._scratch.clear()
         try:
             return self._start()
         except UnavailableError as error:
@@ -145,7 +151,7 @@ class ProcessSession:
             answer = answers.document(
                 self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
-            if "error" in answer:
+            if answer.get("error") is not None:
                 raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
                 raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')

@@ -50,14 +50,19 @@ class Scratch:
         for path in self._bundle.iterdir():
             (self.work / path.name).symlink_to(path)
 
+    def clear(self) -> None:
+        """Empties the working directory and the folder of temporary files: locks and halves of files that a child has left would meet the
+        next one. What a driver unpacked beside them stays."""
+        self.renew()
+        discard(self.home)
+        self.home.mkdir()
+
     def empty(self) -> None:
         """Removes everything but kept files, with new folders for work and temporary files."""
         for path in self.folder.iterdir():
             if path not in self._kept:
                 discard(path)
-        self.renew()
-        discard(self.home)
-        self.home.mkdir()
+        self.clear()
 
     def keep(self, name: str, text: str) -> Path:
         """Writes a file beside the folders, which stays when these are emptied."""
