@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,7 @@ from tests.support.simulators import (
     lost,
     opened,
     running,
+    scratch_of,
     served,
     write_script,
     write_server,
@@ -121,16 +124,74 @@ keeper.main()
 """
 
 
+@pytest.fixture
+def patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keepers wait longer for the end of a child, whatever else the machine does."""
+    file = tmp_path / "patient_keeper.py"
+    file.write_text(PATIENT_KEEPER.format(root=str(Path(keeper.__file__).parents[2])))
+    monkeypatch.setattr(keeper, "__file__", str(file))
+
+
+@pytest.mark.usefixtures("patient")
 def test_a_child_that_is_asked_to_end_may_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "out"
     monkeypatch.setenv(GRANTED, str(tmp_path))
-    patient = tmp_path / "patient_keeper.py"
-    patient.write_text(PATIENT_KEEPER.format(root=str(Path(keeper.__file__).parents[2])))
-    monkeypatch.setattr(keeper, "__file__", str(patient))
     body = f"signal.signal(15, lambda *_: (open({str(out)!r}, 'w').write('cleaned'), os._exit(1)))\ntime.sleep(600)"
     with served(tmp_path, body) as session:
         hung(session, {"x": 1.0}, 5.0)
     assert out.read_text() == "cleaned"
+
+
+CLEANING = """
+import os, signal, sys, time
+signal.signal(15, lambda *_: (time.sleep(0.2), open({out!r}, 'a').write('cleaned;'), os._exit(0)))
+if len(sys.argv) > 1:
+    os.setsid()
+print('up', file=open({out!r}, 'a'), flush=True)
+time.sleep(600)
+"""
+"""A program that takes a while to clean up when it is asked to end."""
+
+
+@pytest.mark.usefixtures("patient")
+def test_programs_behind_a_shell_and_in_groups_of_their_own_may_clean_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
+    (tmp_path / "clean.py").write_text(CLEANING.format(out=str(out)))
+    write_script(tmp_path / "run.sh", f"#!/bin/sh\n{PYTHON} -S clean.py own &\n{PYTHON} -S clean.py\nexit 0\n")
+    with opened("command", tmp_path, command=["./run.sh"], timeout=3.0) as session:
+        began = time.monotonic()
+        lost(session, {}, Breakdown.HANG)
+        taken = time.monotonic() - began
+    assert sorted(out.read_text().replace("up\n", "").split(";")) == ["", "cleaned", "cleaned"]
+    assert 3.2 < taken < 20.0  # no longer than it takes
+
+
+@pytest.mark.usefixtures("patient")
+def test_programs_may_clean_up_when_their_worker_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
+    cleaning = f"signal.signal(15, lambda *_: (time.sleep(0.2), open({str(out)!r}, 'w').write('cleaned'), os._exit(0)))"
+    write_server(tmp_path, start=f"{cleaning}\nsubprocess.Popen(['sleep', '600'])")
+    write_script(tmp_path / "run.sh", f"#!/bin/sh\n{PYTHON} -S sim.py\nexit 0\n")
+    with opened("process", tmp_path, command=["./run.sh"]) as session:
+        session.evaluate({"x": 1.0})
+        session._children._control.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]  # as the end of the worker does
+        eventually(out.exists, 10.0)
+        eventually(lambda: not scratch_of(session).folder.exists(), 10.0)
+    assert out.read_text() == "cleaned"
+
+
+def test_a_child_beyond_a_limit_gets_no_time_to_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out"
+    monkeypatch.setenv(GRANTED, str(tmp_path))
+    monkeypatch.setattr(children, "MOST_PROCESSES", 0)
+    start = f"signal.signal(15, lambda *_: open({str(out)!r}, 'w').write('asked'))\nwhile True: time.sleep(600)"
+    with served(tmp_path, start=start) as session:
+        assert "more than 0" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+    assert not out.exists()
 
 
 @pytest.fixture
@@ -212,6 +273,22 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path) -> None:
     with served(tmp_path, f"if x == 1.0:\n    {body.replace(chr(10), chr(10) + '    ')}", memory_mb=100) as session:
         assert "MB of memory" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_pages_that_forks_share_count_once(tmp_path: Path) -> None:
+    body = """
+hold = bytearray(b'x' * (60 << 20))
+forks = []
+for _ in range(4):
+    forks.append(os.fork())
+    if not forks[-1]:
+        sum(hold[::4096])
+        time.sleep(600)
+time.sleep(0.5)"""
+    with served(tmp_path, body, memory_mb=150) as session:
+        assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
+        assert sum(process.resident for process in keeper.descendants(session._children._keeper)) > 200 << 20
+        session._children.look()
 
 
 def test_a_program_in_c_that_runs_out_of_memory_is_told_from_a_crash(tmp_path: Path) -> None:

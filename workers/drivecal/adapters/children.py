@@ -38,6 +38,8 @@ SCARCE = 0.05
 """Share of a disk: if less is free, a session whose files take more than that ends, because several fill a disk together."""
 LOOK_SECONDS = 1.0
 """Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
+FIRST_LINE = 256
+"""Bytes of a script's first line that the system reads."""
 REPLY_SECONDS = 30.0
 """Time after which a keeper that does not answer is taken as lost."""
 
@@ -77,10 +79,9 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """End of a child: return code as in `subprocess`, and the number of descendants that could not be killed."""
+    """End of a child: return code as in `subprocess`."""
 
     status: int
-    left: int = 0
 
 
 class Children:
@@ -96,7 +97,8 @@ class Children:
         self._next_look = 0.0
         self._room = Room.of(scratch.folder)
         self._most_disk_mb = min(MOST_DISK_MB, self._room.megabytes * 9 // 10)
-        self._overflows = False
+        self._exceeds = self._overflows = False
+        """Whether the child exceeds a limit, or one of the disk in particular."""
         self._lost_seconds = self._ended_seconds = 0.0
         """CPU time of children of earlier keepers, and of ended children of this keeper."""
 
@@ -126,6 +128,7 @@ class Children:
             raise UnavailableError(f"{self._launch.command[0]} cannot be started: {reply['error']}")
         self._pid = int(reply["pid"])
         self._family, self._next_look = (self._pid,), time.monotonic() + LOOK_SECONDS
+        self._exceeds = False
 
     def ended(self) -> Ended:
         """Waits for the end of the child, whose descendants end with it."""
@@ -135,14 +138,15 @@ class Children:
             return Ended(-signal.SIGKILL)
         self._pid, self._family = None, ()
         self._ended_seconds = reply["cpu"]
-        return Ended(int(reply["status"]), int(reply["left"]))
+        return Ended(int(reply["status"]))
 
     def end(self) -> Ended | None:
-        """Ends the child and its descendants by SIGTERM, then SIGKILL; returns None if no child is running."""
+        """Ends the child and its descendants by SIGTERM, then SIGKILL, which comes at once if they exceed a limit. Returns None if no child
+        is running."""
         if self._pid is None or self._control is None:
             return None
         try:
-            self._control.sendall(keeper.END)
+            self._control.sendall(keeper.KILL if self._exceeds else keeper.END)
         except OSError:
             self._lose()
             ended = Ended(-signal.SIGKILL)
@@ -180,17 +184,26 @@ class Children:
         """Looks for descendants and their files. Raises NoMeasuresError if these take too much memory or disk, or are too many."""
         if self._keeper is None:
             return
+        try:
+            self._look(self._keeper)
+        except NoMeasuresError:
+            self._exceeds = True
+            raise
+
+    def _look(self, keeping: int) -> None:
         start = time.monotonic()
         self._look_at_disk()
-        family = keeper.descendants(self._keeper)
+        family = keeper.descendants(keeping)
         self._family = tuple(process.pid for process in family)
         now = time.monotonic()
         self._next_look = now + max(LOOK_SECONDS, 50 * (now - start))
         if len(family) > MOST_PROCESSES:
             raise NoMeasuresError(Breakdown.ERROR, f"it runs {len(family):,} processes, more than {MOST_PROCESSES}")
-        resident = sum(process.resident for process in family) >> 20
-        if resident > self._launch.memory_mb:
-            detail = f"its processes take {resident:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
+        if sum(process.resident for process in family) >> 20 <= self._launch.memory_mb:
+            return
+        taken = sum(map(keeper.share, family)) >> 20  # a fork's pages are its parent's as well; this takes longer to read
+        if taken > self._launch.memory_mb:
+            detail = f"its processes take {taken:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
             raise NoMeasuresError(Breakdown.MEMORY, detail)
 
     def _look_at_disk(self) -> None:
@@ -301,6 +314,25 @@ def check_command(command: Sequence[str], work: Path) -> None:
         raise UnavailableError(f"the file {program} does not exist")
     elif not os.access(work / program, os.X_OK):
         raise UnavailableError(f"the file {program} is not executable; type: chmod +x {program}")
+    elif (fault := _interpreter_fault(work / program)) is not None:
+        raise UnavailableError(f"{program} cannot be started: {fault}")
+
+
+def _interpreter_fault(script: Path) -> str | None:
+    """Returns why the first line of a script names no interpreter of this machine; the system's error would name the script itself."""
+    try:
+        with script.open("rb") as file:
+            line = file.read(FIRST_LINE).partition(b"\n")[0]
+    except OSError:
+        return None
+    if not line.startswith(b"#!"):
+        return None
+    if line.endswith(b"\r"):
+        return "its first line ends as on Windows; convert the line ends, e.g. by sed -i 's/\\r$//'"
+    interpreter = next(iter(line[2:].decode(errors="replace").split()), "")
+    if interpreter.startswith("/") and not Path(interpreter).exists():
+        return f"its first line names {interpreter}, which is not on this machine"
+    return None
 
 
 def _precise_seconds(process: keeper.Seen) -> float:

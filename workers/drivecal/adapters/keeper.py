@@ -5,8 +5,8 @@ gone. As a subreaper it inherits orphans, including those in sessions of their o
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
 Runs by path, `python -I -S keeper.py FD`, with the standard library and `confinement` only. FD is a socket of messages (SOCK_SEQPACKET):
-the worker sends `s` with three descriptors (standard input, output, error) for a start and `t` for an end; the keeper answers in JSON, see
-`Keeper`.
+the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at once; the keeper
+answers in JSON, see `Keeper`.
 """
 
 import contextlib
@@ -29,9 +29,9 @@ if __name__ == "__main__":  # isolated, without site-packages
 
 from drivecal.adapters.confinement import confine, ruleset
 
-START, END = b"s", b"t"
-GRACE_SECONDS = 0.3
-"""Time between SIGTERM and SIGKILL."""
+START, END, KILL = b"s", b"t", b"k"
+GRACE_SECONDS = 2.0
+"""Longest time between SIGTERM and SIGKILL. It ends with the last process."""
 SWEEP_SECONDS = 5.0
 """Time after which processes that cannot be killed are given up."""
 LARGEST_FILE = 4 << 30
@@ -73,6 +73,16 @@ def seen(pid: int) -> Seen | None:
     return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
 
 
+def share(process: Seen) -> int:
+    """Returns the memory of a process in bytes, with pages that several processes have divided among them; without a share if /proc tells
+    none."""
+    try:
+        lines = Path(f"/proc/{process.pid}/smaps_rollup").read_bytes().splitlines()
+    except OSError:
+        return process.resident
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss:")), process.resident)
+
+
 def descendants(root: int) -> list[Seen]:
     """Returns all living descendants of a process, parents first."""
     children: dict[int, list[Seen]] = {}
@@ -89,8 +99,7 @@ class Keeper:
     """Serves one session.
 
     Answers `{"pid": n}` or `{"error": text}` to a start. After each child's end, and that of its descendants, whatever the cause:
-    `{"status": n, "cpu": s, "left": n}` with the return code as in `subprocess`, the CPU time of all ended processes since the keeper's
-    start, and the number of processes that could not be killed.
+    `{"status": n, "cpu": s}` with the return code as in `subprocess`, and the CPU time of all ended processes since the keeper's start.
     """
 
     def __init__(self, control: socket.socket, settings: dict[str, Any]) -> None:
@@ -124,11 +133,15 @@ class Keeper:
             if message == START:
                 self._start(descriptors)
             elif self._child is not None:
-                self._end(self._child)
+                if message == END:
+                    self._ask()
+                self._stop(self._child)
+                self._report(self._child)
 
     def finish(self) -> None:
         """Ends the child without a report."""
         if self._child is not None:
+            self._ask()
             self._stop(self._child)
 
     def _say(self, message: dict[str, Any]) -> None:
@@ -186,25 +199,28 @@ class Keeper:
             self._reap()
         # The child may have ended since, and be reaped already.
         if child is not None and (child in self._statuses or _has_ended(child)):
-            self._report(child, self._stop(child))
+            self._stop(child)
+            self._report(child)
 
-    def _end(self, child: int) -> None:
-        with contextlib.suppress(OSError):
-            os.killpg(child, signal.SIGTERM)
+    def _ask(self) -> None:
+        """Asks every process to end, not the child's group alone, which may be a shell before the program. Waits while any lives, for the
+        grace at most."""
+        for process in descendants(os.getpid()):
+            with contextlib.suppress(OSError):
+                os.kill(process.pid, signal.SIGTERM)
         deadline = time.monotonic() + GRACE_SECONDS
-        while not _has_ended(child) and time.monotonic() < deadline:
+        while self._reap() and time.monotonic() < deadline:  # without children of its own a subreaper has no descendants
             time.sleep(0.002)
-        self._report(child, self._stop(child))
 
-    def _report(self, child: int, left: int) -> None:
+    def _report(self, child: int) -> None:
         self._child = None
         usage = resource.getrusage(resource.RUSAGE_CHILDREN)
         status = self._statuses.pop(child, -signal.SIGKILL)
         self._statuses.clear()
-        self._say({"status": status, "cpu": usage.ru_utime + usage.ru_stime, "left": left})
+        self._say({"status": status, "cpu": usage.ru_utime + usage.ru_stime})
 
-    def _stop(self, child: int) -> int:
-        """Kills the child's group and then every descendant; returns how many are left."""
+    def _stop(self, child: int) -> None:
+        """Kills the child's group and then every descendant."""
         if child not in self._statuses:
             with contextlib.suppress(OSError):
                 os.killpg(child, signal.SIGKILL)  # the child is not reaped yet, so the number is still its own
@@ -216,9 +232,8 @@ class Keeper:
                     with contextlib.suppress(OSError):
                         os.kill(process.pid, number)
             if time.monotonic() > deadline:
-                return len(family)
+                return
             time.sleep(0.001)
-        return 0
 
     def _reap(self) -> bool:
         """Waits for ended children; returns whether there are others."""

@@ -226,14 +226,12 @@ class Pipes:
     def _failure(self, ended: Ended) -> NoMeasuresError:
         """Returns the error of a child that ended without an answer."""
         status, cause = ended.status, Breakdown.CRASH
-        if status >= 0:
+        if 128 < status <= 128 + signal.SIGRTMAX:
+            detail = f"it ended with exit code {status}, as a shell does if its program was killed by {_killer(status - 128)}"
+        elif status >= 0:
             detail = f"it ended with exit code {status}"
         else:
-            detail = f"it was killed by {_signal_name(-status)}"
-            if -status == signal.SIGXFSZ:
-                detail += ", because it wrote too large a file"
-            if -status == signal.SIGKILL:
-                detail += ", as the system does when the machine's memory runs out"
+            detail = f"it was killed by {_killer(-status)}"
         if any(text in self._tail for text in _OUT_OF_MEMORY):
             cause = Breakdown.MEMORY
         return NoMeasuresError(cause, self._with_tail(detail))
@@ -263,8 +261,14 @@ def _last_lines(messages: str) -> str:
     return f"{where} | {' | '.join(lines[-2:])[-LONGEST_SHOWN + len(where) :]}"
 
 
-def _signal_name(number: int) -> str:
+def _killer(number: int) -> str:
+    """Returns the name of a signal, with what it means of a program that ran out of something."""
     try:
-        return signal.Signals(number).name
+        name = signal.Signals(number).name
     except ValueError:
-        return f"signal {number}"
+        name = f"signal {number}"
+    if number == signal.SIGXFSZ:
+        return f"{name}, because it wrote too large a file"
+    if number == signal.SIGKILL:
+        return f"{name}, as the system does when the machine's memory runs out"
+    return name
