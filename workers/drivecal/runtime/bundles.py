@@ -142,7 +142,7 @@ class BundleSessions:
                 hold.enter_context(self._cache.hold(setup.bundle))
             self._tools.check(setup, lambda: self._cache.folder(setup.bundle))
             if setup.key not in self._sessions:
-                self._sessions[setup.key] = self._opened(setup)
+                self._sessions[setup.key] = self._opened_alone(setup)
                 self._holds[setup.key] = hold.pop_all()
                 if len(self._sessions) > MOST_SESSIONS:
                     self._drop(next(iter(self._sessions)))
@@ -151,6 +151,21 @@ class BundleSessions:
             self._watched = True
             threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
         return self._sessions[setup.key]
+
+    def _opened_alone(self, setup: BundleRequest) -> SimulatorSession:
+        """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks."""
+        try:
+            session = self._opened(setup)
+        except (UnavailableError, OSError):
+            if not self._sessions:
+                raise
+        else:
+            if not self._sessions or not (isinstance(session, ProcessSession) and session.has_failed):
+                return session
+            session.close()
+        for key in list(self._sessions):
+            self._drop(key)
+        return self._opened(setup)
 
     def _opened(self, setup: BundleRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
