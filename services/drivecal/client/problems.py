@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
-from drivecal.bundles.checks import checked
+from drivecal.bundles.checks import checked, script_problems
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
 from drivecal.client.documents import LARGEST_FILE, located, located_yaml
@@ -36,7 +36,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
         raise InvalidInputError(Problem(shown(str(path / MANIFEST), 200), "there is no such file", remedy))
     archive = pack(path)
     files = files_of(archive)
-    manifest = read_manifest(manifest_text(files), executables(files))
+    manifest = _read(manifest_text(files), lambda document: _whole(document, files))
     if not isinstance(manifest.simulator, HighwaySimulator):
         return manifest, archive, ()
     from drivecal.bundles.highway_roads import conversions  # with scipy, for this kind only
@@ -70,7 +70,7 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
     """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_manifest`."""
 
     def whole(document: Any) -> tuple[Manifest, tuple[str, ...]]:
-        manifest = checked(document, executables(files))
+        manifest = _whole(document, files)
         if not isinstance(manifest.simulator, HighwaySimulator):
             return manifest, ()
         from drivecal.bundles.highway_roads import check_roads
@@ -78,6 +78,14 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
         return manifest, check_roads(manifest, files)
 
     return _read(manifest_text(files), whole)
+
+
+def _whole(document: Any, files: Mapping[str, BundleFile]) -> Manifest:
+    manifest = checked(document, executables(files))
+    problems = list(script_problems(manifest.simulator, files))
+    if problems:
+        raise InvalidInputError(*problems)
+    return manifest
 
 
 def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
-from drivecal.bundles.archives import MANIFEST
+from drivecal.bundles.archives import MANIFEST, BundleFile
 from drivecal.bundles.expressions import Constraint, Formula
 from drivecal.bundles.highway import (
     FmuController,
@@ -26,6 +26,7 @@ from drivecal.bundles.highway_checks import (
     simulator_problems,
 )
 from drivecal.bundles.manifest import (
+    AnySimulator,
     CommandSimulator,
     FmuSimulator,
     Manifest,
@@ -48,6 +49,8 @@ SMALLEST_SPAN = 1e-3
 """Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
 Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
+OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
+"""Variables that name an empty folder for each simulator."""
 WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController, PythonVehicle, FmuVehicle)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -290,6 +293,9 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
     for index, name in enumerate(simulator.environment or ()):
         if name.upper().startswith(("DRIVECAL", "RAY")):
             yield Problem(f"simulator.environment[{index}]", f"{name} is a variable of the worker itself", "leave it out")
+        elif name in OWN_FOLDERS:
+            remedy = "leave it out; give the tool the whole path, or export the variable in a wrapper script"
+            yield Problem(f"simulator.environment[{index}]", f"drivecal sets {name} to an empty folder", remedy)
     if simulator.probe is not None:
         yield from _command("simulator.probe", simulator.probe, files)
 
@@ -341,6 +347,20 @@ def _command(field: str, words: list[str], files: Executables | None) -> Iterato
         )
     elif "/" in program and files.get(path) is False:
         yield Problem(f"{field}[0]", f"the file {shown(path)} is not executable", f"type: chmod +x {shown(path)}")
+
+
+def script_problems(simulator: AnySimulator, files: Mapping[str, BundleFile]) -> Iterator[Problem]:
+    """Yields the commands that begin with a script whose first line ends as on Windows: no machine has such an interpreter."""
+    parts: list[tuple[str, Any]] = [("simulator", simulator)]
+    if isinstance(simulator, HighwaySimulator):
+        parts += [("simulator.controller", simulator.controller), ("simulator.vehicle", simulator.vehicle)]
+    for part, section in parts:
+        for field in ("command", "probe"):
+            path = (getattr(section, field, None) or [""])[0].removeprefix("./")
+            line = files[path].content[:256].partition(b"\n")[0] if path in files else b""
+            if line.startswith(b"#!") and line.endswith(b"\r"):
+                remedy = f"convert its line ends, e.g. sed -i 's/\\r$//' {shown(path)}"
+                yield Problem(f"{part}.{field}[0]", f"the first line of {shown(path)} ends as on Windows", remedy)
 
 
 def _file(field: str, path: str, files: Executables | None) -> Iterator[Problem]:

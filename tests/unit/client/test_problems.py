@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.bundles.archives import content_digest, files_of
+from drivecal.bundles.archives import content_digest, files_of, pack
 from drivecal.client.problems import read_archived, read_bundle, read_manifest
 from drivecal.domain.errors import InvalidInputError
 
@@ -53,6 +53,23 @@ def test_a_folder_is_read_into_a_manifest_and_an_archive() -> None:
 def test_a_folder_in_another_place_has_the_same_digest(tmp_path: Path) -> None:
     shutil.copytree(EXAMPLES / "command-shell", tmp_path / "copy")
     assert content_digest(read_bundle(tmp_path / "copy")[1]) == content_digest(read_bundle(str(EXAMPLES / "command-shell"))[1])
+
+
+@pytest.mark.parametrize(("ends", "is_refused"), [("\r\n", True), ("\n", False)])
+def test_a_script_with_line_ends_of_windows_is_refused(tmp_path: Path, ends: str, is_refused: bool) -> None:
+    section = 'simulator: {kind: command, command: [./run.sh, "{parameters}", "{results}"]}'
+    (tmp_path / "problem.yaml").write_text(VALID.replace("simulator: {kind: python, file: model.py}", section))
+    script = tmp_path / "run.sh"
+    script.write_text("#!/bin/sh\ntrue\n", newline=ends)
+    script.chmod(0o755)
+    if not is_refused:
+        assert read_bundle(tmp_path)[0].problem == "braking"
+        return
+    with pytest.raises(InvalidInputError) as refusal:
+        read_bundle(tmp_path)
+    assert ["simulator.command[0]" in problem.field for problem in refusal.value.problems] == [True]
+    with pytest.raises(InvalidInputError):
+        read_archived(files_of(pack(tmp_path)))
 
 
 def test_the_valid_text_is_valid() -> None:
