@@ -1,11 +1,12 @@
-"""Checks a problem bundle by running it here, in child processes as on a worker: one set per scenario twice, and another one once."""
+"""Checks a problem bundle by running it here, in child processes as on a worker: one set per scenario twice, then another one, which a
+deterministic simulator gets in a new process as well."""
 
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,11 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class OtherRun:
-    """Result of another set in a scenario; the fields mean what they do in `CheckedScenario`."""
+    """Result of another set in a scenario; the fields mean what they do in `CheckedScenario`.
+
+    `alone`: this set as the first run of a new process gave the same bits; None if that was not tried. `alone_error`: why it has no result
+    there.
+    """
 
     measures: Mapping[str, float] = field(default_factory=dict)
     failure: str | None = None
@@ -40,6 +45,8 @@ class OtherRun:
     undefined: Mapping[str, str] = field(default_factory=dict)
     cut: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
+    alone: bool | None = None
+    alone_error: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,10 +163,14 @@ def _checked(
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.measures, **manifest.series}
     declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units)
+
+    def opened() -> SimulatorSession:
+        with _signs(f"{scenario}: the start", start, tell):
+            return simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+
     began = time.perf_counter()
     try:
-        with _signs(f"{scenario}: the start", start, tell):
-            session = simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+        session = opened()
     except (UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error))
     started = time.perf_counter() - began
@@ -169,11 +180,22 @@ def _checked(
         with run(2):
             second, second_seconds = _run(session, parameters, series=bool(manifest.series))
         with run(3):
-            elsewhere = None if other is None else _tried(manifest, session, other)
+            elsewhere, bits = (None, None) if other is None else _tried(manifest, session, other)
     except (NoMeasuresError, OSError) as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
         session.close()
+    repeats = _bits(first) == _bits(second)
+    if other is not None and elsewhere is not None and bits is not None and repeats and _may_keep_state(manifest):
+        try:
+            session = opened()
+            try:
+                with run(4):
+                    elsewhere = replace(elsewhere, alone=_bits(session.evaluate(other)) == bits)
+            finally:
+                session.close()
+        except (NoMeasuresError, UnavailableError, OSError) as error:
+            elsewhere = replace(elsewhere, alone_error=str(error))
     scores, undefined, cut = _rated(manifest, first)
     return CheckedScenario(
         scenario=scenario,
@@ -182,7 +204,7 @@ def _checked(
         scores=scores,
         undefined=undefined,
         cut=cut,
-        repeats=_bits(first) == _bits(second),
+        repeats=repeats,
         start_seconds=started,
         seconds=(first_seconds, second_seconds),
         cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
@@ -190,12 +212,22 @@ def _checked(
     )
 
 
-def _tried(manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]) -> OtherRun:
+def _may_keep_state(manifest: Manifest) -> bool:
+    """Returns whether a simulator claims equal measures of equal inputs while one process of it does several runs."""
+    section = manifest.simulator
+    is_renewed = section.kind == "command" or (section.kind == "fmu" and not section.reset)
+    return section.deterministic and not is_renewed
+
+
+def _tried(
+    manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]
+) -> tuple[OtherRun, tuple[object, ...] | None]:
+    """Returns the result of another set, and its bits if there are measures."""
     try:
         outcome = session.evaluate(parameters)
     except (NoMeasuresError, OSError) as error:
-        return OtherRun(error=str(error))
-    return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome))
+        return OtherRun(error=str(error)), None
+    return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome)), _bits(outcome)
 
 
 def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:

@@ -79,6 +79,8 @@ class FmuSimulator(SimulatorEntry):
     """Step of the communication, s."""
     measures: Annotated[dict[Identifier, str], Field(min_length=1, max_length=1000)]
     """By name, how each is computed from an output."""
+    reset: bool = True
+    """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
 
 AnySimulator = Annotated[

@@ -104,6 +104,11 @@ def test_the_child_is_replaced_before_it_is_worn_out(folder: Path, monkeypatch: 
         assert [session.evaluate({}).measures["n"] for _ in range(8)] == [1, 2, 3, 1, 2, 3, 1, 2]
 
 
+def test_an_fmu_that_is_not_reset_has_a_process_for_each_run(folder: Path) -> None:
+    with run(folder, "trial2.fmu", Declared("p", ("n",)), measures={"n": "last(runs)"}, reset=False) as session:
+        assert [session.evaluate({}).measures["n"] for _ in range(3)] == [1, 1, 1]
+
+
 FMI_1 = SECOND_DESCRIPTION.replace('fmiVersion="2.0"', 'fmiVersion="1.0"').replace("<CoSimulation", "<Nothing")
 EXCHANGE = SECOND_DESCRIPTION.replace("CoSimulation", "ModelExchange")
 

@@ -183,6 +183,8 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("scores/cost/range", [0, 0.0009], "scores.cost.range"),
         ("simulator/environment", ["A=B"], "simulator.environment[0]"),
         ("simulator/environment", ["MATLAB_HOME", "DRIVECAL_TOKEN"], "simulator.environment[1]"),
+        ("simulator/environment", ["MATLAB_HOME", "HOME"], "simulator.environment[1]"),
+        ("simulator/environment", ["TMPDIR"], "simulator.environment[0]"),
         ("simulator/environment", [f"N{number}" for number in range(51)], "simulator.environment"),
         ("scores/cost/failed", 99, "scores.cost.failed"),
         ("scores/comfort/failed", 1, "scores.comfort.failed"),
@@ -310,6 +312,16 @@ def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only(monkeypat
 def test_the_smallest_range_of_a_score_is_a_thousandth() -> None:
     """Scores count as equal to nine decimals, whatever their unit."""
     assert checked(changed("scores/comfort/range", [1, 1.001])).scores["comfort"].range == (1, 1.001)
+
+
+def test_an_fmu_that_is_reset_has_the_setup_of_earlier_versions() -> None:
+    kept, other = ({**FMU, "reset": reset} for reset in (True, False))
+    documents = [
+        setup_document(checked(document(simulator=section)), "city", "f")["simulator"] for section in (FMU, kept, other)
+    ]
+    assert documents[0] == documents[1]
+    assert "reset" not in documents[0]
+    assert documents[2] == documents[0] | {"reset": False}
 
 
 def test_names_of_variables_are_part_of_a_setup_if_there_are_any() -> None:

@@ -96,6 +96,36 @@ def test_another_set_without_a_result_is_a_warning(write: Write) -> None:
     assert all("no mesh" in scenario["other"]["error"] for scenario in report["scenarios"])
 
 
+STATEFUL = (
+    "first = None\ndef evaluate(p, s):\n    global first\n    first = first or p['x']\n    return {'energy': 1.0 + first}\n"
+)
+"""Answers by the first set that its process got."""
+
+
+def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
+    code, report = check(write(STATEFUL))
+    assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [True, True])
+    assert [scenario["other"]["alone"] for scenario in report["scenarios"]] == [False, False]
+    assert [warning.split(":")[0] for warning in report["warnings"]] == ["city", "road"]
+    assert all("new process" in warning for warning in report["warnings"])
+    assert [scenario["other"]["alone"] for scenario in check(write())[1]["scenarios"]] == [True, True]
+    unclaimed = check(write(STATEFUL, deterministic=False))[1]
+    assert ([scenario["other"]["alone"] for scenario in unclaimed["scenarios"]], unclaimed["warnings"]) == ([None, None], [])
+
+
+def test_a_set_that_has_a_result_after_others_only_is_a_warning(write: Write) -> None:
+    model = "known = set()\ndef evaluate(p, s):\n    known.add(p['x'])\n    assert 0.5 in known, 'no start'\n    return {'energy': 1.0}\n"
+    code, report = check(write(model))
+    assert (code, len(report["warnings"])) == (0, 2)
+    assert all("no start" in scenario["other"]["alone_error"] for scenario in report["scenarios"])
+
+
+def test_a_command_needs_no_new_process(tmp_path: Path) -> None:
+    folder = str(tmp_path / "mine")
+    command("problem", "init", "command", "mine", "--folder", folder)
+    assert {scenario["other"]["alone"] for scenario in check(folder)[1]["scenarios"]} == {None}
+
+
 def test_the_table_shows_scores_measures_and_times(write: Write) -> None:
     result = command("problem", "check", write())
     assert result.exit_code == 0

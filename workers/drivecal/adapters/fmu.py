@@ -43,6 +43,7 @@ class FmuAdapter:
             "data": dict(data),
         }
         launch = Launch.of(driver_command("fmu_driver", settings), section)
+        most_runs = MOST_RUNS if section.get("reset", True) else 1
         return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=MOST_RUNS
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
         )

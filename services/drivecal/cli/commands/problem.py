@@ -15,6 +15,7 @@ from drivecal.client.problems import read_bundle_with_notes
 from drivecal.contracts.inventory import ProblemAnswer
 
 if TYPE_CHECKING:
+    from drivecal.bundles.manifest import Manifest
     from drivecal.local.problems import CheckedScenario
 
 problems = typer.Typer(no_args_is_help=True, help="Your own problems: a simulation, its parameters, measures and scores.")
@@ -22,6 +23,8 @@ app.add_typer(problems, name="problem")
 
 SHOWN = 12
 """Characters of a digest in a sentence."""
+
+_RESET = "the FMU's reset may be incomplete: set `reset: false` in `simulator`, so that each run has a new process"
 
 FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder with problem.yaml.")]
 
@@ -55,7 +58,7 @@ def check(
     offline: Annotated[bool, typer.Option("--offline", help="Check the files only; run nothing.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a problem without a server: its files, then each scenario twice at the baseline or in the middle of the space, and once at
+    """Check a problem without a server: its files, then each scenario twice at the baseline or in the middle of the space, and at
     another set that keeps the constraints."""
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
@@ -89,11 +92,12 @@ def check(
         report["other_parameters"] = other = other_set(manifest)
         for result in run_problem(manifest, archive, parameters, other, tell):
             if not as_json:
-                tell(f"{result.scenario}: {_sentence(result)}")
+                tell(f"{result.scenario}: {_sentence(manifest, result)}")
             checked.append(result)
         if not any(result.other for result in checked):
             report["other_parameters"] = None  # no scenario came to it
-        report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked), *_doubts_elsewhere(checked)]
+        report["warnings"] = [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
+        report["warnings"] += _doubts_elsewhere(manifest, checked)
     report["scenarios"] = [asdict(result) for result in checked]
     if as_json:
         print_json(report)
@@ -206,8 +210,9 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
         typer.echo("these sets alone were tried; others may fail, or leave the range of a score")
 
 
-def _doubts_elsewhere(checked: Sequence["CheckedScenario"]) -> list[str]:
-    """Returns a warning for each scenario in which the other set alone has no result or a score without a value."""
+def _doubts_elsewhere(manifest: "Manifest", checked: Sequence["CheckedScenario"]) -> list[str]:
+    """Returns a warning for each scenario in which the other set alone has no result or a score without a value, or another result in a
+    new process."""
     warnings = []
     for result in checked:
         if result.other is None:
@@ -216,15 +221,23 @@ def _doubts_elsewhere(checked: Sequence["CheckedScenario"]) -> list[str]:
             warnings.append(f"{result.scenario}: set 2 has no result: {result.other.error}")
         undefined = {name: why for name, why in result.other.undefined.items() if name not in result.undefined}
         warnings += [f"{result.scenario}: {name} has no value for set 2: {why}" for name, why in undefined.items()]
+        if result.other.alone is False:
+            cause = "the simulator keeps state between runs" + (f"; {_RESET}" if manifest.simulator.kind == "fmu" else "")
+            warnings.append(f"{result.scenario}: set 2 gives other measures in a new process: {cause}")
+        if result.other.alone_error is not None:
+            warnings.append(f"{result.scenario}: set 2 has no result in a new process: {result.other.alone_error}")
     return warnings
 
 
-def _sentence(result: "CheckedScenario") -> str:
+def _sentence(manifest: "Manifest", result: "CheckedScenario") -> str:
     if result.error is not None:
         return f"no result: {result.error}"
     parts = [f"{max(result.seconds):.3f} s a run, ready after {result.start_seconds:.3f} s"]
     if not result.repeats:
-        parts.append("two runs of the same parameters gave different measures: fix their seed, or set `deterministic: false`")
+        remedy = "fix their seed, or set `deterministic: false`"
+        if manifest.simulator.kind == "fmu" and manifest.simulator.reset:
+            remedy = f"{_RESET}; or fix their seed, or set `deterministic: false`"
+        parts.append(f"two runs of the same parameters gave different measures: {remedy}")
     parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
     return "; ".join(parts)
 
