@@ -281,9 +281,8 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
 def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
     tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
 ) -> None:
-    @dataclass
     class Licensed(ScriptedSimulator):
-        most: int = 2
+        most = 2
 
         def open(self, *arguments: Any) -> SimulatorSession:
             if len(self.opened) - len(self.closed) >= self.most:
@@ -305,8 +304,7 @@ def test_a_program_that_crashes_at_its_start_beside_idle_sessions_is_tried_witho
 ) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     program = f"""
-import atexit, os, sys
-licence = {str(tmp_path / "licence")!r}
+import atexit, os, sys; licence = {str(tmp_path / "licence")!r}
 if os.path.exists(licence): sys.exit("no licence")
 open(licence, "x").close()
 atexit.register(os.remove, licence)
