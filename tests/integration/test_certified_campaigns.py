@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import SMALL, WITH_ANALYSIS, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import SMALL, WITH_ANALYSIS, finish, get, influenced, nothing_matters, post_map, run, submit
 from tests.support.runs import dispatcher as dispatching
 
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -198,12 +198,7 @@ def test_a_share_of_certified_cells_is_simulated_all_the_same_and_counted(databa
 
 def test_one_certificate_that_a_simulation_contradicts_ends_the_campaign(database: Database) -> None:
     campaign = submit(database, **simple(reduction={"mode": "exact", "audit": 0.3}))
-    working = dispatching(database, certifying(proofs_hold=False))
-    for _ in range(200):
-        working.step()
-        if get(database, campaign).state.ended:
-            break
-    ended = get(database, campaign)
+    ended = finish(database, campaign, dispatching(database, certifying(proofs_hold=False)))
     assert ended.state is CampaignState.FAILED
     assert "reduction.certified" in (ended.error or "")
 
@@ -211,12 +206,7 @@ def test_one_certificate_that_a_simulation_contradicts_ends_the_campaign(databas
 def failed(database: Database, backend: ComputedBackend, **changes: Any) -> StoredCampaign:
     """Runs a campaign that a contradicted certificate ends."""
     campaign = submit(database, **simple(reduction={"mode": "exact", "audit": 0.05}, **changes))
-    working = dispatching(database, backend)
-    for _ in range(200):
-        working.step()
-        if get(database, campaign).state.ended:
-            break
-    ended = get(database, campaign)
+    ended = finish(database, campaign, dispatching(database, backend))
     assert ended.state is CampaignState.FAILED
     return ended
 

@@ -13,7 +13,7 @@ from sqlalchemy import update
 from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
+from tests.support.runs import dispatcher, everything, finish, get, nothing_matters, post_map, run, submit
 
 from drivecal.campaigns.comparisons.resolve import CONFIRMED
 from drivecal.campaigns.comparisons.results import compared as read_compared
@@ -172,10 +172,7 @@ def test_a_run_that_fails_costs_no_other_one_and_is_named_at_the_end(database: D
         return computed(scenario, cell)
 
     comparison = submit_comparison(database, populations=[6], optimizers=[{"kind": "random"}])
-    working = dispatcher(database, ComputedBackend(answer=broken))
-    while not get(database, comparison).state.ended:
-        working.step()
-    ended = get(database, comparison)
+    ended = finish(database, comparison, dispatcher(database, ComputedBackend(answer=broken)))
     assert ended.state is CampaignState.FAILED
     assert ended.error is not None
     assert ended.error.startswith("3 of 3 runs failed: random, population 6, seed 1: no parameter set has a result")
@@ -191,9 +188,7 @@ def test_the_waiting_cells_of_a_failed_run_are_not_simulated(database: Database,
 
     monkeypatch.setattr(StagedCampaign, "record", fail)
     backend = ComputedBackend()
-    working = dispatcher(database, backend)
-    while not get(database, comparison).state.ended:
-        working.step()
+    finish(database, comparison, dispatcher(database, backend))
     failed = runs_of(database, comparison)
     assert [run.state for run in failed] == [CampaignState.FAILED] * 3
     assert len(backend.sent) < 1500
@@ -214,9 +209,7 @@ def test_a_run_that_fails_while_its_cells_are_at_workers_leaves_nothing_behind(
         return record(job, completed)
 
     monkeypatch.setattr(StagedCampaign, "record", fail)
-    working = dispatcher(database)
-    while not get(database, comparison).state.ended:
-        working.step()
+    finish(database, comparison, dispatcher(database))
     assert [one.state.value for one in runs_of(database, comparison)] == ["failed", "succeeded", "succeeded"]
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
 

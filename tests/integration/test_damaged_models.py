@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.runs import SMALL, dispatcher, get, submit
+from tests.support.runs import SMALL, dispatcher, finish, get, submit
 from tests.support.server import serving
 
 from drivecal.domain.campaigns import CampaignState
@@ -57,10 +57,7 @@ def test_a_campaign_whose_file_was_damaged_after_its_submission_fails_and_no_oth
 ) -> None:
     broken, sound = submit(database, **CHOICES[name]), submit(database, catalogue=["S1"])
     damage(tmp_path, monkeypatch)
-    one = dispatcher(database, ComputedBackend())
-    while not get(database, sound).state.ended:
-        one.step()
-    assert get(database, sound).state is CampaignState.SUCCEEDED
+    assert finish(database, sound, dispatcher(database, ComputedBackend())).state is CampaignState.SUCCEEDED
     ended = get(database, broken)
     assert ended.state is CampaignState.FAILED
     assert name in (ended.error or "")

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
+from tests.support.runs import finish, get
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -52,19 +53,6 @@ class _Beating(Dispatcher):
         self.heartbeat.beat()
 
 
-def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
-    with database.read() as connection:
-        return campaigns.get(connection, campaign.id)
-
-
-def _finish(database: Database, campaign: StoredCampaign, dispatcher: Dispatcher) -> StoredCampaign:
-    for _ in range(3_000):
-        if (found := _get(database, campaign)).state.ended:
-            return found
-        dispatcher.step()
-    raise AssertionError("the campaign did not end")
-
-
 def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(database: Database) -> None:
     campaign = _submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})
@@ -72,7 +60,7 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     for _ in range(400):  # tenths of a second: longer than it takes until refusing workers are replaced
         dispatcher.step()
     assert backend.replaced
-    waiting = _get(database, campaign)
+    waiting = get(database, campaign)
     assert waiting.state is CampaignState.RUNNING
     assert waiting.cells.failed == 0
     assert waiting.degraded is not None
@@ -82,14 +70,14 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     assert reported is not None
     assert reported.detail["degraded"] == waiting.degraded
     backend.refusing.clear()
-    ended = _finish(database, campaign, dispatcher)
+    ended = finish(database, campaign, dispatcher)
     assert (ended.state, ended.cells.failed, ended.degraded) == (CampaignState.SUCCEEDED, 0, None)
 
 
 def test_a_bad_worker_among_good_ones_costs_a_campaign_no_cell(database: Database) -> None:
     campaign = _submit(database)
     backend = FakeBackend(4, bad={1})
-    ended = _finish(database, campaign, _Beating(database, backend))
+    ended = finish(database, campaign, _Beating(database, backend))
     assert (ended.state, ended.cells.failed) == (CampaignState.SUCCEEDED, 0)
     assert ended.cells.simulated > 50
     assert backend.replaced

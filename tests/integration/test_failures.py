@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.problems import carry_out, store, submit_checked
+from tests.support.problems import store, submit_checked
+from tests.support.runs import finish
 
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
@@ -104,7 +105,7 @@ def dispatcher(database: Database, simulated: Simulated, backend: ComputedBacken
 def run(
     database: Database, campaign: StoredCampaign, simulated: Simulated, backend: ComputedBackend | None = None
 ) -> StoredCampaign:
-    return carry_out(database, campaign, dispatcher(database, simulated, backend))
+    return finish(database, campaign, dispatcher(database, simulated, backend))
 
 
 def causes(database: Database, campaign: StoredCampaign) -> list[FailureCause]:

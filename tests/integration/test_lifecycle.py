@@ -12,6 +12,7 @@ import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
+from tests.support.runs import finish, get
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -60,22 +61,9 @@ def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
     return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
 
 
-def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
-    with database.read() as connection:
-        return campaigns.get(connection, campaign.id)
-
-
 def _request(database: Database, campaign: StoredCampaign, action: Action) -> None:
     with database.transaction() as connection:
         campaigns.request_action(connection, campaign.id, action)
-
-
-def _finish(database: Database, campaign: StoredCampaign, dispatcher: Dispatcher) -> StoredCampaign:
-    for _ in range(2_000):
-        if _get(database, campaign).state.ended:
-            return _get(database, campaign)
-        dispatcher.step()
-    raise AssertionError(f"the campaign is still {_get(database, campaign)}")
 
 
 def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
@@ -96,7 +84,7 @@ def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Datab
     _request(database, campaign, "cancel")
     dispatcher.step()
     backend.held = False
-    assert _finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+    assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
 
 
 def test_a_resume_takes_back_a_pause_that_still_waits_for_workers(database: Database) -> None:
@@ -105,15 +93,15 @@ def test_a_resume_takes_back_a_pause_that_still_waits_for_workers(database: Data
     dispatcher.step()
     _request(database, campaign, "resume")
     backend.held = False
-    assert _finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
+    assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
 
 
 def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(database: Database) -> None:
     campaign, _, _ = _busy(database)
     _request(database, campaign, "cancel")
-    before = _get(database, campaign).cells.proposed
+    before = get(database, campaign).cells.proposed
     fresh = ComputedBackend()
-    ended = _finish(database, campaign, _dispatcher(database, fresh))
+    ended = finish(database, campaign, _dispatcher(database, fresh))
     assert (ended.state, ended.cells.proposed, fresh.sent) == (CampaignState.CANCELLED, before, [])
 
 
@@ -121,10 +109,10 @@ def test_a_paused_campaign_is_cancelled_at_once(database: Database) -> None:
     campaign, backend, dispatcher = _busy(database)
     _request(database, campaign, "pause")
     backend.held = False
-    while _get(database, campaign).state is not CampaignState.PAUSED:
+    while get(database, campaign).state is not CampaignState.PAUSED:
         dispatcher.step()
     _request(database, campaign, "cancel")
-    assert _finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
+    assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
 
 
 class _LostAnswer:
@@ -195,7 +183,7 @@ def test_a_campaign_does_not_go_on_with_another_version(database: Database, part
     campaign, _, _ = _busy(database)
     begun_with = CalibrationProblem.resolution
     monkeypatch.setattr(CalibrationProblem, "resolution", lambda problem: begun_with(problem) | {part: "another one"})
-    ended = _finish(database, campaign, _dispatcher(database, ComputedBackend()))
+    ended = finish(database, campaign, _dispatcher(database, ComputedBackend()))
     assert ended.state is CampaignState.FAILED
     assert part in str(ended.error)
 
@@ -217,7 +205,7 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     dispatcher = _dispatcher(database, ComputedBackend(answer=outside_is_bad))
     for _ in range(60):
         dispatcher.step()
-    ended = _finish(database, _submit(database, sensitivity={"map": stored.id}, reduction=no_lots, baseline=middle), dispatcher)
+    ended = finish(database, _submit(database, sensitivity={"map": stored.id}, reduction=no_lots, baseline=middle), dispatcher)
     assert ended.baseline is not None
     assert ended.baseline.scores == {"S1": 6, "S2": 6}
     assert ended.cells.reused > 0
@@ -228,7 +216,7 @@ def test_a_campaign_without_a_single_result_fails_and_says_so(database: Database
         del scenario
         return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
 
-    ended = _finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=hopeless)))
+    ended = finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=hopeless)))
     assert ended.state is CampaignState.FAILED
     assert "segmentation fault" in str(ended.error)
 
@@ -238,12 +226,12 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
         del scenario
         return CellResult(cell.id, 3.0, 3, {"draw": float(cell.id)}, None, 7.0)
 
-    _finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=drifting)))
+    finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=drifting)))
     again = _submit(database, reduction={"mode": "off"})
     first = _dispatcher(database, ComputedBackend(answer=drifting))
     for _ in range(6):
         first.step()
-    ended = _finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
+    ended = finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
     assert ended.cells.unrepeatable == ended.cells.simulated
     assert any(note.startswith(f"{ended.cells.unrepeatable} ") for note in ended.notes)
 
@@ -279,7 +267,7 @@ def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tm
         used: Any = database if name == "calm" else _Unreliable(database)
         dispatcher = _dispatcher(used, ComputedBackend())
         for _ in range(5_000):
-            if _get(database, campaign).state.ended:
+            if get(database, campaign).state.ended:
                 break
             try:
                 dispatcher.step()
@@ -292,6 +280,6 @@ def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tm
                 for row in results.stream(connection, campaign.sequence)
             ]
             figures, _ = generations.page(connection, campaign.sequence)
-        found.append((_get(database, campaign).state, rows, figures, _get(database, campaign).cells))
+        found.append((get(database, campaign).state, rows, figures, get(database, campaign).cells))
         database.dispose()
     assert found[0] == found[1]

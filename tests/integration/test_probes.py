@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import FakeBackend
-from tests.support.problems import LIMITS, begin, carry_out, store, submit_checked
+from tests.support.problems import LIMITS, store, submit_checked
+from tests.support.runs import finish, get
 
 from drivecal.api import submission
 from drivecal.api.comparison_submission import submit as submit_comparison
@@ -61,7 +62,16 @@ def dispatcher(database: Database, backend: FakeBackend) -> Dispatcher:
 
 
 def ended(database: Database, campaign: StoredCampaign, backend: FakeBackend | None = None) -> StoredCampaign:
-    return carry_out(database, campaign, dispatcher(database, backend or FakeBackend()))
+    return finish(database, campaign, dispatcher(database, backend or FakeBackend()))
+
+
+def begin(database: Database, campaign: StoredCampaign, working: Dispatcher) -> StoredCampaign:
+    """Works until a cell of a campaign was simulated."""
+    for _ in range(1_000):
+        working.step()
+        if (begun := get(database, campaign)).cells.simulated:
+            return begun
+    raise AssertionError("no cell was simulated")
 
 
 def on(version: str) -> FakeBackend:

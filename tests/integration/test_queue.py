@@ -14,7 +14,7 @@ from sqlalchemy import Connection, func, select, text
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, get, post_map, submit
+from tests.support.runs import dispatcher, everything, finish, get, post_map, submit
 from tests.support.server import new_database
 
 from drivecal.contracts.work import Batch, Cell, CellResult
@@ -122,14 +122,6 @@ def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
     backend.fate = fate
     ticks = iter(range(10**9))
     return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
-
-
-def finish(database: Database, campaign: StoredCampaign, working: Dispatcher, steps: int = 3_000) -> StoredCampaign:
-    for _ in range(steps):
-        if (found := get(database, campaign)).state.ended:
-            return found
-        working.step()
-    raise AssertionError("the campaign did not end")
 
 
 def leased(database: Database) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, get, submit
+from tests.support.runs import dispatcher, everything, finish, get, submit
 
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.campaigns import CampaignState
@@ -44,13 +44,6 @@ def _begun(database: Database, iterations: int) -> StoredCampaign:
     return campaign
 
 
-def _ended(database: Database, campaign: StoredCampaign) -> StoredCampaign:
-    working = dispatcher(database)
-    while not get(database, campaign).state.ended:
-        working.step()
-    return get(database, campaign)
-
-
 def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
     """Calls `act` whenever the optimizer is created, restored or told something."""
     for name in ("create", "restore"):
@@ -80,7 +73,7 @@ def test_an_engine_that_draws_otherwise_ends_the_campaign_and_changes_no_row(
         "_sampler",
         lambda settings: sampler(OptunaSettings(**(settings.model_dump() | {"seed": settings.seed + 1}))),
     )
-    ended = _ended(database, campaign)
+    ended = finish(database, campaign, dispatcher(database))
     assert ended.state is CampaignState.FAILED
     assert "iteration 1" in str(ended.error)
     assert _rows(database, campaign) == before
@@ -103,7 +96,7 @@ def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch
     campaign = _begun(database, 3)
     created = len(writes)
     assert created > 0
-    assert _ended(database, campaign).state is CampaignState.SUCCEEDED
+    assert finish(database, campaign, dispatcher(database)).state is CampaignState.SUCCEEDED
     assert len(writes) > created
     for opened in (database, other):
         opened.dispose()
@@ -131,7 +124,7 @@ def test_a_search_that_was_resumed_ends_as_one_that_was_not(tmp_path: Path) -> N
     for name in ("whole", "resumed"):
         database = migrated(f"sqlite:///{tmp_path / name}.db")
         campaign = _begun(database, 3) if name == "resumed" else submit(database, optimizer=SEARCH)
-        _ended(database, campaign)
+        finish(database, campaign, dispatcher(database))
         found.append(everything(database, campaign))
         database.dispose()
     assert found[0] == found[1]

@@ -19,7 +19,7 @@ from tests.integration.test_certified_campaigns import alike
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import examples
-from tests.support.runs import dispatcher, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import dispatcher, finish, get, influenced, nothing_matters, post_map, run, submit
 from typer.testing import CliRunner
 
 from drivecal.api.responses import campaign_answer
@@ -245,8 +245,7 @@ def test_a_campaign_that_may_use_the_results_keeps_them(database: Database, old:
     assert [spared.id for spared in plan.selection.spared] == [old.id]
     with pytest.raises(ConflictError):
         carry_out(database, before)
-    while not get(database, running).state.ended:
-        working.step()
+    finish(database, running, working)
     carry_out(database, planned(database, 0))
     assert problems(database) == []
 

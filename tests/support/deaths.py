@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import get, run
+from tests.support.runs import finish, run
 
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
@@ -66,8 +66,7 @@ def at(moment: int) -> Callable[[], bool]:
 def live(database: Database, campaign: StoredCampaign, working: Dispatcher) -> bool:
     """Works until the campaign has ended, or the dispatcher; whether it was killed."""
     try:
-        while not get(database, campaign).state.ended:
-            working.step()
+        finish(database, campaign, working)
     except Killed:
         return True
     return False

@@ -6,7 +6,7 @@ import gzip
 import io
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +20,13 @@ from drivecal.client.problems import read_manifest
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.storage import admission, campaigns
+from drivecal.storage import admission
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.problems import bundles
 from drivecal.storage.problems.bundles import StoredBundle
 
 LIMITS = Limits.of(load_settings())
-MOST_STEPS = 5_000
 MANIFEST: dict[str, Any] = {
     "problem": "heater",
     "description": "A room that is heated",
@@ -91,28 +89,6 @@ def store(database: Database, document: Mapping[str, Any], files: Mapping[str, s
 def submit_checked(database: Database, specification: Mapping[str, Any]) -> StoredCampaign:
     """Submits a campaign as the API does."""
     return submission.submit(database, LIMITS, CampaignSpecification.model_validate(specification), None)
-
-
-def carry_out(database: Database, campaign: StoredCampaign, working: Dispatcher) -> StoredCampaign:
-    """Works until a campaign has ended, however it does."""
-    return _work_until(database, campaign, working, lambda now: now.state.ended)
-
-
-def begin(database: Database, campaign: StoredCampaign, working: Dispatcher) -> StoredCampaign:
-    """Works until a cell of a campaign was simulated."""
-    return _work_until(database, campaign, working, lambda now: bool(now.cells.simulated))
-
-
-def _work_until(
-    database: Database, campaign: StoredCampaign, working: Dispatcher, reached: Callable[[StoredCampaign], bool]
-) -> StoredCampaign:
-    for _ in range(MOST_STEPS):
-        working.step()
-        with database.read() as connection:
-            now = campaigns.get(connection, campaign.id)
-        if reached(now):
-            return now
-    raise AssertionError(f"the campaign is {now.state}")
 
 
 def heated(scenario: str, cell: Cell) -> CellResult:

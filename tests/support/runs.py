@@ -131,15 +131,20 @@ def dispatcher(database: Database, backend: Backend | None = None, **settings: A
 
 
 def run(database: Database, campaign: StoredCampaign, backend: ComputedBackend | None = None) -> StoredCampaign:
-    """Runs a campaign to its end."""
-    one = dispatcher(database, backend)
+    """Runs a campaign to its end, without an error."""
+    ended = finish(database, campaign, dispatcher(database, backend))
+    assert ended.error is None, ended.error
+    return ended
+
+
+def finish(database: Database, campaign: StoredCampaign, working: Dispatcher) -> StoredCampaign:
+    """Works until a campaign has ended, successfully or not."""
     for _ in range(MOST_STEPS):
-        found = get(database, campaign)
-        if found.state.ended:
-            assert found.error is None, found.error
-            return found
-        one.step()
-    raise AssertionError("the campaign did not end")
+        now = get(database, campaign)
+        if now.state.ended:
+            return now
+        working.step()
+    raise AssertionError(f"the campaign did not end: {now}")
 
 
 def run_posted(api: RunningApi, document: Mapping[str, Any], backend: ComputedBackend) -> str:

@@ -15,7 +15,7 @@ import pytest
 from sqlalchemy import text
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
-from tests.support.runs import MOST_STEPS, dispatcher, get, post_map, submit
+from tests.support.runs import dispatcher, finish, get, post_map, submit
 from tests.support.storage import PROCESSES, campaign
 
 from drivecal.campaigns.results.verification import verify
@@ -115,12 +115,7 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
     for database in (used, target):
         with database.read() as connection:
             [running] = [one for one in campaigns.page(connection)[0] if one.name == "test" and one.priority == 0][:1]
-        working = dispatcher(database, ComputedBackend(9))
-        for _ in range(MOST_STEPS):
-            if get(database, running).state.ended:
-                break
-            working.step()
-        ended = get(database, running)
+        ended = finish(database, running, dispatcher(database, ComputedBackend(9)))
         with database.read() as connection:
             rows = [
                 (row.id, row.iteration, row.individual, row.scenario, row.outcome, row.score, row.rating, row.reference)

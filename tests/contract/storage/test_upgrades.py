@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Engine, event, inspect, text
 from tests.support import effort
 from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
-from tests.support.runs import MOST_STEPS, dispatcher, get, run, submit
+from tests.support.runs import dispatcher, finish, run, submit
 from tests.support.storage import PROCESSES, migrate
 
 from drivecal.campaigns.results.verification import verify
@@ -197,12 +197,8 @@ def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Databa
         assert told in ([], ["note"], ["queued", "running", "stage"]), "of revisions before and since events"
     with old.transaction() as connection:
         campaigns.request_action(connection, next(one.id for one in listed if one.name == "queued"), "cancel")
-    working = dispatcher(old, ComputedBackend(5))
-    for _ in range(MOST_STEPS):
-        if get(old, running).state.ended:
-            break
-        working.step()
-    assert (get(old, running).state, get(old, running).error) == (CampaignState.SUCCEEDED, None)
+    ended = finish(old, running, dispatcher(old, ComputedBackend(5)))
+    assert (ended.state, ended.error) == (CampaignState.SUCCEEDED, None)
     again = run(
         old, submit(old, stored_map=running.influence_map_id, catalogue=["S1", "S2"], optimizer=running.spec["optimizer"])
     )
