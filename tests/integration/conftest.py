@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.support.command import Run, command
 from tests.support.databases import migrated
-from tests.support.server import RunningApi
+from tests.support.server import RunningApi, serving
 
 from drivecal.storage.engine.database import Database
 
@@ -19,6 +19,13 @@ def database(tmp_path: Path) -> Iterator[Database]:
     opened = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     yield opened
     opened.dispose()
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
+    """The API on a new SQLite database of the module."""
+    with serving(f"sqlite:///{tmp_path_factory.mktemp('api') / 'drivecal.db'}") as running:
+        yield running
 
 
 @pytest.fixture

@@ -12,14 +12,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from tests.support.command import Run
 from tests.support.found import carry_out, carry_out_evaluation
-from tests.support.server import RunningApi, free_port, serving
+from tests.support.server import RunningApi, free_port
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
@@ -29,12 +28,6 @@ from drivecal.storage.engine import locks
 
 MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
 SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]
-
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('cli') / 'drivecal.db'}") as running:
-        yield running
 
 
 @pytest.fixture

@@ -5,21 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 from tests.support.found import ANALYSIS, analyse
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 
 from drivecal.contracts.tables import InfluenceRow
-
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('influence') / 'drivecal.db'}") as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from tests.support.command import Run
 from tests.support.found import ANALYSIS, analyse
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 
 ANALYSED = ANALYSIS | {"name": "mine"}
-
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('influence') / 'drivecal.db'}") as running:
-        yield running
 
 
 def campaign(api: RunningApi, document: dict[str, Any]) -> str:

@@ -24,12 +24,6 @@ SMALL: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 6, "iter
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('page') / 'drivecal.db'}") as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     folder = tmp_path_factory.mktemp("guarded")
     (folder / "tokens").write_text(f"writer write {WRITE}\nreader read {READ}\n")

@@ -6,19 +6,12 @@ import csv
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tests.support.command import Run
 from tests.support.found import analyse, carry_out
-from tests.support.server import RunningApi, serving
-
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('report') / 'drivecal.db'}") as running:
-        yield running
+from tests.support.server import RunningApi
 
 
 @pytest.fixture(scope="module")
