@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
+from tests.support.deaths import InterceptedDatabase
 from tests.support.effort import tries
 from tests.support.runs import everything, get, post_map, submit
 
@@ -31,26 +29,15 @@ MAP = {
 }
 
 
-class ShakyDatabase:
-    """Fails before a transaction begins, before it is committed, and right after, with a probability."""
+class ShakyDatabase(InterceptedDatabase):
+    """Fails with a probability at each of these moments."""
 
     def __init__(self, database: Database, draw: random.Random, share: float) -> None:
-        self._database, self._draw = database, draw
-        self.share = share
+        super().__init__(database, self._fail_sometimes)
+        self._draw, self.share = draw, share
         self.failures = Counter[str]()
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._database, name)
-
-    @contextmanager
-    def transaction(self) -> Iterator[Connection]:
-        self._moment("before a transaction")
-        with self._database.transaction() as connection:
-            yield connection
-            self._moment("before a commit")
-        self._moment("after a commit")
-
-    def _moment(self, name: str) -> None:
+    def _fail_sometimes(self, name: str) -> None:
         if self._draw.random() < self.share:
             self.failures[name] += 1
             raise UnavailableError(name)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, func, select, text
+from sqlalchemy import func, select, text
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
+from tests.support.deaths import InterceptedDatabase, Killed
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, finish, get, post_map, submit
 from tests.support.server import new_database
@@ -63,10 +63,6 @@ def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Callab
         database.dispose()
 
 
-class Killed(BaseException):
-    """The dispatcher's process is gone."""
-
-
 class Fate:
     """Kills at one of the next moments that matter."""
 
@@ -79,25 +75,6 @@ class Fate:
         if self._left == 0:
             self.died_at = name
             raise Killed(name)
-
-
-class MortalDatabase:
-    """Dies before a transaction begins, before it is committed, and right after."""
-
-    def __init__(self, database: Database, fate: Fate) -> None:
-        self._database = database
-        self._fate = fate
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._database, name)
-
-    @contextmanager
-    def transaction(self) -> Iterator[Connection]:
-        self._fate.moment("before a transaction")
-        with self._database.transaction() as connection:
-            yield connection
-            self._fate.moment("before a commit")
-        self._fate.moment("after a commit")
 
 
 class MortalBackend(ComputedBackend):
@@ -117,7 +94,7 @@ class MortalBackend(ComputedBackend):
 
 
 def mortal(database: Database, seed: int, fate: Fate) -> Dispatcher:
-    own: Any = MortalDatabase(database.fenced(Leadership.begin(database).fence), fate)
+    own: Any = InterceptedDatabase(database.fenced(Leadership.begin(database).fence), fate.moment)
     backend = MortalBackend(seed)
     backend.fate = fate
     ticks = iter(range(10**9))

@@ -28,31 +28,32 @@ class Killed(BaseException):
     """The dispatcher's process is gone."""
 
 
-class DyingDatabase:
-    """Dies before a transaction begins, before it is committed, or right after."""
+class InterceptedDatabase:
+    """Calls `moment` before a transaction begins, before it is committed, and right after, with the name of that moment."""
 
-    def __init__(self, database: Database, dies: Callable[[], bool]) -> None:
-        self._database, self._dies = database, dies
+    def __init__(self, database: Database, moment: Callable[[str], None]) -> None:
+        self._database, self._moment = database, moment
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._database, name)
 
     @contextmanager
     def transaction(self) -> Iterator[Connection]:
-        self._moment()
+        self._moment("before a transaction")
         with self._database.transaction() as connection:
             yield connection
-            self._moment()
-        self._moment()
-
-    def _moment(self) -> None:
-        if self._dies():
-            raise Killed
+            self._moment("before a commit")
+        self._moment("after a commit")
 
 
 def mortal(database: Database, dies: Callable[[], bool], backend: ComputedBackend) -> Dispatcher:
     """A newly elected dispatcher that is killed when `dies` says so."""
-    own: Any = DyingDatabase(database.fenced(Leadership.begin(database).fence), dies)
+
+    def moment(name: str) -> None:
+        if dies():
+            raise Killed(name)
+
+    own: Any = InterceptedDatabase(database.fenced(Leadership.begin(database).fence), moment)
     ticks = iter(range(10**9))
     return Dispatcher(own, WorkPool(backend, StoredLeases(own)), clock=lambda: float(next(ticks)))
 
