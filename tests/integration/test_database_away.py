@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sqlite3
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -16,6 +15,7 @@ import httpx
 import pytest
 from sqlalchemy import update
 from tests.support.faults.postgres import KillablePostgres, killable_postgres
+from tests.support.serve import until
 from tests.support.server import RunningApi, serving
 
 from drivecal.configuration.settings import Settings
@@ -66,10 +66,7 @@ def refuses(response: httpx.Response) -> bool:
 
 
 def recovers(api: RunningApi) -> None:
-    deadline = time.monotonic() + 30.0
-    while ask(api, "/api/v1/campaigns").status_code != 200:
-        assert time.monotonic() < deadline, "the API does not recover"
-        time.sleep(0.1)
+    until(lambda: ask(api, "/api/v1/campaigns").status_code == 200, "the recovery of the API", 30)
     working(api)
     assert ask(api, "/readyz").json() == {"ready": True, "problems": []}
     assert api.http.post("/api/v1/campaigns", json=SMALL, timeout=30).status_code == 202

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection
 from tests.support.runs import get, submit
+from tests.support.serve import until
 
 from drivecal.dispatch.heartbeat import STUCK_AFTER_SECONDS, Heartbeat
 from drivecal.dispatch.leadership import Leadership
@@ -64,10 +65,7 @@ def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Da
     with heartbeat:
         first = reported(database).heartbeat_at
         now[0] += STUCK_AFTER_SECONDS + 1
-        deadline = time.monotonic() + 30
-        while "stuck_since" not in reported(database).detail:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        until(lambda: "stuck_since" in reported(database).detail, "the report of a stuck dispatcher", 30)
     found = reported(database)
     assert found.heartbeat_at > first
     assert found.detail["degraded"].startswith(
@@ -100,15 +98,10 @@ def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytes
     unreachable = _Unreachable(database.fenced(leadership.fence))
     unreachable.away = True
     with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]  # it needs transactions only
-        deadline = time.monotonic() + 30
-        while "waiting for the database" not in caplog.text:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        until(lambda: "waiting for the database" in caplog.text, "the message about the outage", 30)
         heartbeat.tell([WORKER], None)
         unreachable.away = False
-        while not reported(database).detail.get("workers"):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        until(lambda: bool(reported(database).detail.get("workers")), "a heartbeat after the outage", 30)
     assert caplog.text.count("waiting for the database") == 1
     assert "the database answers again" in caplog.text
 

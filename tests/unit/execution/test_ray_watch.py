@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
+
+from tests.support.serve import until
 
 from drivecal.execution.ray.watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, ClusterWatch, StartedAnewError
 
@@ -68,10 +69,7 @@ def test_who_is_silent_for_long_is_given_up() -> None:
 def test_a_store_that_began_anew_is_lost_at_once() -> None:
     def use(store: Store, watch: ClusterWatch) -> None:
         store.error = StartedAnewError("was restarted")
-        deadline = time.monotonic() + 30
-        while watch.lost() is None:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        until(lambda: watch.lost() is not None, "the loss of the cluster", 30)
         assert watch.lost() == "the Ray cluster at home was restarted"
 
     watched(use)

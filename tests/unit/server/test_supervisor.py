@@ -4,12 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
+from tests.support.serve import until
+from tests.support.simulators import is_running
 
 from drivecal.server.guardian import members
 from drivecal.server.supervisor import Pauses
@@ -46,21 +47,6 @@ child = subprocess.Popen([sys.executable, "-c", "import os, time; os.setpgid(0, 
 note(); time.sleep(600)
 """
 )
-
-
-def until(condition: Callable[[], bool], what: str, seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > deadline:
-            raise AssertionError(f"{what} did not happen")
-        time.sleep(0.02)
-
-
-def alive(pid: int) -> bool:
-    try:
-        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
-    except psutil.NoSuchProcess:
-        return False
 
 
 class Server:
@@ -100,10 +86,10 @@ def test_pauses_double_up_to_a_limit_and_begin_again_after_good_health() -> None
 def test_sigterm_ends_children_and_grandchildren(server: Server) -> None:
     server.ready()
     pids = [server.pid(name) for name in ("one", "two", "grandchild")]
-    assert all(alive(pid) for pid in pids)
+    assert all(is_running(pid) for pid in pids)
     server.process.terminate()
     assert server.process.wait(timeout=60) == 0
-    until(lambda: not any(alive(pid) for pid in pids), "the end of all")
+    until(lambda: not any(is_running(pid) for pid in pids), "the end of all")
 
 
 @pytest.mark.parametrize("server", [(STUBBORN, PEACEFUL)], indirect=True)
@@ -111,18 +97,18 @@ def test_a_second_signal_ends_even_those_that_will_not(server: Server) -> None:
     server.ready()
     pids = [server.pid(name) for name in ("one", "two")]
     server.process.send_signal(signal.SIGINT)
-    until(lambda: not alive(pids[1]), "the end of the peaceful child")
-    assert alive(pids[0])
+    until(lambda: not is_running(pids[1]), "the end of the peaceful child")
+    assert is_running(pids[0])
     server.process.send_signal(signal.SIGINT)
     assert server.process.wait(timeout=60) == 0
-    until(lambda: not any(alive(pid) for pid in pids), "the end of all")
+    until(lambda: not any(is_running(pid) for pid in pids), "the end of all")
 
 
 def test_a_supervisor_that_is_killed_takes_everything_with_it(server: Server) -> None:
     server.ready()
     pids = [server.pid(name) for name in ("one", "two", "grandchild")]
     server.process.kill()
-    until(lambda: not any(alive(pid) for pid in pids), "the end of all children")
+    until(lambda: not any(is_running(pid) for pid in pids), "the end of all children")
 
 
 @pytest.mark.parametrize("killed", ["child", "guardian"])
@@ -131,8 +117,8 @@ def test_what_dies_is_started_again_and_leaves_nothing_behind(server: Server, ki
     old, orphan = server.pid("two"), server.pid("grandchild")
     os.kill(old if killed == "child" else psutil.Process(old).ppid(), signal.SIGKILL)
     until(lambda: server.pid("two") != old, "the restart")
-    until(lambda: not alive(old) and not alive(orphan), "the end of the old ones")
-    assert alive(server.pid("two"))
+    until(lambda: not is_running(old) and not is_running(orphan), "the end of the old ones")
+    assert is_running(server.pid("two"))
     assert "the two ended unexpectedly" in server.log.read_text()
 
 
@@ -142,7 +128,7 @@ def test_a_child_that_never_starts_ends_the_server_with_a_word(server: Server) -
     log = server.log.read_text()
     assert log.count("no such thing") == 3
     assert "the two does not start (exit code 1)" in log
-    assert not (server.folder / "one").exists() or not alive(server.pid("one"))
+    assert not (server.folder / "one").exists() or not is_running(server.pid("one"))
 
 
 def test_the_members_of_a_session_are_found_by_it() -> None:
