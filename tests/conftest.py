@@ -10,11 +10,11 @@ from collections.abc import Generator, Iterator
 import hypothesis
 import psycopg
 import pytest
-from sqlalchemy import Pool, event, make_url
+from sqlalchemy import Pool, event
 from tests.support import effort
 from tests.support.databases import leave_it_to_the_system
 from tests.support.misbehaviour import FOLDER
-from tests.support.postgres import running_postgres
+from tests.support.postgres import create_database, running_postgres
 from tests.support.tree import PROJECT
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
@@ -158,9 +158,7 @@ def postgres_server() -> Iterator[str]:
 @pytest.fixture(scope="session")
 def postgres_scratch(postgres_server: str) -> str:
     """The URL of the database that `postgres_url` empties for each test: making one is slow, and removing it even more."""
-    with psycopg.connect(postgres_server, autocommit=True) as connection:
-        connection.execute("CREATE DATABASE scratch")
-    return make_url(postgres_server).set(database="scratch").render_as_string(hide_password=False)
+    return create_database(postgres_server, "scratch")
 
 
 @pytest.fixture

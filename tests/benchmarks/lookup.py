@@ -25,9 +25,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import psycopg
 from sqlalchemy import Connection, make_url, text
-from tests.support.postgres import running_postgres
+from tests.support.postgres import create_database, running_postgres
 
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
@@ -242,11 +241,8 @@ def sqlite() -> Iterator[Database]:
 @contextmanager
 def postgresql() -> Iterator[Database]:
     """A new PostgreSQL database on a server of its own."""
-    with running_postgres() as url:
-        with psycopg.connect(url, autocommit=True) as connection:
-            connection.execute("CREATE DATABASE lookup")
-        with opened(make_url(url).set(database="lookup").render_as_string(hide_password=False)) as database:
-            yield database
+    with running_postgres() as url, opened(create_database(url, "lookup")) as database:
+        yield database
 
 
 @contextmanager

@@ -22,11 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import psycopg
-from sqlalchemy import Connection, make_url, text
+from sqlalchemy import Connection, text
 from tests.benchmarks._years_rows import COUNTED, grow
 from tests.support.api_process import api_process
-from tests.support.postgres import running_postgres
+from tests.support.postgres import create_database, running_postgres
 
 from drivecal.campaigns import retention
 from drivecal.campaigns.results.verification import verify
@@ -268,10 +267,7 @@ def _database(backend: str, folder: Path) -> Iterator[str]:
         if backend == "sqlite":
             yield f"sqlite:///{own / 'drivecal.db'}"
             return
-        url = stack.enter_context(running_postgres(own))
-        with psycopg.connect(url, autocommit=True) as connection:
-            connection.execute("CREATE DATABASE years")
-        yield make_url(url).set(database="years").render_as_string(hide_password=False)
+        yield create_database(stack.enter_context(running_postgres(own)), "years")
 
 
 if __name__ == "__main__":

@@ -8,29 +8,38 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import psutil
 import psycopg
+from psycopg import sql
+from sqlalchemy import make_url
 
 START_SECONDS = 120.0
 
 
-def start(server: Any) -> None:
-    """Starts it. The package gives a start ten seconds, and fails if the server is still starting: both too strict on a busy machine."""
+def start(starting: Callable[[], object]) -> None:
+    """Starts a server, also one that recovers after a kill. The package gives a start ten seconds, and fails if the server is still
+    starting: both too strict on a busy machine."""
     deadline = time.monotonic() + START_SECONDS
     while True:
         try:
-            server.start()
+            starting()
         except (subprocess.SubprocessError, AssertionError):
             if time.monotonic() > deadline:
                 raise
             time.sleep(0.5)
         else:
             return
+
+
+def create_database(server: str, name: str) -> str:
+    """Creates an empty database and returns its URL. `server`: the URL of the server's administration database."""
+    with psycopg.connect(server, autocommit=True) as connection:
+        connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
+    return make_url(server).set(database=name).render_as_string(hide_password=False)
 
 
 @contextmanager
@@ -44,7 +53,7 @@ def running_postgres(within: Path | None = None) -> Iterator[str]:
 
     folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-", dir=within))
     server = get_server(folder / "data", cleanup_mode="stop", start=False)
-    start(server)
+    start(server.start)
     url = str(server.get_uri())
     with psycopg.connect(url, autocommit=True) as connection:  # what is in it need not survive the machine
         connection.execute("ALTER SYSTEM SET fsync = off")

@@ -15,11 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import psycopg
 import pytest
-from psycopg import sql
-from sqlalchemy import make_url
 from tests.support.databases import migrated
+from tests.support.postgres import create_database
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
@@ -55,10 +53,7 @@ def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str
     if kind == "sqlite":
         return f"sqlite:///{folder / 'drivecal.db'}"
     server: str = request.getfixturevalue("postgres_server")
-    name = f"api_{uuid.uuid4().hex}"
-    with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
-    return make_url(server).set(database=name).render_as_string(hide_password=False)
+    return create_database(server, f"api_{uuid.uuid4().hex}")
 
 
 @contextmanager

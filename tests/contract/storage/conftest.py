@@ -10,8 +10,8 @@ from typing import Literal
 import psycopg
 import pytest
 from psycopg import sql
-from sqlalchemy import make_url
 from tests.support.databases import migrated
+from tests.support.postgres import create_database
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import metadata
@@ -37,9 +37,7 @@ def migrated_sqlite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def migrated_postgres(postgres_server: str) -> str:
     """A PostgreSQL database at the newest revision."""
-    with psycopg.connect(postgres_server, autocommit=True) as connection:
-        connection.execute("CREATE DATABASE migrated")
-    url = make_url(postgres_server).set(database="migrated").render_as_string(hide_password=False)
+    url = create_database(postgres_server, "migrated")
     migrated(url).dispose()
     return url
 

