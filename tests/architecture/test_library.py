@@ -12,7 +12,6 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
 PURE = ("analysis", "optimizers", "reduction", "sensitivity")
 FACES = (*PURE, "client", "local")
 

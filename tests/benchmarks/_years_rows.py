@@ -51,7 +51,6 @@ COUNTED = (
     "events",
 )
 """Tables whose rows are numbered."""
-Row = Mapping[str, Any]
 
 
 def grow(database: Database, cells: int, problems: int, progress: Callable[[str], None]) -> None:

@@ -17,8 +17,6 @@ from drivecal.storage import campaigns, events, generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
-STATES = {"queued", "running", "succeeded"}
-
 
 def told(database: Database, campaign: StoredCampaign) -> list[tuple[str, dict[str, Any]]]:
     with database.read() as connection:

@@ -10,9 +10,6 @@ from tests.support.server import problem_of, serving
 from drivecal.storage import processes
 from drivecal.storage.engine.types import now
 
-SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
-MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
-
 
 def test_readiness_says_what_is_missing(tmp_path_factory: pytest.TempPathFactory) -> None:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('ready') / 'drivecal.db'}") as api:

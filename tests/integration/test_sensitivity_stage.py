@@ -26,8 +26,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
-LEVELS = 21
-
 
 def _answer(scenario: str, cell: Cell) -> CellResult:
     """S1 depends on P1 everywhere and on P2 up to 0.5; S2 depends on P3 from 0.4 on; P4 matters nowhere."""

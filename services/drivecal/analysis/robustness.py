@@ -9,14 +9,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
 Condition = Literal["max", "mean", "per_factor"]
-Bools = npt.NDArray[np.bool_]
 SIGNIFICANT = 12
 """Digits of a drawn value: enough for any vehicle, few enough to be read and typed again."""
 

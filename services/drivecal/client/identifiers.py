@@ -9,8 +9,6 @@ from drivecal.contracts.campaign import CampaignPage
 from drivecal.contracts.inventory import InfluenceMapPage
 from drivecal.domain.errors import NotFoundError
 
-LENGTH = 32
-"""Characters of a whole id."""
 AT_A_TIME = 200
 """Campaigns or maps in a request for ids."""
 _ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 import httpx
@@ -19,8 +19,6 @@ from drivecal.api.http import problems
 from drivecal.api.http.limits import LARGEST_HEAD, LONGEST_PATH, LONGEST_QUERY, Concurrency, Places, Requests
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import OverloadError
-
-Read = Callable[[Receive], Awaitable[None]]
 
 
 def answer(

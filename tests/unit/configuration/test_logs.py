@@ -8,7 +8,7 @@ import re
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -19,7 +19,6 @@ from drivecal.configuration import logs
 from drivecal.configuration.settings import load_settings
 
 log = logging.getLogger("drivecal.somewhere")
-Lines = Callable[[], list[dict[str, Any]]]
 
 
 @pytest.fixture(autouse=True)

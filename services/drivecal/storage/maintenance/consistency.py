@@ -11,7 +11,6 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import JSON, Connection, Table, Text, cast, exists, func, select, text
 
-from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.schema import REVISION_TABLE
 from drivecal.storage.engine.tables import metadata, parameter_sets
@@ -19,7 +18,6 @@ from drivecal.storage.maintenance.transfer import last_numbers, tables_of
 from drivecal.storage.references.runs import largest_id
 
 Check = Callable[[Connection], Iterator[str]]
-ENDED = tuple(state for state in CampaignState if state.ended)
 STREAMED = 10_000
 """Rows of documents in memory at a time."""
 
