@@ -11,14 +11,14 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths, live, mortal
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, get, post_map, rows_of, run, step_until, submit
+from tests.support.runs import dispatcher, everything, get, post_map, request, rows_of, run, step_until, submit
 
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, events, generations, results
+from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -196,10 +196,8 @@ def test_a_campaign_that_was_paused_while_it_confirms_goes_on(database: Database
     campaign = ask(database, 50)
     working = dispatcher(database, ComputedBackend(answer=spoiled))
     step_until(database, campaign, ITERATIONS, working)
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, "pause")
+    request(database, campaign, "pause")
     for _ in range(5):
         working.step()
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, "resume")
+    request(database, campaign, "resume")
     assert run(database, campaign, ComputedBackend(answer=spoiled)).notes[0].startswith("confirmed by simulation")

@@ -10,7 +10,7 @@ from sqlalchemy import func, select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, nothing_matters, post_map, submit
+from tests.support.runs import dispatcher, everything, nothing_matters, post_map, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -255,8 +255,7 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
         if pauses:
             for _ in range(7):
                 working.step()
-            with database.transaction() as connection:
-                campaigns.request_action(connection, campaign.id, "pause")
+            request(database, campaign, "pause")
             while _get(database, campaign).state is not CampaignState.PAUSED:
                 working.step()
             sent = len(backend.sent)
@@ -264,8 +263,7 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
                 working.step()
             assert len(backend.sent) == sent
             assert not _get(database, campaign).state.ended
-            with database.transaction() as connection:
-                campaigns.request_action(connection, campaign.id, "resume")
+            request(database, campaign, "resume")
         while not _get(database, campaign).state.ended:
             working.step()
         found.append(everything(database, campaign))
@@ -278,8 +276,7 @@ def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database
     working = dispatcher(database, ComputedBackend())
     while _get(database, campaign).cells.simulated < 50:
         working.step()
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, "cancel")
+    request(database, campaign, "cancel")
     while not _get(database, campaign).state.ended:
         working.step()
     ended = _get(database, campaign)

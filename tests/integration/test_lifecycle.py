@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import finish, get
+from tests.support.runs import finish, get, request
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -21,7 +21,6 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.execution.leasing import StoredLeases
@@ -61,11 +60,6 @@ def _dispatcher(database: Database, backend: ComputedBackend) -> Dispatcher:
     return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
 
 
-def _request(database: Database, campaign: StoredCampaign, action: Action) -> None:
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, action)
-
-
 def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
     """A running campaign whose cells are at workers that do not answer for now."""
     campaign, backend = _submit(database), HeldBackend()
@@ -79,9 +73,9 @@ def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
 
 def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Database) -> None:
     campaign, backend, dispatcher = _busy(database)
-    _request(database, campaign, "pause")
+    request(database, campaign, "pause")
     dispatcher.step()
-    _request(database, campaign, "cancel")
+    request(database, campaign, "cancel")
     dispatcher.step()
     backend.held = False
     assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
@@ -89,16 +83,16 @@ def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Datab
 
 def test_a_resume_takes_back_a_pause_that_still_waits_for_workers(database: Database) -> None:
     campaign, backend, dispatcher = _busy(database)
-    _request(database, campaign, "pause")
+    request(database, campaign, "pause")
     dispatcher.step()
-    _request(database, campaign, "resume")
+    request(database, campaign, "resume")
     backend.held = False
     assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
 
 
 def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(database: Database) -> None:
     campaign, _, _ = _busy(database)
-    _request(database, campaign, "cancel")
+    request(database, campaign, "cancel")
     before = get(database, campaign).cells.proposed
     fresh = ComputedBackend()
     ended = finish(database, campaign, _dispatcher(database, fresh))
@@ -107,11 +101,11 @@ def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(datab
 
 def test_a_paused_campaign_is_cancelled_at_once(database: Database) -> None:
     campaign, backend, dispatcher = _busy(database)
-    _request(database, campaign, "pause")
+    request(database, campaign, "pause")
     backend.held = False
     while get(database, campaign).state is not CampaignState.PAUSED:
         dispatcher.step()
-    _request(database, campaign, "cancel")
+    request(database, campaign, "cancel")
     assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import LIMITS, store, submit_checked
-from tests.support.runs import finish, get
+from tests.support.runs import finish, get, request
 
 from drivecal.api import submission
 from drivecal.api.comparison_submission import submit as submit_comparison
@@ -111,8 +111,7 @@ def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) ->
     running = dispatcher(database, FakeBackend(refusing={1: "no mysim", 2: "no mysim"}))
     for _ in range(20):
         running.step()
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, "cancel")
+    request(database, campaign, "cancel")
     for _ in range(50):
         running.step()
     with database.read() as connection:

@@ -14,7 +14,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.problems import store
-from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, request, run
 from tests.support.values import numbers
 
 from drivecal.api import submission
@@ -30,7 +30,6 @@ from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
@@ -256,13 +255,13 @@ def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of
         slow = submission.rerun(opened, LIMITS, first.id, changes, None)
         one = dispatcher(opened, ComputedBackend(answer=strict_answer))
         one.step()
-        _ask(opened, slow, "pause")
+        request(opened, slow, "pause")
         while get(opened, slow).state is not CampaignState.PAUSED:
             one.step()
         if accompanied:
             fast = run(opened, submission.rerun(opened, LIMITS, first.id, changes, None), ComputedBackend(answer=strict_answer))
             assert fast.cells.unrepeatable > 0, "it simulated runs that the evaluator could not rate"
-        _ask(opened, slow, "resume")
+        request(opened, slow, "resume")
         run(opened, slow, ComputedBackend(answer=strict_answer))
         with opened.read() as connection:
             rows = [
@@ -272,11 +271,6 @@ def test_what_another_campaign_simulates_meanwhile_changes_no_evaluators_view_of
         found.append((rows, get(opened, slow).best))
         opened.dispose()
     assert found[0] == found[1]
-
-
-def _ask(database: Database, campaign: StoredCampaign, action: Action) -> None:
-    with database.transaction() as connection:
-        campaigns.request_action(connection, campaign.id, action)
 
 
 @pytest.mark.usefixtures("strict")

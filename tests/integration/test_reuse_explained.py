@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from sqlalchemy import update
 from tests.support.computed import IGNORED, ComputedBackend, computed
-from tests.support.runs import EXPERT_SPACE, SMALL, dispatcher, get, nothing_matters, post_map, run, step_until, submit
+from tests.support.runs import EXPERT_SPACE, SMALL, dispatcher, get, nothing_matters, post_map, rows_of, run, step_until, submit
 from tests.support.values import numbers
 
 from drivecal.campaigns.results.explanation import explain
@@ -15,18 +15,11 @@ from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import results
-from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.results import StoredEvaluation
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
-
-
-def _rows(database: Database, campaign: StoredCampaign) -> list[StoredEvaluation]:
-    with database.read() as connection:
-        return list(results.stream(connection, campaign.sequence))
 
 
 def _explain(database: Database, cell: StoredEvaluation) -> Explanation:
@@ -36,7 +29,7 @@ def _explain(database: Database, cell: StoredEvaluation) -> Explanation:
 
 def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: Database) -> None:
     campaign = run(database, submit(database, stored_map=post_map(database, TRUE_MAP)))
-    rows = _rows(database, campaign)
+    rows = rows_of(database, campaign)
     reused = [row for row in rows if row.outcome is Outcome.REUSED]
     assert reused
     for row in reused:
@@ -59,10 +52,10 @@ def _blocks(scenario: str, one: dict[str, float], other: dict[str, float]) -> in
 
 def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(database: Database) -> None:
     used = post_map(database, TRUE_MAP)
-    earlier = _rows(database, run(database, submit(database, stored_map=used)))
+    earlier = rows_of(database, run(database, submit(database, stored_map=used)))
     campaign = run(database, submit(database, stored_map=used, optimizer={"population": 16, "iterations": 4, "seed": 9}))
     run(database, submit(database, stored_map=used, optimizer={"population": 16, "iterations": 4, "seed": 5}))  # seen by nobody
-    rows = _rows(database, campaign)
+    rows = rows_of(database, campaign)
     simulated = [row for row in rows if row.outcome is Outcome.SIMULATED and not row.audited]
     assert len(simulated) > 20
     stored = [row for row in earlier if row.outcome is Outcome.SIMULATED]
@@ -100,7 +93,7 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
 
 def test_the_first_cell_of_all_finds_nothing_stored(database: Database) -> None:
     campaign = run(database, submit(database, stored_map=post_map(database, TRUE_MAP)))
-    first = _explain(database, _rows(database, campaign)[0])
+    first = _explain(database, rows_of(database, campaign)[0])
     assert (first.reason, first.reference, first.stored) == ("nothing_stored", None, 0)
 
 
@@ -117,7 +110,7 @@ def test_where_the_campaign_allows_no_reuse_that_is_the_reason(
 ) -> None:
     used = post_map(database, TRUE_MAP) if with_map else None
     campaign = run(database, submit(database, stored_map=used, **changes))
-    cell = next(row for row in _rows(database, campaign) if row.outcome is Outcome.SIMULATED and row.iteration == 1)
+    cell = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.SIMULATED and row.iteration == 1)
     assert _explain(database, cell).reason == reason
 
 
@@ -130,7 +123,7 @@ def test_audits_and_the_stop_by_an_earlier_release_are_explained(database: Datab
         stopped = {name: rate.model_dump(mode="json") for name, rate in rates.items()}
         connection.execute(update(campaigns).where(campaigns.c.sequence == campaign.sequence).values(error_rate=stopped))
     campaign = run(database, campaign)
-    rows = {row.id: row for row in _rows(database, campaign)}
+    rows = {row.id: row for row in rows_of(database, campaign)}
     verdicts = set()
     for row in (row for row in rows.values() if row.audited):
         found = _explain(database, row)
@@ -161,9 +154,9 @@ def test_a_cell_whose_leader_has_no_result_says_so(database: Database) -> None:
     campaign = run(
         database, submit(database, stored_map=post_map(database, TRUE_MAP), **changes), ComputedBackend(answer=fragile)
     )
-    reasons = {_explain(database, row).reason for row in _rows(database, campaign) if row.scenario == "S1"}
+    reasons = {_explain(database, row).reason for row in rows_of(database, campaign) if row.scenario == "S1"}
     assert "unanswered" in reasons
-    for row in _rows(database, campaign):
+    for row in rows_of(database, campaign):
         if row.outcome is Outcome.FAILED:
             found = _explain(database, row)
             without = "Repeated without a result" if found.reason == "repeated" else "Sent to be simulated, without a result"
@@ -184,7 +177,7 @@ def test_cells_of_an_analysis_and_those_it_answers_are_explained(database: Datab
     coarse = [{**one, "step": 0.1} for one in EXPERT_SPACE[:3]]
     fixed = {one["name"]: 0.5 for one in EXPERT_SPACE[3:]}
     campaign = run(database, submit(database, sensitivity=analysis, parameters=coarse, fixed=fixed))
-    rows = _rows(database, campaign)
+    rows = rows_of(database, campaign)
     for row in rows:
         found = _explain(database, row)
         assert found.sentence.endswith((".", "]"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend, rating_of
-from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, run, submit
+from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, rows_of, run, submit
 from tests.support.scales import COST
 
 from drivecal.analysis.solutions import Ranking
@@ -27,7 +27,6 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.scales import COMFORT
 from drivecal.storage import events, generations, results
-from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 
@@ -45,11 +44,6 @@ def costly(scenario: str, cell: Cell) -> CellResult:
     return CellResult(
         cell.id, 0.0 if failed else cost, 0 if failed else cost, {"cost": cost}, "collision" if failed else None, 7.0
     )
-
-
-def rows_of(database: Database, campaign: StoredCampaign) -> list[results.StoredEvaluation]:
-    with database.read() as connection:
-        return list(results.stream(connection, campaign.sequence))
 
 
 def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) -> None:

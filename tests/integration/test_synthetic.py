@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store
-from tests.support.runs import dispatcher, everything, get, run
+from tests.support.runs import dispatcher, everything, get, rows_of, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -76,11 +76,6 @@ def submit(database: Database, **changes: Any) -> StoredCampaign:
 
 def backend() -> ComputedBackend:
     return ComputedBackend(answer=computed)
-
-
-def rows_of(database: Database, campaign: StoredCampaign) -> list[results.StoredEvaluation]:
-    with database.read() as connection:
-        return list(results.stream(connection, campaign.sequence))
 
 
 def true_cost(row: results.StoredEvaluation) -> float:

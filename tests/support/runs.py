@@ -15,6 +15,7 @@ from drivecal.contracts.specification import CampaignSpecification, InfluenceMap
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
+from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.backend import Backend
 from drivecal.execution.leasing import StoredLeases
@@ -102,6 +103,12 @@ def get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
     """A campaign as it is now."""
     with database.read() as connection:
         return campaigns.get(connection, campaign.id)
+
+
+def request(database: Database, campaign: StoredCampaign, action: Action) -> None:
+    """Asks for an action as the API does."""
+    with database.transaction() as connection:
+        campaigns.request_action(connection, campaign.id, action)
 
 
 def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
