@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from tests.support.tree import PROJECT
+from tests.support.tree import PROJECT, loaded
 
 DOCS = PROJECT / "docs"
 PAGES = sorted(
@@ -45,9 +44,4 @@ def blocks(page: Path) -> Iterator[Block]:
 
 def program(name: str) -> ModuleType:
     """A program of the documentation, loaded anew."""
-    spec = importlib.util.spec_from_file_location(f"documentation_{name}", DOCS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(f"documentation_{name}", DOCS / f"{name}.py")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from tests.support.fake_backend import Behaviour
+from tests.support.tree import loaded
 
 from drivecal.contracts.work import Cell, DriveRequest
 from drivecal.plugins import registry
@@ -20,12 +20,7 @@ FOLDER = Path(__file__).parent / "plugins"
 @cache
 def plug_in(name: str) -> Any:
     """The module of one of them."""
-    specification = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
+    return loaded(name, FOLDER / f"{name}.py")
 
 
 def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> DriveRequest:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 PROJECT = Path(__file__).parents[2]
 ROOTS = tuple(PROJECT / name / "drivecal" for name in ("shared", "services", "workers"))
@@ -23,6 +25,16 @@ def modules() -> list[Path]:
 def shown(path: Path) -> str:
     """A path as a test's name shows it."""
     return path.relative_to(PROJECT).as_posix()
+
+
+def loaded(name: str, path: Path) -> ModuleType:
+    """A file as a module of this name, loaded anew."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @cache

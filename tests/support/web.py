@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from types import ModuleType
 
-from tests.support.tree import PROJECT
+from tests.support.tree import PROJECT, loaded
 
 WEB = PROJECT / "services" / "web"
 
 
 def hook() -> ModuleType:
     """`services/web/build_hook.py`, loaded anew."""
-    spec = importlib.util.spec_from_file_location("build_hook", WEB / "build_hook.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded("build_hook", WEB / "build_hook.py")
 
 
 def fetch() -> None:
