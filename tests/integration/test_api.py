@@ -11,13 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 from tests.support.found import METRICS, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, problem_of
+from tests.support.values import MIDDLE
 
 from drivecal.api.live import response_cache
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
-MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 
 
 def submit(api: RunningApi, specification: dict[str, Any] | None = None, **headers: str) -> dict[str, Any]:

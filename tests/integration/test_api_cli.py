@@ -19,6 +19,7 @@ import pytest
 from tests.support.command import Run
 from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, free_port
+from tests.support.values import MIDDLE
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
@@ -26,8 +27,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns
 from drivecal.storage.engine import locks
 
-MIDDLE = (0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100)
-SETS = [f"P{number}={value}" for number, value in enumerate(MIDDLE, 1)]
+SETS = [f"{name}={value}" for name, value in MIDDLE.items()]
 
 
 @pytest.fixture

@@ -12,14 +12,13 @@ import pytest
 from sqlalchemy import text
 from tests.support.found import carry_out
 from tests.support.server import RunningApi, new_database, serving
+from tests.support.values import MIDDLE
 
 from drivecal.api import comparison_submission, submission
 from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import campaigns
-
-MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
@@ -46,7 +45,7 @@ def test_fifty_posts_at_once_with_one_key_make_one_campaign(api: RunningApi) -> 
 
 @pytest.mark.slow("sqlite")
 def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None:
-    body = {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}, "scenario": "S1"}
+    body = {"parameters": MIDDLE, "scenario": "S1"}
 
     def post(_: int) -> httpx.Response:
         return api.http.post("/api/v1/evaluations", json=body, headers={"Idempotency-Key": "evaluation"})
@@ -59,7 +58,7 @@ def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None
 
 REQUESTS: list[tuple[str, dict[str, Any]]] = [
     ("campaigns", {"name": "known"}),
-    ("evaluations", {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}, "scenario": "S1"}),
+    ("evaluations", {"parameters": MIDDLE, "scenario": "S1"}),
     ("comparisons", {"optimizers": [{"kind": "genetic"}], "populations": [10], "seeds": [1, 2, 3]}),
 ]
 

@@ -15,6 +15,7 @@ from sqlalchemy import func, select
 from tests.support.found import carry_out
 from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, serving
+from tests.support.values import MIDDLE
 
 from drivecal.api.http import limits, protocol
 from drivecal.client.client import Client
@@ -22,8 +23,7 @@ from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.storage.engine.tables import campaigns
 
 SMALL: dict[str, Any] = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
-MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
-SINGLE = {"parameters": {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}}
+SINGLE = {"parameters": MIDDLE}
 PLACES = 5
 
 

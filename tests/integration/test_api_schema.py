@@ -24,6 +24,7 @@ from schemathesis.specs.openapi.checks import negative_data_rejection, positive_
 from tests.support.effort import LONG, tries
 from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
+from tests.support.values import MIDDLE
 
 from drivecal.api.app import create_app
 from drivecal.configuration.settings import load_settings
@@ -34,7 +35,6 @@ EXAMPLES = tries(2, 100)
 LONGEST_SECONDS = tries(900, 3600)
 """For all operations together."""
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
-MIDDLE = [0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100]
 MANIFEST = """
 problem: mine
 parameters: {x: {lower: 0, upper: 1}}
@@ -116,7 +116,7 @@ def known(api: RunningApi) -> Known:
     posted_map = post("influence-maps", {"scenarios": {"S1": {"P1": {"lower": -10}}}})
     campaign = post("campaigns", SMALL | {"sensitivity": {"map": posted_map["id"]}})
     carry_out(api.database, campaign["id"])
-    parameters = {f"P{number}": value for number, value in enumerate(MIDDLE, start=1)}
+    parameters = MIDDLE
     evaluation = post("evaluations", {"parameters": parameters, "scenario": "S2"})
     carry_out_evaluation(api.database, evaluation["id"])
     row = api.http.get(f"/api/v1/campaigns/{campaign['id']}/evaluations").json()["items"][0]["id"]

@@ -9,6 +9,7 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, dispatcher, finish, get, submit
 from tests.support.server import serving
+from tests.support.values import MIDDLE
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.highway.comfort import learned, regression_arrays
@@ -18,7 +19,6 @@ from drivecal.highway.vehicle.hybrid import HYBRID
 from drivecal.storage.engine.database import Database
 
 CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
-MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 
 
 def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:

@@ -15,22 +15,11 @@ from typing import Any
 import httpx
 import psutil
 import pytest
-from tests.support.logs import log_left_as_it_was
-from tests.support.serve import Server, environment, gone, serving, until
-from typer.testing import CliRunner
-
-from drivecal.cli.main import app
+from tests.support.command import refused
+from tests.support.serve import Server, gone, serving, until
+from tests.support.values import MIDDLE
 
 TOKEN, READER, MINE = "writer-0123456789abcdef", "reader-0123456789abcdef", "somebody-elses-0123456789"
-MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
-
-
-def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
-    """Exit code and words of a `serve` that is expected not to start."""
-    with log_left_as_it_was():
-        done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
-    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
-    return done.exit_code, done.stderr
 
 
 @pytest.fixture(scope="module")  # the last test ends it

@@ -5,18 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.support.logs import log_left_as_it_was
-from tests.support.serve import environment
-from typer.testing import CliRunner
-
-from drivecal.cli.main import app
-
-
-def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
-    """Exit code and words of a `serve` that is expected not to start."""
-    with log_left_as_it_was():
-        done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
-    return done.exit_code, done.stderr
+from tests.support.command import refused
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])

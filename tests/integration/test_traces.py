@@ -18,6 +18,7 @@ import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.runs import dispatcher, get, run, submit
 from tests.support.server import RunningApi, serving
+from tests.support.values import MIDDLE
 
 from drivecal.cli.views import traces as files
 from drivecal.contracts.evaluation import TraceAnswer
@@ -28,7 +29,6 @@ from drivecal.plugins import registry
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.engine.types import now
 
-MIDDLE = {"P1": 0, "P2": 1, "P3": 100, "P4": 1000, "P5": 750, "P6": 0.5, "P7": 100, "P8": 1000, "P9": 5, "P10": 10, "P11": 100}
 SERIES = {"s_m": [0.1, 3.0], "speed_mps": [30.0, 29.5]}
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
+from tests.support.logs import log_left_as_it_was
+from tests.support.serve import environment
 from typer.testing import CliRunner, Result
 
 from drivecal.cli.main import app
@@ -15,3 +18,11 @@ Run = Callable[..., Result]
 def command(*arguments: str, stdin: str | None = None) -> Result:
     """Runs `drivecal` with these arguments."""
     return CliRunner().invoke(app, list(arguments), input=stdin)
+
+
+def refused(folder: Path, *arguments: str, **settings: str) -> tuple[int, str]:
+    """Exit code and words of a `serve` that is expected not to start. `settings` go into its environment."""
+    with log_left_as_it_was():
+        done = CliRunner().invoke(app, ["serve", *arguments], env=environment(folder) | settings)
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.stderr

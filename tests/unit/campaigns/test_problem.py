@@ -6,14 +6,13 @@ import re
 from typing import Any
 
 import pytest
+from tests.support.values import MIDDLE
 
 from drivecal.campaigns.resolve.bench import driving
 from drivecal.campaigns.resolve.maps import map_from_document, map_to_document, resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
-
-MIDDLE = {f"P{i}": value for i, value in enumerate((0, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100), start=1)}
 
 
 def _resolve(**document: Any) -> CalibrationProblem:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.support.values import numbers
+from tests.unit.highway.planner.situations import MIDDLE
 
 from drivecal.domain import roads
 from drivecal.domain.parameters import ParameterSpace
@@ -37,7 +38,6 @@ TABLE_6 = {
 }
 """Lower, upper, number of values."""
 BITS = [6, 5, 8, 11, 4, 4, 8, 11, 5, 5, 8]
-MIDDLE = [0.0, 1.0, 100.0, 1000.0, 750.0, 0.5, 100.0, 1000.0, 5.0, 10.0, 100.0]
 
 
 def test_the_highway_space_is_table_6() -> None:
