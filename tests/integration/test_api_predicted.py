@@ -15,7 +15,7 @@ import pytest
 from tests.integration.test_predicted_campaigns import SPACE, slowly
 from tests.support.command import command
 from tests.support.computed import ComputedBackend
-from tests.support.runs import run
+from tests.support.runs import run, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.contracts.accounting import Accounting
@@ -43,12 +43,8 @@ class Ended:
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('predicted') / 'drivecal.db'}") as api:
-        submitted = api.http.post("/api/v1/campaigns", json=CAMPAIGN)
-        assert submitted.status_code == 202, submitted.text
-        with api.database.read() as connection:
-            stored = campaigns.get(connection, submitted.json()["id"])
-        run(api.database, stored, ComputedBackend(answer=slowly))
-        links = submitted.json()["links"]
+        identifier = run_posted(api, CAMPAIGN, ComputedBackend(answer=slowly))
+        links = api.http.get(f"/api/v1/campaigns/{identifier}").json()["links"]
         exported = api.http.get(links["evaluations"], params={"format": "csv"}).text
         campaign = Campaign.model_validate(api.http.get(links["self"]).json())
         yield Ended(api, campaign, list(csv.DictReader(io.StringIO(exported))))

@@ -6,6 +6,7 @@ import multiprocessing
 from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
+from typing import Any
 
 from sqlalchemy import Connection
 
@@ -63,6 +64,12 @@ def sample_set_ids(connection: Connection, count: int) -> list[int]:
 def campaign(connection: Connection, name: str = "campaign") -> StoredCampaign:
     """A queued campaign."""
     return campaigns.insert(connection, name=name, spec={"name": name})
+
+
+def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
+    """A cell of S1 in the first iteration of a calibration, to be simulated, but for `changes`."""
+    new = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, Outcome.SIMULATED)
+    return replace(new, **changes)
 
 
 def new_run(

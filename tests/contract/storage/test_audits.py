@@ -1,27 +1,18 @@
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import pytest
 from sqlalchemy import Connection
 from tests.support.scales import COST
-from tests.support.storage import EVALUATOR, campaign, sample_set_ids, setup_id, simulate
+from tests.support.storage import EVALUATOR, campaign, cell, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import AuditCount, Outcome, Rating
 from drivecal.storage import audits, evaluations, results
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.references import ratings, reference_keys, runs
 
 SIMULATED = Outcome.SIMULATED
 KEY, OTHER_KEY = b"k" * 16, b"o" * 16
-
-
-def cell(individual: int, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
-    one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
-    return replace(one, **changes)
 
 
 def audited(connection: Connection) -> tuple[int, list[int]]:

@@ -1,25 +1,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from sqlalchemy.exc import IntegrityError
-from tests.support.storage import campaign, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import campaign, cell, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 
 SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outcome.REUSED, Outcome.FAILED
-
-
-def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
-    one = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, SIMULATED)
-    return replace(one, **changes)
 
 
 @pytest.mark.slow("sqlite")

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.unit.bundles.test_checks import faults
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
-from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry
 
 VALID: dict[str, Any] = {
@@ -70,13 +70,6 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     else:
         inner[int(last) if isinstance(inner, list) else last] = value
     return given
-
-
-def faults(given: object, files: dict[str, bool] | None = None) -> set[str]:
-    with pytest.raises(InvalidInputError) as refusal:
-        checked(given, files)
-    assert all(problem.message and problem.remedy for problem in refusal.value.problems)
-    return {problem.field for problem in refusal.value.problems}
 
 
 @pytest.mark.parametrize("controller", [VALID["simulator"]["controller"], FMU, PROCESS])

@@ -48,13 +48,6 @@ def test_left_out_errors_predict_the_errors_of_new_sets() -> None:
     assert ((confidence >= 0) & (confidence <= 1)).all()
 
 
-def test_weights_of_known_sets_sum_to_one_and_prefer_near_sets() -> None:
-    weights = learned().weights(SETS[450])
-    assert weights.sum() == pytest.approx(1.0)
-    distance = np.abs(SETS[:400, :2] - SETS[450, :2]).sum(axis=1)
-    assert distance[np.argsort(weights)[-10:]].mean() < distance.mean() / 2
-
-
 def test_failures_beyond_a_cliff_move_no_prediction_before_it() -> None:
     costs = np.where(SETS[:, 0] > 0.5, COST.failed, 20.0)
     forest = RegressionForest(COST.tolerance)
