@@ -54,10 +54,10 @@ def create_secret(home: Path) -> bytes:
 
     Raises InvalidInputError if it cannot be written.
     """
-    path = home / FILE
-    known = _read(path)
+    known = read_secret(home)
     if known is not None:
         return known
+    path = home / FILE
     secret = secrets.token_urlsafe(SHORTEST).encode()
     try:
         home.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -72,8 +72,16 @@ def create_secret(home: Path) -> bytes:
 
 
 def read_secret(home: Path) -> bytes | None:
-    """Returns the secret of the server with this home folder; None if there is none that this user can read."""
-    return _read(home / FILE)
+    """Returns the secret of the server with this home folder; None if there is none that belongs to this user alone."""
+    try:
+        descriptor = os.open(home / FILE, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(descriptor, "rb") as file:
+            status = os.fstat(file.fileno())
+            mine = not hasattr(os, "geteuid") or (status.st_uid == os.geteuid() and not status.st_mode & 0o077)
+            content = file.read(LARGEST) if mine and stat.S_ISREG(status.st_mode) else b""
+    except OSError:
+        return None
+    return content if len(content) >= SHORTEST else None
 
 
 def sign(secret: bytes, content: bytes) -> str:
@@ -92,16 +100,3 @@ def signed_digest(secret: bytes, header: str) -> str | None:
 
 def _signature(secret: bytes, digest: str) -> str:
     return hmac.new(secret, f"drivecal push {digest}".encode(), hashlib.sha256).hexdigest()
-
-
-def _read(path: Path) -> bytes | None:
-    """Returns the content of a file that belongs to this user alone."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(file.fileno())
-            mine = not hasattr(os, "geteuid") or (status.st_uid == os.geteuid() and not status.st_mode & 0o077)
-            content = file.read(LARGEST) if mine and stat.S_ISREG(status.st_mode) else b""
-    except OSError:
-        return None
-    return content if len(content) >= SHORTEST else None

@@ -1,7 +1,5 @@
 """The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR NAME CERTIFICATES_MB`."""
 
-import contextlib
-import ctypes
 import os
 import queue
 import signal
@@ -9,11 +7,10 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 
+from drivecal.cluster.lineage import end_with_parent
 from drivecal.domain.errors import DrivecalError
 from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.runtime.worker import Worker, describe
-
-_PR_SET_PDEATHSIG = 1
 
 
 def main() -> int:
@@ -22,8 +19,7 @@ def main() -> int:
     os.set_inheritable(descriptor, False)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
-    with contextlib.suppress(OSError, AttributeError):  # macOS has none; there the end of the connection ends this process
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    end_with_parent(signal.SIGKILL)  # Linux only; elsewhere the end of the connection ends this process
     connection = Connection(descriptor)
     calls: queue.SimpleQueue[RemoteCall] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(connection, calls), name="calls", daemon=True).start()
