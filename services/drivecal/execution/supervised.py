@@ -40,12 +40,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class WorkerLimits:
-    """`workers`: None is one per CPU. A batch is ended as hung after `deadline_seconds` and `deadline_factor` times its expected time, a
+    """`workers`: None is one per CPU. A batch is ended as hung after `deadline_seconds` and DEADLINE_FACTOR times its expected time, a
     worker after `start_seconds` of starting, which includes compiling."""
 
     workers: int | None = None
     deadline_seconds: float = DEADLINE_SECONDS
-    deadline_factor: float = DEADLINE_FACTOR
     start_seconds: float = 600.0
     certificates_mb: int | None = None
     """Memory of each worker for certificates; None: its machine's share."""
@@ -123,7 +122,7 @@ class SupervisedBackend(Backend, ABC):
             raise RuntimeError(f"{worker} has no slot; ask `slots` first")
         allowed = max(
             self._limits.deadline_seconds + _limits_of_simulators(batch),
-            self._limits.deadline_factor * (expected_seconds or 0.0),
+            DEADLINE_FACTOR * (expected_seconds or 0.0),
         )
         self._ship(chosen, batch.setup.bundle)
         unknown = 0.0 if batch.setup.timeout is None else math.inf

@@ -11,6 +11,7 @@ from sklearn.tree import ExtraTreeRegressor
 
 from drivecal.reduction.prediction import ROUNDING, Bools, Floats, Predictions
 
+SEED = 0
 TREES = 50
 FEATURES = None
 """Features that each split considers: all of them, because few parameters matter in a scenario."""
@@ -21,8 +22,8 @@ Indices = npt.NDArray[np.int64]
 class BaggedTrees:
     """Trees on bootstrap samples of scored parameter sets. They split by the variance of the scores."""
 
-    def __init__(self, tolerance: float, seed: int) -> None:
-        self._tolerance, self._seed = tolerance, seed
+    def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
         self._scores: Floats = np.empty(0)
         self._trees: list[ExtraTreeRegressor] = []
         self._drawn: Indices = np.empty((0, 0), dtype=np.int64)
@@ -39,7 +40,7 @@ class BaggedTrees:
 
     def _grow(self, features: Floats, scores: Floats) -> None:
         """Grows trees on features, shape (n, k), and scores, shape (n,)."""
-        random = np.random.default_rng(self._seed)
+        random = np.random.default_rng(SEED)
         points = np.ascontiguousarray(features, dtype=np.float32)
         self._scores, self._trees, drawn, leaves = scores, [], [], []
         with sklearn.config_context(skip_parameter_validation=True):
@@ -68,8 +69,8 @@ class Forest(BaggedTrees):
     predicted score has the largest confidence, then the most votes, then is the lowest. The predicted rating is the mean rating of the
     known cells with that score in the leaves of the set."""
 
-    def __init__(self, tolerance: float = 0.0, seed: int = 0) -> None:
-        super().__init__(tolerance, seed)
+    def __init__(self, tolerance: float = 0.0) -> None:
+        super().__init__(tolerance)
         self._classes: Floats = np.empty(0)
         self._labels: Indices = np.empty(0, dtype=np.int64)
         self._ratings: Floats = np.empty(0)

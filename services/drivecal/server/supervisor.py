@@ -17,6 +17,9 @@ TRIES_TO_START = 3
 LOOK_SECONDS, ASK_SECONDS = 0.1, 1.0
 """Intervals between two looks at the children, and between two questions of what is not ready."""
 PATIENCE_SECONDS = 30.0
+FIRST_PAUSE_SECONDS, LONGEST_PAUSE_SECONDS = 0.5, 30.0
+"""Pauses before restarts."""
+HEALTHY_AFTER_SECONDS = 60.0
 KEPT_BACK = {"DRIVECAL_TOKEN"}
 """Variables that the children do not inherit: they do not need the user's own token."""
 
@@ -37,15 +40,12 @@ class ChildProcess:
 class Pauses:
     """Pauses before restarts: doubled with every death, reset after a minute of health."""
 
-    first: float = 0.5
-    longest: float = 30.0
-    healthy_after: float = 60.0
     deaths: int = 0
 
     def next(self, lived: float) -> float:
         """Returns the seconds to wait after a process that lived for `lived` seconds."""
-        self.deaths = 1 if lived >= self.healthy_after else self.deaths + 1
-        return min(self.longest, self.first * 2.0 ** (self.deaths - 1))
+        self.deaths = 1 if lived >= HEALTHY_AFTER_SECONDS else self.deaths + 1
+        return min(LONGEST_PAUSE_SECONDS, FIRST_PAUSE_SECONDS * 2.0 ** (self.deaths - 1))
 
 
 class _Child:

@@ -77,7 +77,7 @@ def server(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Server]:
 
 
 def test_pauses_double_up_to_a_limit_and_begin_again_after_good_health() -> None:
-    pauses = Pauses(first=0.5, longest=30.0, healthy_after=60.0)
+    pauses = Pauses()
     assert [pauses.next(1.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
     assert pauses.next(61.0) == 0.5
     assert pauses.next(1.0) == 1.0
