@@ -6,13 +6,9 @@ from collections.abc import Sequence
 
 from tests.support.fake_backend import Behaviour
 
-from drivecal.contracts.work import Cell, DriveRequest
+from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.scheduler import Completed
-
-
-def setup(scenario: str = "S1") -> DriveRequest:
-    return DriveRequest("highway", scenario, "frenet", "single_track", {}, "reference", f"fingerprint of {scenario}")
 
 
 def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:

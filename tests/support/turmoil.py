@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
 from tests.support.fake_backend import Behaviour
-from tests.support.plant import setup
-from tests.support.turmoil_parts import DEADLINE, POISON, RESTART, Place, Row, assert_batch, broken_result, well
+from tests.support.plant import answer, setup
+from tests.support.turmoil_parts import DEADLINE, POISON, RESTART, Place, Row, assert_batch, broken_result
 
 from drivecal.contracts.work import BatchResult, Cell
 from drivecal.domain.evaluations import Breakdown
@@ -268,7 +268,7 @@ class Turmoil(RuleBasedStateMachine):
     def _take_first(self, place: Place) -> Dispatch:
         sent = place.batches.pop(0)
         place.deadline = self.now + DEADLINE
-        self.returned.append((sent, BatchResult(sent.worker, tuple(map(well, sent.batch.cells)), 0.1)))
+        self.returned.append((sent, BatchResult(sent.worker, tuple(map(answer, sent.batch.cells)), 0.1)))
         return sent
 
     def _first(self, place: Place, *kinds: Behaviour) -> int | None:
@@ -291,7 +291,7 @@ class Turmoil(RuleBasedStateMachine):
             if self.rows[cell.id].value in POISON
         }
         results = tuple(
-            broken_result(cell, broken[cell.id][0]) if cell.id in broken else well(cell) for cell in sent.batch.cells
+            broken_result(cell, broken[cell.id][0]) if cell.id in broken else answer(cell) for cell in sent.batch.cells
         )
         completed = self.scheduler.finished(sent.batch_id, BatchResult(place.name, results, seconds))
         self._settle(sent, completed, broken, place.name)

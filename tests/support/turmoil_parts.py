@@ -52,10 +52,6 @@ class Place:
         return f"worker-{self.number}.{self.incarnation}"
 
 
-def well(cell: Cell) -> CellResult:
-    return CellResult(cell.id, cell.parameters["P1"], 5, {}, None, 7.0)
-
-
 def broken_result(cell: Cell, breakdown: Breakdown) -> CellResult:
     return CellResult(cell.id, None, None, {}, None, 1.0, breakdown.value, "as asked for")
 

@@ -13,6 +13,7 @@ from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.results.verification import verify
+from drivecal.contracts.organising import Archived
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
@@ -23,7 +24,6 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.organising import deletion, labels, saved_views
 from drivecal.storage.organising.deletion import delete_campaign
-from drivecal.storage.organising.labels import Archived
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
 from drivecal.storage.retention import removal

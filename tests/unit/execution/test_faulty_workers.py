@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.pooled import TAGS, cells, drain, setup
+from tests.support.plant import setup
+from tests.support.pooled import TAGS, cells, drain
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool

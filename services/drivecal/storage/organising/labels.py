@@ -2,17 +2,17 @@
 
 import json
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Text, cast, func, update
 
+from drivecal.contracts.organising import Archived
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 
-Archived = Literal["without", "with", "only"]
 MOST_TAGS = 20
 
 
