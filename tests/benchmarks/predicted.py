@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from tests.benchmarks.certified import carry_out
-from tests.support.inspected import Tally, inspect
+from tests.support.inspected_lots import Tally, inspect
 
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.prediction import Floats, ScenarioLearner

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from tests.support.found import METRICS, carry_out, carry_out_evaluation
+from tests.support.answered_campaigns import METRICS, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 

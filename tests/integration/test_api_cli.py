@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from tests.support.answered_campaigns import carry_out, carry_out_evaluation
 from tests.support.command import Run
-from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, free_port
 from tests.support.values import MIDDLE
 from typer.testing import CliRunner

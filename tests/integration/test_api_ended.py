@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tests.support.found import analyse, carry_out, carry_out_evaluation
+from tests.support.answered_campaigns import analyse, carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
 
 from drivecal.plugins import registry

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from sqlalchemy import text
-from tests.support.found import carry_out
+from tests.support.answered_campaigns import carry_out
 from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import MIDDLE
 

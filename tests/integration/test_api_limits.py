@@ -12,7 +12,7 @@ from typing import Any, Self
 import httpx
 import pytest
 from sqlalchemy import func, select
-from tests.support.found import carry_out
+from tests.support.answered_campaigns import carry_out
 from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import MIDDLE

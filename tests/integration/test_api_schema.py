@@ -21,8 +21,8 @@ from schemathesis.core.result import Ok
 from schemathesis.pytest.lazy import get_all_tests
 from schemathesis.schemas import BaseSchema
 from schemathesis.specs.openapi.checks import negative_data_rejection, positive_data_acceptance
+from tests.support.answered_campaigns import carry_out, carry_out_evaluation
 from tests.support.effort import LONG, tries
-from tests.support.found import carry_out, carry_out_evaluation
 from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
 

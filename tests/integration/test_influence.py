@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
-from tests.support.found import ANALYSIS, analyse
+from tests.support.answered_campaigns import ANALYSIS, analyse
 from tests.support.server import RunningApi
 
 from drivecal.contracts.tables import InfluenceRow

@@ -6,8 +6,8 @@ import json
 from typing import Any
 
 import pytest
+from tests.support.answered_campaigns import ANALYSIS, analyse
 from tests.support.command import Run
-from tests.support.found import ANALYSIS, analyse
 from tests.support.server import RunningApi
 
 ANALYSED = ANALYSIS | {"name": "mine"}

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.answered_campaigns import carry_out
 from tests.support.command import Run
-from tests.support.found import carry_out
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from tests.support.answered_campaigns import analyse, carry_out
 from tests.support.command import Run
-from tests.support.found import analyse, carry_out
 from tests.support.server import RunningApi
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import cos, sin
 from xml.etree import ElementTree as ET
 
-from tests.support.opendrive import RoadFile
+from tests.support.opendrive_reader import RoadFile
 
 Shape = tuple[str, float, dict[str, float | str]]
 """Kind, length and attributes of a geometry."""

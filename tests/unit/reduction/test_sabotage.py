@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from tests.support.effort import tries
-from tests.support.inspected import Tally, inspect, inspect_references, plan_of_references
+from tests.support.inspected_lots import Tally, inspect, inspect_references, plan_of_references
 from tests.support.scales import COST
 
 from drivecal.contracts.campaign import ErrorRate

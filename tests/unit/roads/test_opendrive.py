@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.networks import program
-from tests.support.opendrive import Floats, lane_centres, lane_width, roads
 from tests.support.opendrive_files import FILES
+from tests.support.opendrive_reader import Floats, lane_centres, lane_width, roads
 
 from drivecal.domain.errors import InvalidInputError, UnavailableError
 from drivecal.domain.roads import to_cartesian
