@@ -69,13 +69,13 @@ class NsgaEngine:
         costs = np.where(missing[:, None], 0.0, -objectives)
         violations = np.where(missing, NO_RESULT, violations)
         self._population = population
-        told = np.arange(0 if self._asked is None else len(self._asked))
+        rows = np.arange(0 if self._asked is None else len(self._asked))
         if self._algorithm is None:
-            told = np.sort(np.unique(population, axis=0, return_index=True)[1])
-            self._algorithm = _algorithm(self._settings, self._last, population[told], objectives.shape[1])
+            rows = np.sort(np.unique(population, axis=0, return_index=True)[1])
+            self._algorithm = _algorithm(self._settings, self._last, population[rows], objectives.shape[1])
             self._asked = self._algorithm.ask()
-        if len(told):
-            self._asked.set("X", population[told], "F", costs[told], "G", violations[told, np.newaxis])
+        if len(rows):
+            self._asked.set("X", population[rows], "F", costs[rows], "G", violations[rows, np.newaxis])
             self._algorithm.tell(infills=self._asked)
 
 

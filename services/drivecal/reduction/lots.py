@@ -155,10 +155,10 @@ def draw(members: Sequence[bytes], sample: int, secret: bytes) -> list[int]:
 def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
     """Returns an upper limit of the number of errors released by inspected lots, each with the errors in its sample.
 
-    Time-uniform: with probability 0.95 it holds after every lot at once, for every number of errors in each of them, which may
-    depend on all earlier samples. Per lot, exp(g E - h(g) k) of E released errors (none if it is rejected) and k sampled ones, at most
-    c + 1 of which count, has an expectation of at most 1 over the draw without replacement. The product over lots is a supermartingale, a
-    mixture over growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
+    Time-uniform: with probability 0.95 it holds after every lot at once, for every number of errors in each of them, which may depend on
+    all earlier samples. Per lot, exp(g E - h(g) k) has an expectation of at most 1 over the draw without replacement, with E released
+    errors (none if the lot is rejected) and k sampled ones, counted up to c + 1. The product over lots is a supermartingale, a mixture over
+    growth rates g as well (Waudby-Smith and Ramdas 2020 build theirs in this way), and Ville's inequality bounds it.
     """
     from scipy.optimize import brentq
 

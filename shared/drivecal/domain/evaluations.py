@@ -123,7 +123,7 @@ class AuditCount:
 class OutcomeCosts:
     """Answered cells of one stage and scenario that have outcome and `audited` in common.
 
-    `seconds`: CPU time that the campaign's own attempts took, of which certificates took `certifying_seconds`. `run_seconds`: CPU time of
+    `seconds`: CPU time that the campaign's own attempts took; certificates took `certifying_seconds` of it. `run_seconds`: CPU time of
     the `runs` simulated runs that answered the cells, without certificates. `occupied_seconds`, `occupied_run_seconds`: the same of own
     runs and of those runs by the time for which they occupied their workers, which is wall-clock time if simulators wait.
     """

@@ -89,7 +89,7 @@ class _Look:
     heartbeat_at: datetime | None
     snapshots: Mapping[int, ProgressSnapshot]
     """Progress of changed campaigns."""
-    found: Mapping[int, list[StoredEvent]]
+    events: Mapping[int, list[StoredEvent]]
     newest: Mapping[int, int]
     """Newest events of campaigns that are read for the first time."""
 
@@ -231,7 +231,7 @@ class EventHub:
             feed.snapshot, feed.revision = snapshot, snapshot.revision
             if feed.start is None:
                 feed.start = look.newest.get(feed.sequence, 0)
-            new_events = look.found.get(feed.sequence, [])
+            new_events = look.events.get(feed.sequence, [])
             feed.held.extend((event.id, encoded(event, feed.campaign)) for event in new_events)
             while len(feed.held) > HELD:
                 feed.start = feed.held.popleft()[0]

@@ -186,12 +186,12 @@ class LotPlanner:
         def forecast(scenario: str) -> _Forecast | None:
             began = time.thread_time()
             learner = self._learners[scenario]
-            told = learner.predict(features)
-            return None if told is None else _Forecast(*told, learner.trained_on, time.thread_time() - began)
+            predicted = learner.predict(features)
+            return None if predicted is None else _Forecast(*predicted, learner.trained_on, time.thread_time() - began)
 
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
-        self._forecasts = {scenario: told for scenario, told in forecasts.items() if told is not None}
+        self._forecasts = {scenario: each for scenario, each in forecasts.items() if each is not None}
 
     def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""

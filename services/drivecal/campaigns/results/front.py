@@ -90,8 +90,8 @@ class CampaignFront:
         front = np.empty((0, len(worst)))
         grown: list[tuple[int, float | None, int]] = []
         feasible = sorted((each for each in self.ranked if each.violation == 0), key=attrgetter("iteration"))
-        for iteration, found in groupby(feasible, attrgetter("iteration")):
-            points = np.concatenate([front, self._compared(list(found))])
+        for iteration, members in groupby(feasible, attrgetter("iteration")):
+            points = np.concatenate([front, self._compared(list(members))])
             before, front = front, np.unique(points[non_dominated(points)], axis=0)
             volume = grown[-1][1] if np.array_equal(before, front) else hypervolume(front, worst)
             grown.append((int(iteration), volume, len(front)))

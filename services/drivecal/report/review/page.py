@@ -47,8 +47,8 @@ def _warnings(review: Review) -> list[str]:
         for each in review.sets.values()
         if (violation := each.chosen.violation) > 0
     ]
-    told = [text for each in review.sets.values() for text in (each.campaign.error, *each.campaign.notes) if text]
-    return list(dict.fromkeys([*drafts, *copied, *broken, *told]))
+    remarks = [text for each in review.sets.values() for text in (each.campaign.error, *each.campaign.notes) if text]
+    return list(dict.fromkeys([*drafts, *copied, *broken, *remarks]))
 
 
 def _signatures() -> list[str]:

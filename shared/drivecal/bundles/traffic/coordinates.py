@@ -1,4 +1,4 @@
-"""Places on SUMO's lanes by coordinates, of which several roads may lie above each other."""
+"""Places on SUMO's lanes by coordinates; several roads may lie above each other."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -93,7 +93,7 @@ def _interrupted_by_sigterm() -> Iterator[None]:
 
 def url_when_ready(process: subprocess.Popen[bytes], home: Path, tell: Callable[[str], None]) -> str:
     """Returns the address once the workers are ready. Tells it as soon as the page answers, and how long the workers have been starting."""
-    began = told = time.monotonic()
+    began = last_sign = time.monotonic()
     page: str | None = None
     while (now := time.monotonic()) < began + SECONDS_TO_START:
         line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
@@ -105,10 +105,10 @@ def url_when_ready(process: subprocess.Popen[bytes], home: Path, tell: Callable[
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
         if page is None and (page := _answering(home / LOG)) is not None:
             tell(f"the page is at {page}; the workers are starting")
-            told = now
-        elif now >= told + SECONDS_BETWEEN_SIGNS:
+            last_sign = now
+        elif now >= last_sign + SECONDS_BETWEEN_SIGNS:
             tell(f"{'the server is' if page is None else 'the workers are'} still starting ({now - began:.0f} s)")
-            told = now
+            last_sign = now
         time.sleep(0.1)
     raise DrivecalError(
         f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; if the machine was busy, try again:\n{_end_of(home / LOG)}"
