@@ -145,14 +145,14 @@ def test_a_pause_whose_answer_is_lost_simulates_nothing_more_until_it_is_resumed
     dispatcher = _dispatcher(used, backend)
     for _ in range(4):
         dispatcher.step()
-    _request(database, campaign, "pause")
+    request(database, campaign, "pause")
     _lose_the_answer(used, dispatcher)
     sent = len(backend.sent)
     for _ in range(5):
         dispatcher.step()
-    assert (_get(database, campaign).state, len(backend.sent), dispatcher._active) == (CampaignState.PAUSED, sent, {})
-    _request(database, campaign, "resume")
-    assert _finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
+    assert (get(database, campaign).state, len(backend.sent), dispatcher._active) == (CampaignState.PAUSED, sent, {})
+    request(database, campaign, "resume")
+    assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
     assert max(Counter(backend.sent).values()) == 1
 
 
