@@ -123,7 +123,7 @@ class _LostAnswer:
     def transaction(self) -> Iterator[Connection]:
         with self._database.transaction() as connection:
             yield connection
-        if not self.is_lost and _get(self._database, self._campaign).state is self._state:
+        if not self.is_lost and get(self._database, self._campaign).state is self._state:
             self.is_lost = True
             raise UnavailableError("the answer to the commit was lost")
 
