@@ -121,6 +121,11 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     assert not any(member.solution.reused for member in front)
     answers = answers_of(database, ended, [member.solution for member in front])
     assert "confirmed" in {answer for each in answers.values() for answer in each.values()}
+    best = ranking_of(database, ended).best()
+    assert best is not None
+    assert best[0].reused == ()
+    assert ended.best is not None
+    assert ended.best.objective == best[0].objective
 
 
 def test_one_score_in_several_scenarios_is_predicted_and_no_set_of_the_front_is_a_prediction(database: Database) -> None:

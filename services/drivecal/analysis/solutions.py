@@ -164,13 +164,16 @@ class Ranking:
         return self._surest_front
 
     def _doubtful_on_front(self, tried: Collection[int]) -> EvaluatedSet | None:
-        """The first doubtful set of the front that all sets would make, but for those tried."""
+        """The first doubtful set of the front that all sets would make, but for those tried. Without one, the best set if it is doubtful:
+        a copied set may rank before one of its own scores and equal objectives, in whose place the front does not hold it."""
         believed = [
             solution
             for number, solution in (self._solutions | self._predicted).items()
             if not solution.reused or number not in tried
         ]
-        return next((member.solution for member in self._front(believed) if member.solution.reused), None)
+        on_front = next((member.solution for member in self._front(believed) if member.solution.reused), None)
+        best = None if on_front is not None else self.best()
+        return on_front if best is None or not best[0].reused or best[0].parameter_set in tried else best[0]
 
     def _front(self, solutions: Iterable[EvaluatedSet]) -> list[FrontMember]:
         if self._goals is None:

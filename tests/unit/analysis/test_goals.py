@@ -184,3 +184,25 @@ def test_one_objective_over_the_worst_scenario_ranks() -> None:
     ranking = Ranking(EVEN, goals=Goals((Objective("comfort", CellValue(COMFORT), EVEN, Aggregate("min"), 1),)))
     ranking.add([cell(1, "S1", 7.0), cell(1, "S2", 1.0), cell(2, "S1", 3.0), cell(2, "S2", 2.0)])
     assert [(solution.parameter_set, solution.objective) for solution in ranking.ranking()] == [(2, 2.0), (1, 1.0)]
+
+
+def test_the_best_set_is_doubtful_if_it_is_a_copy_of_equal_objectives_that_ranks_before_a_set_of_its_own_scores() -> None:
+    ranking = Ranking(EVEN, goals=Goals((COMFORTABLE, GAP)))
+    ranking.add(
+        replace(cell(number, name, 3.0, 5.0, own=own), rating=rating)
+        for number, rating, own in [(1, 3.2, True), (2, 3.4, False)]
+        for name in EVEN
+    )
+    best = ranking.best()
+    assert best is not None
+    assert best[0].parameter_set == 2
+    assert numbers(ranking) == [(1, 2)]
+    doubtful = ranking.doubtful()
+    assert doubtful is not None
+    assert doubtful.parameter_set == 2
+    assert ranking.doubtful({2}) is None
+    ranking.add(cell(2, name, 2.0, 5.0) for name in EVEN)
+    assert ranking.doubtful({2}) is None
+    best = ranking.best()
+    assert best is not None
+    assert best[0].parameter_set == 1

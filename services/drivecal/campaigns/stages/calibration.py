@@ -261,8 +261,9 @@ class Calibration(CampaignStage):
             if self._verdict is None:
                 goals = self._problem.goals
                 is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirmation.tried)
-                if is_front:
-                    self._verdict = front_verdict(self._ranking.front(), confirmation.tried, untried)
+                front = self._ranking.front() if is_front else []
+                if is_front and (not best[0].reused or any(member.solution.reused for member in front)):
+                    self._verdict = front_verdict(front, confirmation.tried, untried)
                 else:
                     self._verdict = confirmation.verdict(best[0], untried)
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
