@@ -36,6 +36,10 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
     (note,) = (note for note in ended.notes if "wrong in S1" in note)
     assert study.id in note
     assert get(database, before).notes == (), "what was known when it began"
+    uninspected = submit(database, stored_map=stored, reduction={"audit": 0.0, "max_error": 1})
+    assert any("wrong in S1" in note for note in run(database, uninspected, ComputedBackend(answer=influenced)).notes)
+    narrowed = submit(database, stored_map=stored, reduction={"mode": "predicted", "narrow": True})
+    assert any("wrong in S1" in note for note in run(database, narrowed, ComputedBackend(answer=influenced)).notes)
     unaffected = run(
         database, submit(database, stored_map=stored, reduction={"mode": "exact"}), ComputedBackend(answer=influenced)
     )
@@ -45,11 +49,15 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
 def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
     stored = post_map(database, nothing_matters())
     study = validated(database, stored)
-    document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None, "reduction": {"mode": "influence"}}
+    document = {**study.spec, "optimizer": {"kind": "random"}, "validation": None}
     assert document["sensitivity"] == {"map": stored}
     limits: Any = SimpleNamespace(largest_campaign=10**9)
-    notes = expected(database, limits, CampaignSpecification.model_validate(document)).notes
-    assert any(study.id in note for note in notes)
+    warned = [{"mode": "influence"}, {"mode": "both", "max_error": 1}, {"mode": "predicted", "narrow": True}]
+    for reduction in warned:
+        notes = expected(database, limits, CampaignSpecification.model_validate(document | {"reduction": reduction})).notes
+        assert any(study.id in note for note in notes)
+    predicted = CampaignSpecification.model_validate(document | {"reduction": {"mode": "predicted"}})
+    assert not any(study.id in note for note in expected(database, limits, predicted).notes)
 
 
 def test_audits_count_where_they_are_certain_and_what_an_earlier_release_stopped_counts_in_any_case(

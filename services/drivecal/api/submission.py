@@ -68,7 +68,8 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
         used = _stored_parts(connection, problem)
         reduction = specification.reduction
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
-        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and reduction.uses_map else []
+        uses_map = reduction.uses_map or reduction.narrow
+        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and uses_map else []
         of_predictions = runs_at_most(connection, problem)
     runs = problem.expected_runs()
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})

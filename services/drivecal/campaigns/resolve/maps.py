@@ -18,7 +18,7 @@ from drivecal.campaigns.resolve.spaces import (
     space_from_document,
     space_to_document,
 )
-from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification
+from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification, ReductionSpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
@@ -171,7 +171,9 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
 
 def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:
     """Returns a warning for every scenario in which the map is known to be wrong: more than `largest_error` of what a validation compared
-    was wrong, or certainly more of what was audited. Campaigns that ended `before` then count."""
+    was wrong, or certainly more of what was audited. Campaigns that ended `before` then count. At 1, where nothing inspects references, the
+    default counts, as in the light of a campaign."""
+    largest_error = largest_error if largest_error < 1 else ReductionSpecification().max_error
     worst: dict[str, MapError] = {}
     for error in errors_of_map(connection, influence_map_id, before):
         surely, _ = clopper_pearson(error.wrong, error.compared)

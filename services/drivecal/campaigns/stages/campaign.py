@@ -69,7 +69,7 @@ class StagedCampaign(Job):
         """Returns the known errors of a given map when the campaign was submitted. A map of its own analysis has none yet."""
         reduction = self._problem.specification.reduction
         given = isinstance(self._problem.specification.sensitivity, MapReference)
-        if campaign.influence_map_id is None or not given or not reduction.uses_map:
+        if campaign.influence_map_id is None or not given or not (reduction.uses_map or reduction.narrow):
             return []
         with self._database.read() as connection:
             return doubts(connection, campaign.influence_map_id, reduction.max_error, campaign.created_at)
