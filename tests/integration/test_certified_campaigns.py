@@ -9,9 +9,12 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import SMALL, WITH_ANALYSIS, finish, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import SMALL, WITH_ANALYSIS, finish, get, influenced, nothing_matters, post_map, run, step_until, submit
 from tests.support.runs import dispatcher as dispatching
 
+from drivecal.analysis.confirmation import CONFIRMED, verdict_in
+from drivecal.analysis.solutions import Ranking
+from drivecal.api.routes.background import trust_in
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
@@ -25,7 +28,7 @@ from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.organising.deletion import delete_campaign, remove_cells
 from drivecal.storage.references import runs
-from drivecal.storage.references.withdrawal import WITHDRAWN
+from drivecal.storage.references.withdrawal import WITHDRAWN, withdraw_certified
 
 
 def alike(scenario: str, cell: Cell) -> object:
@@ -237,6 +240,38 @@ def test_a_campaign_after_a_refuted_certificate_finds_what_it_finds_on_a_new_dat
     truth = run(new, submit(new, **changes), ComputedBackend(answer=influenced))
     assert found(database, after) == found(new, truth)
     new.dispose()
+
+
+def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_best_set(database: Database) -> None:
+    backend = certifying()
+    campaign, working = submit(database, **simple()), dispatching(database, backend)
+    step_until(database, campaign, 5, working)
+    backend.class_of = None
+    with database.transaction() as connection:
+        stored = list(results.stream(connection, campaign.sequence))
+        withdraw_certified(connection, {row.setup_id for row in stored})
+    for _ in range(200):
+        working.step()
+        if get(database, campaign).state.ended:
+            break
+    ended = get(database, campaign)
+    assert ended.state is CampaignState.SUCCEEDED
+    assert ended.best is not None
+    ranking = Ranking(resolved_spec(ended).weights)
+    with database.read() as connection:
+        ranking.add(results.answers(connection, campaign.sequence, StageName.CALIBRATION))
+        assert results.withdrawn(connection, campaign.sequence) > 0
+        added = [row for row in results.stream(connection, campaign.sequence) if row.iteration >= 6]
+        reasons = [explain(connection, row.id).reason for row in added]
+    best = ranking.best()
+    assert best is not None
+    assert best[0].reused == ()
+    assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
+    assert added
+    assert {row.outcome for row in added} == {Outcome.SIMULATED}
+    assert set(reasons) == {"confirmation"}
+    assert any((reason.about, reason.light) == ("certificates", "amber") for reason in trust_in(database, campaign.id).reasons)
+    assert [check for check in verify(database, full=True) if check.problems] == []
 
 
 @pytest.mark.parametrize("certified", [True, False])

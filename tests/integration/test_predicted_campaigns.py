@@ -23,7 +23,7 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import lots, results
+from drivecal.storage import known_answers, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
@@ -99,7 +99,7 @@ def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCa
     predicted_sets = {row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED}
     with database.read() as connection:
         answers = [row for row in rows_of(database, campaign) if row.parameters.floats == campaign.best.parameters]
-        known, _ = results.known(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
+        known, _ = known_answers.known(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
     assert not {row.parameter_set_id for row in answers} & predicted_sets
     own = {(row.iteration, row.individual, row.scenario): row.outcome for row in rows_of(database, campaign)}
     learned = {own[answer.iteration, answer.individual, answer.scenario] for answer in known}

@@ -82,10 +82,11 @@ def trust(
     front: Compromises | None = None,
     chosen: Chosen | None = None,
     later: Later | None = None,
+    withdrawn: int = 0,
 ) -> TrustAnswer:
     """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
     reruns, if both have the same problem. `front`: of several objectives, in the place of a best set. With a `chosen` set, the reasons
-    about a set are about this one."""
+    about a set are about this one. `withdrawn`: answers of the search by certificates that a simulation contradicted later."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
         return TrustAnswer(light=None, reasons=[])
     reasons = [
@@ -96,6 +97,7 @@ def trust(
         *_map(campaign, _newest(validated, of_predictions=False)),
         *_references(campaign),
         *_predictions(campaign, _newest(validated, of_predictions=True)),
+        *_certificates(withdrawn),
         *_noise(campaign),
         *_failures(campaign),
         *_cut(campaign),
@@ -297,6 +299,13 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
             f"the {row.released:,} released ones may be: {row.limit:.1%} of the {row.inspected:,} in lots."
         )
         yield Reason(light=light, about="predictions", scenario=row.scenario, text=text)
+
+
+def _certificates(withdrawn: int) -> Iterator[Reason]:
+    if withdrawn:
+        answers = "1 answer of the search rests" if withdrawn == 1 else f"{withdrawn:,} answers of the search rest"
+        text = f"{answers} on certificates of setups in which a simulation contradicted a certificate: they were withdrawn."
+        yield Reason(light="amber", about="certificates", text=text)
 
 
 def _listed(figures: Mapping[str, str]) -> str:

@@ -298,7 +298,8 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
             late.c.stage == StageName.CALIBRATION,
             late.c.iteration >= iterations,
             first.c.iteration < iterations,
-            first.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)),
+            first.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
+            | ((first.c.outcome == Outcome.CERTIFIED) & first.c.run_id.is_(None)),  # withdrawn
         )
         .group_by(late.c.id, late.c.scenario)
         .subquery()

@@ -1,6 +1,6 @@
 """Evaluations of campaigns, read for pages, exports and rankings."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -26,19 +26,22 @@ from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.tables import evaluations, lots, parameter_sets, ratings, runs
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
-from drivecal.storage.lots import LotVerdict
 from drivecal.storage.references import metrics
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
-_parsed = lru_cache(10_000)(ParameterSet.from_json)
+parsed = lru_cache(10_000)(ParameterSet.from_json)
 """Reads a stored set. Each is requested in several scenarios, and read when it waits and when predictors learn its answers."""
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
+_WITHDRAWN = evaluations.c.outcome.in_((Outcome.CERTIFIED, Outcome.REPEATED)) & evaluations.c.run_id.is_(None)
+"""Answers whose certificate was withdrawn: other certified and repeated ones keep their run as long as they are stored."""
+_COPIED = evaluations.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)) | _WITHDRAWN
+"""Answers of which no run of the very cell is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,24 +83,6 @@ class StoredEvaluation:
     sampled: bool
 
 
-@dataclass(frozen=True, slots=True)
-class KnownAnswer:
-    """A simulated or certified answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
-    first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
-
-    id: int
-    scenario: str
-    stage: StageName
-    iteration: int
-    individual: int
-    parameters: ParameterSet
-    score: float
-    rating: float
-    predicted_score: float | None
-    confidence: float | None
-    stands_for: float
-
-
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))
 _PARAMETERS, _PLAN, _OUTCOME, _REFERENCE, _PROVEN_BY = map(
     _NAMES.index, ("parameters", "plan", "outcome", "reference", "proven_by")
@@ -123,8 +108,7 @@ def number_at(connection: Connection, campaign_sequence: int, iteration: int, in
     number = connection.scalar(at)
     if number is None:
         raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
-    copied = table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
-    worth = case((table.score.is_(None), 2), (copied, 1), else_=0)
+    worth = case((table.score.is_(None), 2), (_COPIED, 1), else_=0)
     cells = select(table.id).where(*here, table.parameter_set_id == number).order_by(worth, *_PLACE)
     return int(connection.execute(cells.limit(1)).scalar_one())
 
@@ -174,18 +158,21 @@ def answers(
     iteration: int | None = None,
     *,
     corrected_by: str | None = None,
+    watermark: int | None = None,
     valued: Valued | None = None,
 ) -> Iterator[CellScore]:
     """The answered cells of one iteration, or of all, in the order of `page`, with the values that `valued` computes from the run of each;
     the connection must stay open meanwhile. A reference's run has the score of the cell, but other measures, so that it gives no values.
 
+    Answers by a certificate that was withdrawn count as copied.
+
     With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, or to that
     of the run that a certificate says it repeats, and so do its values. A search must not read its answers in this way: they would change
-    after it has gone on from them.
+    after it has gone on from them. With a `watermark` only runs and ratings that a campaign with it sees correct.
     """
     table = evaluations.c
     source: FromClause = evaluations
-    copied: ColumnElement[bool] = table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
+    copied: ColumnElement[bool] = _COPIED
     score: ColumnElement[Any] = table.score
     rating: ColumnElement[Any] = table.rating
     believed = copied
@@ -194,11 +181,16 @@ def answers(
         own_run, proof = runs.alias("own_run"), evaluations.alias("proof")
         own, proved = ratings.alias("own_rating"), ratings.alias("proved_rating")
         same_cell = (own_run.c.setup_id == table.setup_id) & (own_run.c.parameter_set_id == table.parameter_set_id)
+        proves = (proof.c.id == table.proven_by) & ~_WITHDRAWN
+        by_own, by_proof = own.c.evaluator == corrected_by, proved.c.evaluator == corrected_by
+        if watermark is not None:
+            same_cell, proves = same_cell & (own_run.c.id <= watermark), proves & (proof.c.run_id <= watermark)
+            by_own, by_proof = by_own & (own.c.since <= watermark), by_proof & (proved.c.since <= watermark)
         source = (
             evaluations.outerjoin(own_run, copied & same_cell)
-            .outerjoin(own, (own.c.run_id == own_run.c.id) & (own.c.evaluator == corrected_by))
-            .outerjoin(proof, copied & (proof.c.id == table.proven_by))
-            .outerjoin(proved, (proved.c.run_id == proof.c.run_id) & (proved.c.evaluator == corrected_by))
+            .outerjoin(own, (own.c.run_id == own_run.c.id) & by_own)
+            .outerjoin(proof, copied & proves)
+            .outerjoin(proved, (proved.c.run_id == proof.c.run_id) & by_proof)
         )
         score = func.coalesce(own.c.score, proved.c.score, score)
         rating = func.coalesce(own.c.rating, proved.c.rating, rating)
@@ -244,6 +236,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
             table.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED, Outcome.REPEATED)),
+            ~_WITHDRAWN,
             table.score.is_not(None),
         )
         .group_by(table.parameter_set_id, table.scenario)
@@ -276,22 +269,32 @@ def released(connection: Connection, campaign_sequence: int) -> list[StoredEvalu
 
 
 def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
-    """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None."""
+    """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None. Withdrawn
+    certificates name another set's, too."""
     table = evaluations.c
-    query = select(table.reference).where(
+    query = select(case((_WITHDRAWN, table.proven_by), else_=table.reference)).where(
         table.campaign_sequence == campaign_sequence,
         table.stage == StageName.CALIBRATION,
         table.scenario == scenario,
         table.parameter_set_id == parameter_set_id,
-        table.outcome == Outcome.REUSED,
+        (table.outcome == Outcome.REUSED) | (_WITHDRAWN & table.proven_by.is_not(None)),
     )
     return connection.scalar(query.order_by(*_PLACE).limit(1))
 
 
-def outcomes_of(connection: Connection, campaign_sequence: int, sets: Sequence[int]) -> Iterator[tuple[int, str, Outcome]]:
-    """The answered cells of a calibration by the ids of their parameter sets: id, scenario and outcome, in the order of their request."""
+def withdrawn(connection: Connection, campaign_sequence: int) -> int:
+    """Returns the number of a calibration's answers whose certificate was withdrawn."""
     table = evaluations.c
-    query = select(table.parameter_set_id, table.scenario, table.outcome, *_PLACE[1:3]).where(
+    mine = table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION
+    return int(connection.scalar(select(func.count()).where(*mine, _WITHDRAWN)) or 0)
+
+
+def outcomes_of(connection: Connection, campaign_sequence: int, sets: Sequence[int]) -> Iterator[tuple[int, str, Outcome]]:
+    """The answered cells of a calibration by the ids of their parameter sets: id, scenario and outcome, in the order of their request.
+    Withdrawn answers are reused ones."""
+    table = evaluations.c
+    outcome = case((_WITHDRAWN, literal(Outcome.REUSED, table.outcome.type)), else_=table.outcome).label("outcome")
+    query = select(table.parameter_set_id, table.scenario, outcome, *_PLACE[1:3]).where(
         table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.outcome.is_not(None)
     )
     rows = rows_among(connection, query, table.parameter_set_id, list(sets))
@@ -307,43 +310,6 @@ def is_requested(
     if individual is not None:
         query = query.where(evaluations.c.individual == individual)
     return connection.execute(query.limit(1)).first() is not None
-
-
-def known(
-    connection: Connection, campaign_sequence: int, setup_ids: Collection[int], after: int
-) -> tuple[list[KnownAnswer], int]:
-    """Returns the simulated and certified answers of a campaign in some setups, of cells stored `after` a cell's id, in the order of their
-    request, and the id of the newest. Call it while no cell waits for its answer."""
-    cell = evaluations.c
-    weight = case(((lots.c.verdict == LotVerdict.RELEASED) & cell.sampled, lots.c.size * 1.0 / lots.c.sample), else_=1.0)
-    query = (
-        select(
-            cell.id,
-            cell.scenario,
-            cell.stage,
-            cell.iteration,
-            cell.individual,
-            parameter_sets.c.parameter_values,
-            cell.score,
-            cell.rating,
-            cell.predicted_score,
-            cell.confidence,
-            weight,
-        )
-        .join(parameter_sets)
-        .outerjoin(lots, lots.c.id == cell.lot)
-        .where(
-            cell.campaign_sequence == campaign_sequence,
-            cell.id > after,
-            cell.setup_id.in_(list(setup_ids)),
-            cell.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
-            cell.run_id.is_not(None),  # not withdrawn
-        )
-        .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
-    )
-    rows = connection.execute(query).all()
-    answers = [KnownAnswer(*row[:5], _parsed(row.parameter_values), *row[6:]) for row in rows]
-    return answers, max((row.id for row in rows), default=after)
 
 
 def is_pending(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> bool:
@@ -382,7 +348,7 @@ def _of_campaign(campaign_sequence: int) -> Select[Any]:
 def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
     for row in rows:
         values = list(row)
-        values[_PARAMETERS] = _parsed(values[_PARAMETERS])
+        values[_PARAMETERS] = parsed(values[_PARAMETERS])
         values[_PLAN] = Outcome(values[_PLAN])
         if values[_OUTCOME] is not None:
             values[_OUTCOME] = Outcome(values[_OUTCOME])

@@ -11,7 +11,7 @@ Light = Literal["green", "amber", "red"]
 
 class Reason(Answer):
     """A reason for a light. `about`: end, constraints, confirmation, baseline, search, later, earlier, map, references, predictions,
-    noise, failures, cut or robustness."""
+    certificates, noise, failures, cut or robustness."""
 
     light: Light
     about: str

@@ -1,9 +1,10 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
-from tests.support.storage import EVALUATOR, campaign, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
@@ -12,6 +13,8 @@ from drivecal.storage import evaluations, results
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.references import runs
+from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.results import StoredEvaluation
 
 CALIBRATION = StageName.CALIBRATION
@@ -160,6 +163,7 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         ]
         evaluations.answer(connection, answers)
         before = list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR))
+        watermark = runs.largest_id(connection)
         study = campaign(connection).sequence
         places = enumerate(sets[1:])
         own = [NewEvaluation(StageName.ROBUSTNESS, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in places]
@@ -167,6 +171,11 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         assert list(results.answers(connection, sequence, CALIBRATION)) == before
         after = list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR))
         assert list(results.answers(connection, sequence, CALIBRATION, corrected_by="another 1")) == before
+        seen = [
+            list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR, watermark=number))
+            for number in (watermark, runs.largest_id(connection))
+        ]
+        assert seen == [before, after]
     assert [(answer.score, answer.own, answer.predicted) for answer in before] == [
         (5, True, False),
         (5, False, False),
@@ -196,3 +205,38 @@ def test_a_copied_score_gives_way_to_the_run_that_a_certificate_names(database: 
         )
     assert (believed.score, believed.own) == (5, False)
     assert (known.score, known.own) == (3, True)
+
+
+def test_an_answer_by_a_withdrawn_certificate_counts_as_copied_until_the_very_cell_is_simulated(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup = campaign(connection).sequence, setup_id(connection)
+        sets = sample_set_ids(connection, 2)
+        cells = [
+            NewEvaluation(CALIBRATION, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in enumerate(sets)
+        ]
+        (proof,) = simulate(connection, sequence, cells[:1], score=5)
+        (certified,) = evaluations.insert(connection, sequence, cells[1:])
+        (stored,) = runs.insert_results(
+            connection, [new_run(setup, sets[1], evaluation=certified, campaign_sequence=sequence, individual=1)]
+        )
+        evaluations.answer(connection, [AnsweredCell(certified, Outcome.CERTIFIED, 6, 6.0, stored.id, proven_by=proof)])
+
+        def known(evaluator: str | None = EVALUATOR) -> tuple[float | None, bool]:
+            answer = list(results.answers(connection, sequence, CALIBRATION, corrected_by=evaluator))[-1]
+            return answer.score, answer.own
+
+        assert (known(), results.withdrawn(connection, sequence)) == ((6, True), 0)
+        assert results.best_simulated(connection, sequence, {"S1": 1}) == 6
+        withdraw_certified(connection, [setup])
+        assert known() == known(None) == (6, False)
+        assert results.withdrawn(connection, sequence) == 1
+        assert results.best_simulated(connection, sequence, {"S1": 1}) == 5
+        assert results.reference_of(connection, sequence, "S1", sets[1]) == proof
+        again = replace(cells[1], stage=StageName.ROBUSTNESS)
+        simulate(connection, campaign(connection).sequence, [again], score=4)
+        assert known() == (4, True)
+        later = replace(cells[1], iteration=1)
+        (own,) = simulate(connection, sequence, [later], score=4)
+        assert results.number_at(connection, sequence, 0, 1, "S1") == own
+        outcomes = list(results.outcomes_of(connection, sequence, [sets[1]]))
+        assert outcomes == [(sets[1], "S1", Outcome.REUSED), (sets[1], "S1", Outcome.SIMULATED)]

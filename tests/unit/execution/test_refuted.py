@@ -60,4 +60,5 @@ def test_certified_answers_that_arrive_with_the_contradiction_are_simulated_inst
         while not any(entry.result.agrees is False for entry in completed):
             completed = pool.poll(1.0)
         assert [entry.result.proven_by for entry in completed if entry.result.agrees is None] == [None] * (len(completed) - 1)
+        assert {entry.result.probed for entry in completed} == {()}
         assert all(entry.result.proven_by is None for entry in drain(pool, "a"))

@@ -102,7 +102,7 @@ def trust_in(
         first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
         made = [study for study in _about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
         documents = [(study, studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}) for study in made]
-        search = _search(connection, campaign)
+        search, withdrawn = _search(connection, campaign), results.withdrawn(connection, campaign.sequence)
     validated = [
         Validated(study.campaign, [ValidationRow.model_validate(item) for item in document["items"]])
         for study, document in documents
@@ -117,7 +117,8 @@ def trust_in(
     earlier = None if first is None else earlier_best(database, campaign, first)
     compromises = _compromises(database, campaign, front)
     later = None if compromises is not None else later_best(database, campaign)
-    return trust(campaign_answer(begun, now(), silent=None), validated, driven, earlier, search, compromises, chosen, later)
+    answer = campaign_answer(begun, now(), silent=None)
+    return trust(answer, validated, driven, earlier, search, compromises, chosen, later, withdrawn)
 
 
 def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFront | None) -> Compromises | None:

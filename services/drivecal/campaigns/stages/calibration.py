@@ -227,6 +227,9 @@ class Calibration(CampaignStage):
     def _confirm(self) -> Round | None:
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
+        with self._database.read() as connection:
+            if results.withdrawn(connection, sequence):  # another campaign may have contradicted their certificates
+                self._ranking = self._answers.rank_again(connection, sequence)
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
         if limit == 0 or believed is None:

@@ -213,6 +213,7 @@ class Scheduler:
         completed = []
         if setup in self._refuted:
             self._put_back_certified(sent, answers)
+            answers = {number: replace(answer, probed=()) for number, answer in answers.items()}
         else:
             self._shared_runs.take(result.worker, setup, result.learned)
         for leader in sent.leaders:

@@ -1,7 +1,8 @@
 """Withdrawal of certified results after a simulation contradicted a certificate of their setup.
 
 Workers answer the cells of a setup from the same recorded decisions. If one certificate is wrong, its siblings may be wrong too: all
-results of the setup that no simulation gave. They stay as answers of their cells, marked, and answer no other cell from then on.
+results of the setup that no simulation gave. They stay as answers of their cells, marked, and answer no other cell from then on. Rankings
+take them for copies (`storage.results`): a simulation of the very cell takes their place, and confirms the best set if it has one.
 """
 
 from collections.abc import Collection
