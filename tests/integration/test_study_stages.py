@@ -106,6 +106,25 @@ def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(
     assert {row.outcome for row in first} == {Outcome.SIMULATED, Outcome.REPEATED}
 
 
+def test_a_study_of_another_campaign_chooses_its_sets_by_scores_that_simulations_corrected(database: Database) -> None:
+    blind = {scenario: {f"P{i}": {"influential": False} for i in range(2, 12)} for scenario in ("S1", "S2", "S3")}
+    searched = run(
+        database,
+        submit(database, stored_map=post_map(database, blind), reduction={"audit": 0.0, "confirm": 0}),
+        ComputedBackend(answer=influenced),
+    )
+    robust = {"of": searched.id, "delta": 0.05, "steps": 1, "samples": 2, "solutions": 5}
+    first, second = (
+        study(database, run(database, submit(database, optimizer=None, robustness=robust), ComputedBackend(answer=influenced)))
+        for _ in range(2)
+    )
+    believed = searched.best
+    assert believed is not None
+    wrong = [row["parameters"] for row in first["items"] if row["objective"] < believed.objective - 1e-9]
+    assert wrong
+    assert not any(row["parameters"] in wrong for row in second["items"])
+
+
 def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database) -> None:
     def fragile(setup: DriveRequest, cell: Cell) -> CellResult:
         if setup.vehicle_parameters["mass"] > NOMINAL_MASS + 0.12 * MASS_RANGE:

@@ -16,6 +16,7 @@ from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
@@ -100,12 +101,21 @@ class RobustnessStage(StudyStage):
         self._study: RobustnessStudy | None = None
 
     def _choose(self) -> list[Examined]:
-        """The named sets, then the best sets of the calibration, or its front, one of each region first."""
+        """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
+        sees correct copied scores of another campaign, as in that one's ranking; a resumed study sees the same."""
         goals, of = self._goals, self._wanted.of
         standing = Ranking(self._problem.weights, self._sign, goals)
         with self._database.read() as connection:
             source = self._campaign if of is None else campaigns.get(connection, of)
-            standing.add(results.answers(connection, source.sequence, StageName.CALIBRATION, valued=self._valued))
+            corrected_by = None if of is None else resolved_spec(source).evaluator
+            standing.add(
+                results.answers(
+                    *(connection, source.sequence, StageName.CALIBRATION),
+                    corrected_by=corrected_by,
+                    watermark=self._view.watermark,
+                    valued=self._valued,
+                )
+            )
             several = goals is not None and len(goals.objectives) > 1
             best, worse = self._on_front(standing) if several else self._within(standing)
             sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
