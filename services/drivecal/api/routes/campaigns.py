@@ -1,5 +1,6 @@
 """Campaigns: submit, read, steer, run again."""
 
+from collections import defaultdict
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -21,7 +22,8 @@ from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
-from drivecal.storage import audits, campaigns, comparisons, evaluations, revision_queries
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import audits, campaigns, comparisons, evaluations, lots, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -124,8 +126,11 @@ def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
         proofs = audits.proofs(connection, stored.sequence, resolved.evaluator, resolved.scale) if resolved is not None else ()
         searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
         confirmed = evaluations.confirmed(connection, stored.sequence, searched)
+        of_predictions = lots.of_campaign(connection, stored.sequence, Outcome.PREDICTED)
     known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
-    predictors = {scenario: lots.seconds for scenario, lots in stored.released.items()}
+    predictors: dict[str, float] = defaultdict(float)
+    for lot in of_predictions:  # `released` sums up those of whole generations
+        predictors[lot.scenario] += lot.seconds
     return account(
         stored.id,
         stored.state,

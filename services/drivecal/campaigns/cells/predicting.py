@@ -337,7 +337,7 @@ def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds:
 
 
 def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
-    return sum(lot.seconds for lot in served) <= sum(lot.size - lot.sample for lot in served) * cell_seconds
+    return sum(lot.seconds for lot in served) <= sum(lot.released for lot in served) * cell_seconds
 
 
 def released_by_scenario(
