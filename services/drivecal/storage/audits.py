@@ -61,6 +61,16 @@ def wrong_in_lots(
     return dict(connection.execute(query).all()) if lot_ids else {}
 
 
+def sampled_sets(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, set[int]]:
+    """Returns the parameter sets of the audited cells of lots, by lot."""
+    cell = evaluations.c
+    query = select(cell.lot, cell.parameter_set_id).where(cell.campaign_sequence == campaign_sequence, cell.audited)
+    sets: dict[int, set[int]] = {}
+    for lot, parameter_set in rows_among(connection, query, cell.lot, list(lot_ids)):
+        sets.setdefault(lot, set()).add(parameter_set)
+    return sets
+
+
 def trusted(connection: Connection, campaign_sequence: int, evaluator: str, references: Sequence[int]) -> dict[int, Donor]:
     """Returns the results of references as a campaign's evaluator rates them, by id; those without a result are left out."""
     mine = _donor.c.campaign_sequence == campaign_sequence

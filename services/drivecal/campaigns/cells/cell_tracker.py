@@ -6,7 +6,7 @@ The database rows are authoritative: a tracker is loaded from them after every a
 import logging
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -114,12 +114,12 @@ class CellTracker:
                 self._copies.setdefault(cell.reference, []).append(cell)
         answers: list[AnsweredCell] = []
         if share_runs:
-            self._share_runs(connection, answers)
+            self._share_runs(connection, answers, self._pending.values())
         while rejected := self._settle(connection, answers):
             evaluations.simulate_instead(connection, [cell.id for cell in rejected])
             answers = []
             if share_runs:
-                self._share_runs(connection, answers)
+                self._share_runs(connection, answers, self._pending.values())
         self._breakdowns = leases.breakdowns(connection, list(self._pending))
         simulated = [cell for cell in self._pending.values() if cell.plan is Outcome.SIMULATED]
         return self._work(simulated, self._probes(connection, simulated))
@@ -154,6 +154,11 @@ class CellTracker:
         orphans += self._settle(connection, answers)
         evaluations.note_proofs(connection, proofs)
         evaluations.simulate_instead(connection, [orphan.id for orphan in orphans])
+        if orphans and not self._exclusive:  # the sample of a lot may hold the very cell
+            known: list[AnsweredCell] = []
+            self._share_runs(connection, known, orphans)
+            evaluations.answer(connection, known)
+            orphans = [orphan for orphan in orphans if orphan.id in self._pending]
         if self._refuted_setups:
             withdrawn = withdraw_certified(connection, self._refuted_setups)
             log.error("%s; %d answers of its setup by certificates are withdrawn", self._refuted, withdrawn)
@@ -236,17 +241,18 @@ class CellTracker:
         if self._refuted is not None:
             raise RefutedError(self._refuted)
 
-    def _share_runs(self, connection: Connection, answers: list[AnsweredCell]) -> None:
+    def _share_runs(self, connection: Connection, answers: list[AnsweredCell], cells: Iterable[StoredEvaluation]) -> None:
+        """Answers cells of which a run is stored by now."""
         wanted: dict[int, list[StoredEvaluation]] = {}
-        for waiting in self._pending.values():
+        for waiting in cells:
             if waiting.plan is Outcome.SIMULATED:
                 wanted.setdefault(waiting.setup_id, []).append(waiting)
         for setup_id in sorted(runs.stocked(connection, wanted)):
-            cells = wanted[setup_id]
-            ids = [cell.parameter_set_id for cell in cells]
+            here = wanted[setup_id]
+            ids = [cell.parameter_set_id for cell in here]
             stored = runs.look_up_exact(connection, setup_id, ids, self._evaluator_id, watermark=sys.maxsize)
             proofs = runs.proofs(connection, [donor.run for donor in stored.values()])
-            known = [(cell, stored[cell.parameter_set_id]) for cell in cells if cell.parameter_set_id in stored]
+            known = [(cell, stored[cell.parameter_set_id]) for cell in here if cell.parameter_set_id in stored]
             taken = [(cell, run) for cell, run in known if run.run not in proofs or self._cell(cell).may_be_certified]
             self.faults.note_stored(connection, [(cell.scenario, run) for cell, run in taken])
             for cell, run in taken:

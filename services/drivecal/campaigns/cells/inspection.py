@@ -96,7 +96,8 @@ class Inspection:
         """Stores the verdicts of lots with a complete sample, and returns the cells to release, with their answers, and those to simulate.
 
         All answers so far must be stored; `pending` cells have none. A verdict waits for the whole sample even if it cannot change any
-        more, so that it does not depend on the workers' timing, and for the references of all cells.
+        more, so that it does not depend on the workers' timing, and for the references of all cells. A member whose very set was drawn as
+        another individual is simulated: its score is known, and its reference's may be refuted.
         """
         for lot in self._open.values():
             lot.awaited.intersection_update(pending)
@@ -107,7 +108,8 @@ class Inspection:
         for lot in complete:
             del self._open[lot.lot.id]
             cells = list(lot.members.values())
-            answers = self._answers(connection, lot.lot.kind, cells) if lot.plan.releases(lot.errors) else {}
+            releasable = self._not_drawn(connection, lot) if lot.plan.releases(lot.errors) else []
+            answers = self._answers(connection, lot.lot.kind, releasable) if releasable else {}
             released += [(cell, answers[cell.id]) for cell in cells if cell.id in answers]
             simulated += [cell for cell in cells if cell.id not in answers]
         verdicts = {
@@ -124,6 +126,14 @@ class Inspection:
         wrong = audits.wrong_in_lots(connection, self._campaign, self._evaluator, self._scale, list(reused))
         for number, lot in reused.items():
             lot.errors = wrong.get(number, 0)
+
+    def _not_drawn(self, connection: Connection, lot: _OpenLot) -> list[StoredEvaluation]:
+        """Returns the members of a lot whose set is not in its sample; lots of predictions hold each set once."""
+        members = list(lot.members.values())
+        if lot.lot.kind is Outcome.PREDICTED or not members:
+            return members
+        drawn = audits.sampled_sets(connection, self._campaign, [lot.lot.id]).get(lot.lot.id, set())
+        return [cell for cell in members if cell.parameter_set_id not in drawn]
 
     def _answers(self, connection: Connection, kind: Outcome, cells: Collection[StoredEvaluation]) -> dict[int, AnsweredCell]:
         """Returns the answers of released cells, by id. A reference without a result answers no cell."""
