@@ -16,6 +16,7 @@ from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 
+from drivecal.api.routes.campaigns import accounting
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results import prediction
 from drivecal.campaigns.results.explanation import explain
@@ -23,9 +24,10 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import known_answers, lots
+from drivecal.storage import evaluations, known_answers, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 ITERATIONS = 4
@@ -225,6 +227,35 @@ def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Da
         "released",
     )
     assert told[3].prediction is None
+
+
+def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_prediction(
+    predicted: tuple[Database, StoredCampaign],
+) -> None:
+    database, campaign = predicted
+    believed = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED)
+    place = believed.stage, ITERATIONS, 0, believed.scenario, believed.setup_id, believed.parameter_set_id
+    with database.transaction() as connection:
+        (confirming,) = evaluations.insert(connection, campaign.sequence, [NewEvaluation(*place, Outcome.SIMULATED)])
+        explanation = explain(connection, confirming)
+        connection.rollback()
+    assert (explanation.reason, explanation.reference) == ("confirmation", None)
+    assert explanation.prediction is not None
+    assert (explanation.prediction.score, explanation.prediction.confidence) == (believed.predicted_score, believed.confidence)
+    assert explanation.prediction.lot is not None
+    assert explanation.prediction.lot.id == believed.lot
+
+
+def test_the_account_has_the_cost_of_lots_before_their_generation_ends(database: Database) -> None:
+    campaign = ask(database)
+    step_until(database, campaign, 2, dispatcher(database, ComputedBackend(answer=slowly)))
+    costs: dict[str, float] = {}
+    for lot in lots_of(database, campaign):
+        costs[lot.scenario] = costs.get(lot.scenario, 0.0) + lot.seconds
+    account = accounting(campaign.id, database)
+    told = {row.scenario: row.predictor_seconds for row in account.scenarios}
+    assert {name: told[name] for name in costs} == pytest.approx(costs)
+    assert {name: released.seconds for name, released in get(database, campaign).released.items()} != pytest.approx(costs)
 
 
 def test_the_predictor_that_explains_is_the_predictor_that_predicted(

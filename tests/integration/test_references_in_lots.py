@@ -24,6 +24,7 @@ from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.results import StoredEvaluation
 
 ITERATIONS = 4
 STRIDE = tries(27, 9)
@@ -84,7 +85,10 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     database, campaign = inspected
     rows, stored = rows_of(database, campaign), lots_of(database, campaign)
     outcomes = Counter(row.outcome for row in rows)
-    assert campaign.cells.reused == outcomes[Outcome.REUSED] == sum(lot.released for lot in stored) > 0
+    assert campaign.cells.reused == outcomes[Outcome.REUSED] > 0
+    released = {lot.id for lot in stored if lot.verdict is LotVerdict.RELEASED}
+    drawn_twice = sum(row.lot in released and not row.audited and row.outcome is Outcome.SIMULATED for row in rows)
+    assert sum(lot.released for lot in stored) == campaign.cells.reused + drawn_twice
     assert campaign.cells.audited == sum(row.audited for row in rows) == sum(lot.sample for lot in stored)
     assert campaign.cells.sampled == 0, "these are drawn predictions"
     assert {lot.verdict for lot in stored} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
@@ -107,6 +111,7 @@ def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simula
     database, campaign = inspected
     rows = rows_of(database, campaign)
     by_id = {row.id: row for row in rows}
+    twins_of_all: list[tuple[StoredEvaluation, StoredEvaluation]] = []
     for lot in lots_of(database, campaign):
         members = [row for row in rows if row.lot == lot.id]
         sample = [row for row in members if row.audited]
@@ -115,12 +120,20 @@ def test_a_sample_is_compared_with_its_references_and_its_lot_released_or_simula
         assert lot.errors == sum(difference > lot.tolerance for difference in differences)
         rest = [row for row in members if not row.audited]
         if lot.verdict is LotVerdict.RELEASED:
-            assert {row.outcome for row in rest} <= {Outcome.REUSED}
-            assert all(row.score == by_id[row.reference or 0].score for row in rest)
+            known = {row.parameter_set_id: row for row in sample}
+            twins = [row for row in rest if row.parameter_set_id in known]
+            twins_of_all += [(row, known[row.parameter_set_id]) for row in twins]
+            released = [row for row in rest if row not in twins]
+            assert {row.outcome for row in released} <= {Outcome.REUSED}
+            assert all(row.score == by_id[row.reference or 0].score for row in released)
         else:
             assert {row.outcome for row in rest} <= {Outcome.SIMULATED}
             assert all(row.reference is None for row in rest)
             assert (lot.errors or 0) > lot.acceptance
+    assert twins_of_all, "individuals with the same set"
+    for row, drawn in twins_of_all:
+        assert (row.outcome, row.score, row.run_id) == (Outcome.SIMULATED, drawn.score, drawn.run_id)
+        assert (row.attempts, row.reference) == (0, None), "the sample's run"
     in_lots = {row.id for row in rows if row.lot is not None}
     assert all(row.id in in_lots for row in rows if row.outcome is Outcome.REUSED)
 
@@ -229,10 +242,11 @@ def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign])
         next(row for row in rows if row.outcome is Outcome.REUSED),
         next(row for row in rejected if row.audited),
         next(row for row in rejected if not row.audited),
+        next(row for row in rows if row.lot and row not in rejected and not row.audited and row.outcome is Outcome.SIMULATED),
     ]
     with database.read() as connection:
         told = [explain(connection, row.id) for row in chosen]
-    assert [explanation.reason for explanation in told] == ["reused", "audited", "lot_rejected"]
+    assert [explanation.reason for explanation in told] == ["reused", "audited", "lot_rejected", "unanswered"]
     for explanation, row in zip(told, chosen, strict=True):
         lot = stored[row.lot or 0]
         assert explanation.lot is not None

@@ -39,6 +39,9 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
         case "audited":
             listed = _listed(explanation.differences)
             return f"{beginning} to check the reduction, which would have reused {where}: {listed}. {_verdict(explanation, tolerated)}"
+        case "confirmation" if explanation.reference is None:
+            simulated = "" if explanation.score is None else f" The simulation gave {told(explanation.score)}."
+            return f"{beginning} after the search, to confirm it: the score here was predicted: {_predicted(explanation)}{simulated}"
         case "confirmation":
             trusted = f"the best set's score here was that of {where}, which differs only where it should not matter"
             listed = _listed(explanation.differences)
@@ -50,6 +53,9 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
             return f"{beginning}: none of {explanation.stored:,} stored sets fits; {nearest}."
         case "nothing_stored":
             return f"{beginning}: nothing was stored for this setup when the campaign asked."
+        case "unanswered" if explanation.lot is not None:
+            without = "the cell that was to answer it has no result, or its very set was simulated in the sample of its lot"
+            return f"{beginning}: {without}; since then {where} would fit."
         case "unanswered":
             return f"{beginning}: the cell that was to answer it ended without a result; since then {where} would fit."
         case "stopped":

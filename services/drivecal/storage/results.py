@@ -268,18 +268,18 @@ def released(connection: Connection, campaign_sequence: int) -> list[StoredEvalu
     return list(_evaluations(connection.execute(query)))
 
 
-def reference_of(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> int | None:
-    """The evaluation by which a calibration answered a parameter set's cell first, where it was another set's; else None. Withdrawn
-    certificates name another set's, too."""
+def first_copy(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> StoredEvaluation | None:
+    """Returns the cell by which a calibration answered a parameter set first without a run of its own: reused, predicted or withdrawn; None
+    without one."""
     table = evaluations.c
-    query = select(case((_WITHDRAWN, table.proven_by), else_=table.reference)).where(
+    query = _select().where(
         table.campaign_sequence == campaign_sequence,
         table.stage == StageName.CALIBRATION,
         table.scenario == scenario,
         table.parameter_set_id == parameter_set_id,
-        (table.outcome == Outcome.REUSED) | (_WITHDRAWN & table.proven_by.is_not(None)),
+        _COPIED,
     )
-    return connection.scalar(query.order_by(*_PLACE).limit(1))
+    return next(_evaluations(connection.execute(query.order_by(*_PLACE).limit(1))), None)
 
 
 def withdrawn(connection: Connection, campaign_sequence: int) -> int:

@@ -231,7 +231,10 @@ def test_an_answer_by_a_withdrawn_certificate_counts_as_copied_until_the_very_ce
         assert known() == known(None) == (6, False)
         assert results.withdrawn(connection, sequence) == 1
         assert results.best_simulated(connection, sequence, {"S1": 1}) == 5
-        assert results.reference_of(connection, sequence, "S1", sets[1]) == proof
+        copy = results.first_copy(connection, sequence, "S1", sets[1])
+        assert copy is not None
+        assert (copy.id, copy.reference) == (certified, proof)
+        assert results.first_copy(connection, sequence, "S1", sets[0]) is None
         again = replace(cells[1], stage=StageName.ROBUSTNESS)
         simulate(connection, campaign(connection).sequence, [again], score=4)
         assert known() == (4, True)

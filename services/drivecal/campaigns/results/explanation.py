@@ -1,7 +1,7 @@
 """Explains why a cell was reused or not, from what the campaign saw when it requested the cell."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -118,8 +118,11 @@ _REASONS: Mapping[Outcome, Reason] = {
 
 def _not_reused(case: _Case) -> Explanation:
     trusted = _trusted(case)
-    if trusted is not None:
-        reference, differences = _reference(case, trusted)
+    if trusted is not None and trusted.outcome is Outcome.PREDICTED:
+        believed = replace(case, cell=trusted).prediction
+        return _explanation(case, "confirmation", prediction=believed)
+    if trusted is not None and trusted.reference is not None:
+        reference, differences = _reference(case, trusted.reference)
         return _explanation(case, "confirmation", reference=reference, differences=differences, audit=_audit(case, reference))
     reason, stop = _forbidden(case)
     if reason is not None:
@@ -138,14 +141,14 @@ def _not_reused(case: _Case) -> Explanation:
     )
 
 
-def _trusted(case: _Case) -> int | None:
-    """The reference that answered a cell before its simulation confirmed the best set; None for other cells."""
+def _trusted(case: _Case) -> StoredEvaluation | None:
+    """The cell with the copied or predicted score that this cell's simulation confirmed after the search; None for other cells."""
     cell, specification = case.cell, case.specification
     if specification is None or specification.optimizer is None or cell.stage is not StageName.CALIBRATION:
         return None
     if cell.iteration < specification.optimizer.iterations:
         return None
-    return results.reference_of(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
+    return results.first_copy(case.connection, cell.campaign_sequence, cell.scenario, cell.parameter_set_id)
 
 
 def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | None]:
@@ -277,6 +280,7 @@ def _explanation(
     distance: float | None = None,
     stored: int | None = None,
     stop: tuple[int, AuditCount] | None = None,
+    prediction: Prediction | None = None,
 ) -> Explanation:
     cell = case.cell
     answer = Explanation(
@@ -298,7 +302,7 @@ def _explanation(
         differences=list(differences),
         audit=audit,
         proof=_proof(case),
-        prediction=case.prediction,
+        prediction=prediction or case.prediction,
         lot=None if case.lot is None or case.lot.kind is not Outcome.REUSED else inspected_lot(case.lot),
         distance=distance,
         stored=stored,
