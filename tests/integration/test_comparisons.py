@@ -240,7 +240,7 @@ def test_a_reduction_is_compared_seed_by_seed(database: Database) -> None:
         counted = [sum(getattr(one.error_rate["S1"], name) for one in group) for group in (reduced, inspected)]
         assert getattr(rate, name) == sum(counted) > 0
     assert rate.lots == sum(one.error_rate["S1"].lots for one in inspected)
-    assert rate.upper_95 is not None
+    assert rate.upper_95 is None, "every run has its own"
     assert not rate.stopped
     assert len(ended.notes) == sum("lots of reused answers" in note for one in inspected for note in one.notes) > 0
     assert all(note.startswith("genetic, population 9, seed ") for note in ended.notes)

@@ -99,6 +99,14 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
         assert rate.audited == sum(lot.sample for lot in here)
         assert rate.wrong == sum(lot.errors or 0 for lot in here)
         assert not rate.stopped
+        assert rate.upper_95 is not None
+        wrong = sum(
+            row.score != nearly(scenario, Cell(0, row.parameters.floats)).score
+            for row in rows
+            if row.outcome is Outcome.REUSED and row.scenario == scenario
+        )
+        count = sum(row.outcome is Outcome.REUSED and row.scenario == scenario for row in rows)
+        assert wrong / count <= rate.upper_95 < 1
     assert campaign.released == {}
     assert campaign.error_rate["S2"].rejected == 0
     assert campaign.error_rate["S1"].rejected > 0

@@ -49,8 +49,11 @@ def error_rates(
     scenarios: Iterable[str],
     contradictions: Mapping[str, int] | None = None,
     lots: Mapping[str, tuple[int, int]] | None = None,
+    released: Mapping[str, float] | None = None,
 ) -> dict[str, ErrorRate]:
     """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` and its inspected and rejected `lots` beside it.
+    `released`: upper limits of the share of wrong answers among those that lots released. Samples of lots are of different shares of these,
+    so that only audits without lots have an interval.
 
     An earlier release stopped reuse in a scenario for good once the lower end of the interval passed `max_error`: what it stopped stays
     stopped (`before`).
@@ -65,7 +68,7 @@ def error_rates(
         )
         count = by_scenario.get(scenario)
         if count is not None and count.audited:
-            _, upper = clopper_pearson(count.wrong, count.audited)
+            upper = (released or {}).get(scenario) if inspected else clopper_pearson(count.wrong, count.audited)[1]
             counted = {"audited": count.audited, "different": count.different, "wrong": count.wrong, "upper_95": upper}
             rate = rate.model_copy(update=counted)
         rates[scenario] = rate

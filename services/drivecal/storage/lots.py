@@ -101,6 +101,14 @@ def verdicts(connection: Connection, campaign_sequence: int, kind: Outcome) -> d
     return {name: (inspected, count) for name, inspected, count in connection.execute(query.group_by(lots.c.scenario))}
 
 
+def released_cells(connection: Connection, campaign_sequence: int, kind: Outcome) -> dict[str, int]:
+    """Returns the number of answers that lots of a kind released, by scenario, without zeros."""
+    cell = evaluations.c
+    mine = cell.campaign_sequence == campaign_sequence, cell.outcome == kind, cell.lot.is_not(None)
+    query = select(cell.scenario, func.count()).where(*mine).group_by(cell.scenario)
+    return dict(connection.execute(query).all())
+
+
 def references(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, set[int]]:
     """Returns the evaluations that are to answer, or are compared with, the cells of a campaign's lots of references, by lot."""
     cell = evaluations.c

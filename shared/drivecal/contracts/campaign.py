@@ -135,10 +135,13 @@ class CellsByStage(Answer):
 
 
 class ErrorRate(Answer):
-    """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance; `upper_95`: the upper
-    end of the 95 % Clopper-Pearson interval of wrong / audited, null before the first audit; `contradictions`: reference keys under which
-    simulated results have different scores, among the campaign's own and the references of their keys. Of the inspected `lots` of reused
-    answers so many were `rejected` and simulated whole. `stopped`: an earlier release stopped reuse here for good."""
+    """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance; `contradictions`: reference
+    keys under which simulated results have different scores, among the campaign's own and the references of their keys. Of the inspected
+    `lots` of reused answers so many were `rejected` and simulated whole. `stopped`: an earlier release stopped reuse here for good.
+
+    R_err is wrong / audited. `upper_95`: with lots, a time-uniform upper limit of the share of wrong answers among the released ones;
+    without lots, the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit, and for several runs with lots.
+    Lots are sampled in different shares, so that with them R_err is what the audits saw, and no estimate of all answers."""
 
     audited: int = 0
     different: int = 0

@@ -49,6 +49,14 @@ def test_contradictions_and_lots_stand_beside_the_audits_and_stop_nothing() -> N
     assert not any(rate.stopped for rate in rates.values())
 
 
+def test_lots_have_the_limit_of_what_they_released_and_no_interval_over_unlike_samples() -> None:
+    counts = [AuditCount(name, 278, 2, 2) for name in ("S1", "S2", "S3")]
+    lots = {"S1": (21, 0), "S2": (1, 1), "S3": (0, 0)}
+    rates = error_rates(counts, {}, lots, lots=lots, released={"S1": 0.08})
+    assert (rates["S1"].upper_95, rates["S2"].upper_95) == (0.08, None)
+    assert rates["S3"].upper_95 == clopper_pearson(2, 278)[1]
+
+
 @given(st.lists(st.integers(0, 12).flatmap(lambda n: st.tuples(st.just(n), st.integers(0, n))), max_size=8))
 def test_when_an_earlier_release_stopped_reuse_is_found_again_from_the_audits_of_each_iteration(
     audits: list[tuple[int, int]],

@@ -17,7 +17,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.reduction.audit import error_rates, expected_error_rate
-from drivecal.reduction.lots import best_plan
+from drivecal.reduction.lots import SamplingPlan, best_plan, most_released
 from drivecal.storage import audits, events, lots
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import NewLot
@@ -60,12 +60,23 @@ def check_reuse(
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
     contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
     inspected = lots.verdicts(connection, campaign, Outcome.REUSED)
-    rates = error_rates(audits.count(connection, campaign, rater, scale), before, scenarios, contradictions, inspected)
+    counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign) if inspected else {}
+    rates = error_rates(counts, before, scenarios, contradictions, inspected, bounds)
     for scenario, rate in rates.items():
         if rate.rejected and not (scenario in before and before[scenario].rejected):
             data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
             events.add(connection, campaign, EventKind.LOT_REJECTED, data)
     return rates
+
+
+def _most_wrong(connection: Connection, campaign: int) -> dict[str, float]:
+    """Returns an upper 95 % limit of the share of wrong answers among those that lots of references released, by scenario."""
+    plans: dict[str, list[tuple[SamplingPlan, int]]] = defaultdict(list)
+    for lot in lots.of_campaign(connection, campaign, Outcome.REUSED):
+        if lot.verdict is not None:
+            plans[lot.scenario].append((SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0))
+    released = lots.released_cells(connection, campaign, Outcome.REUSED)
+    return {name: min(1.0, most_released(plans[name]) / count) for name, count in released.items()}
 
 
 def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:

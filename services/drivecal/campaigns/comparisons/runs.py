@@ -238,7 +238,7 @@ class _Sum:
 
 def _rate(audits: Mapping[str, int]) -> ErrorRate:
     counts = {name: audits[name] for name in ("audited", "different", "wrong", "contradictions", "lots", "rejected")}
-    upper = clopper_pearson(audits["wrong"], audits["audited"])[1]
+    upper = None if audits["lots"] else clopper_pearson(audits["wrong"], audits["audited"])[1]  # lots have a bound in each run
     return ErrorRate(**counts, upper_95=upper, stopped=bool(audits["stopped"]))
 
 

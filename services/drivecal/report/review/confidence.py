@@ -88,6 +88,7 @@ def _audits(reviewed: ReviewedSet, label: str) -> list[str]:
         return []
     header = ["scenario", "audited", "different", "wrong", "95 % bound", "lots", "rejected", "reuse"]
     caption = f"Audits of copied scores{label}: copies that were simulated all the same; bound: of the share of wrong ones"
+    caption += " among those that lots released, without lots among all"
     return [table(header, rows, caption), command(f"drivecal show {reviewed.campaign.id}")]
 
 

@@ -40,7 +40,8 @@ def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
     tolerated = campaign.scale.amount(campaign.scale.tolerance)
     wrong = f"wrong: the scores differ by more than {tolerated}"
     lots = "a lot of references with too many wrong samples was rejected, and every cell of it simulated"
-    caption = f"Self-check: reusable cells that were simulated all the same; {wrong}; {lots}"
+    limit = "bound: of the share of wrong answers among those that lots released, without lots of R_err"
+    caption = f"Self-check: reusable cells that were simulated all the same; {wrong}; {lots}; {limit}"
     rows = error_rates(campaign.error_rate)
     content = [table(header, rows, caption)] if rows else []
     predicted = lots_table(campaign)
