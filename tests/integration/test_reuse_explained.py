@@ -114,6 +114,16 @@ def test_where_the_campaign_allows_no_reuse_that_is_the_reason(
     assert _explain(database, cell).reason == reason
 
 
+@pytest.mark.parametrize("mode", ["influence", "predicted"])
+def test_a_baseline_is_simulated_as_a_given_set_where_others_are_reused(database: Database, mode: str) -> None:
+    baseline = {f"P{number}": 0.5 for number in range(1, 12)}
+    maps = {"stored_map": post_map(database, nothing_matters())} if mode == "influence" else {}
+    run(database, submit(database, **maps))
+    campaign = run(database, submit(database, baseline=baseline, reduction={"mode": mode, "certified": False}, **maps))
+    given = [row for row in rows_of(database, campaign) if (row.iteration, row.individual) == (0, 0)]
+    assert {(row.outcome, _explain(database, row).reason) for row in given} == {(Outcome.SIMULATED, "given")}
+
+
 def test_audits_and_the_stop_by_an_earlier_release_are_explained(database: Database) -> None:
     reduction = {"audit": 0.5, "max_error": 0.02}
     campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction=reduction)

@@ -66,6 +66,8 @@ def _reason(explanation: Explanation, stop: tuple[int, AuditCount] | None, toler
             return (
                 f"{beginning}: only equal parameter sets are answered from the table here (exact only), and this one was new."
             )
+        case "given":
+            return f"{beginning}: it is the baseline or a given start set, whose scores no reference or prediction answers."
         case "off":
             return f"{beginning}: reuse is off in this campaign (reduction.mode: off)."
         case "study":

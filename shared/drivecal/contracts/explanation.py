@@ -23,6 +23,7 @@ Reason = Literal[
     "no_map",
     "exact_only",
     "off",
+    "given",
     "analysis",
     "study",
     "predicted",
@@ -34,10 +35,10 @@ Reason = Literal[
 """`confirmation`: simulated after the search, for a set whose score there was a reference's or a `prediction`. `blocked`: something is
 stored, but every set differs where it matters. `unanswered`: the cell that was to answer it has no result, or the sample of its lot holds
 the very set. `stopped`: the self-check stopped reuse in this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse.
-`analysis`: a cell of the sensitivity stage, which only repeats. `predicted`: released with its lot. `sampled`, `lot_rejected`: simulated to
-inspect its lot, or because of the lot's verdict; the sample of a lot of references is `audited`.
-`not_accepted`: predicted, but simulated, for the prediction was too uncertain or the set too good. `not_predicted`: the predictor was not
-asked."""
+`given`: the baseline or a given start set. `analysis`: a cell of the sensitivity stage, which only repeats. `predicted`: released with its
+lot. `sampled`, `lot_rejected`: simulated to inspect its lot, or because of the lot's verdict; the sample of a lot of references is
+`audited`. `not_accepted`: predicted, but simulated, for the prediction was too uncertain or the set too good. `not_predicted`: the
+predictor was not asked."""
 
 
 class Difference(Answer):

@@ -16,7 +16,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import AuditCount, Outcome
 from drivecal.domain.influence import InfluenceMap
-from drivecal.domain.parameters import billionths
+from drivecal.domain.parameters import Setting, billionths
 from drivecal.domain.scales import Scale, told
 from drivecal.reduction import explanation
 from drivecal.reduction.audit import stopped_after
@@ -164,6 +164,8 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         return "study", None
     if specification.reduction.mode == "exact":
         return "exact_only", None
+    if cell.iteration == 0 and _is_given(case):
+        return "given", None
     if specification.reduction.mode == "predicted" or (case.influence_map is None and specification.reduction.mode == "both"):
         return "not_predicted" if cell.confidence is None else "not_accepted", None
     if case.influence_map is None:
@@ -175,6 +177,16 @@ def _forbidden(case: _Case) -> tuple[Reason | None, tuple[int, AuditCount] | Non
         if stop is not None and cell.iteration > stop[0]:
             return "stopped", stop
     return None, None
+
+
+def _is_given(case: _Case) -> bool:
+    """Returns whether a set of the start population is the baseline or a given start set."""
+    optimizer = None if case.specification is None else case.specification.optimizer
+    baseline = case.campaign.baseline
+    given: list[Mapping[str, Setting]] = [] if optimizer is None else list(optimizer.start_sets)
+    given += [] if baseline is None else [baseline.parameters]
+    values = case.cell.parameters.floats
+    return any(all(values.get(name) == value for name, value in each.items()) for each in given)
 
 
 def _nearest(case: _Case) -> tuple[Nearest | None, int]:

@@ -65,7 +65,7 @@ def _pair(axes: Axes, rows: Sequence[FrontRow], summary: FrontSummary, first: Fr
         if first.name in row.best_in or second.name in row.best_in:
             axes.plot(*place(row.objectives), "D", markerfacecolor="none", markeredgecolor=ORANGE, markersize=8)
     if summary.baseline is not None:
-        axes.plot(*place(summary.baseline.objectives), "x", color=INK, markersize=7)
+        axes.plot(*place(summary.baseline.objectives), "x", color=INK, markersize=6)
     axes.set(xlabel=_label(first), ylabel=_label(second), title=f"{second.name} over {first.name}")
     axes.margins(0.08)
 
