@@ -4,7 +4,7 @@ Neighbouring intervals of an analysis share their edges, so a bound lies in the 
 that are left out.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -91,16 +91,25 @@ def full_area(space: ParameterSpace) -> SearchArea:
     return SearchArea(space, np.zeros_like(space.n_values), space.n_values - 1)
 
 
-def common_area(space: ParameterSpace, influence_map: InfluenceMap, scenarios: Sequence[str], given: Indices) -> SearchArea:
+def common_area(
+    space: ParameterSpace,
+    influence_map: InfluenceMap,
+    scenarios: Sequence[str],
+    given: Indices,
+    constrained: Collection[str] = (),
+) -> SearchArea:
     """The smallest box that holds, of each parameter, the influential bounds of all scenarios and the sets `given`, shape (n, n_searched).
 
-    Values that the map does not speak of count as influential.
+    Values that the map does not speak of count as influential. Parameters that constraints name, `constrained`, keep their full range: a
+    value without influence on the score still decides which values of others are allowed.
 
     A parameter that influences no scenario is held at the given sets' value, or in the middle of its range if there are none. Where
     nothing would be left to search, for no parameter influences any scenario, the area is the whole space.
     """
     first, last = full_area(space).first, full_area(space).last
     for column, parameter in enumerate(space.searched):
+        if parameter.name in constrained:
+            continue
         listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
         reach = [indices for entry in listed if (indices := _influential_indices(parameter, entry)) is not None]
         reach += _uncovered_indices(parameter, influence_map)

@@ -1,7 +1,8 @@
 """Constraints of a search space: combinations of values that must not be simulated."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,15 @@ class Constraints:
 
     def __bool__(self) -> bool:
         return bool(self.listed)
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """The parameters whose values the constraints read, fixed ones included."""
+        last = self.space.n_values - 1
+        columns = _ReadColumns(self._columns(np.stack([last // 2, 0 * last, last])))
+        for constraint in self.listed.values():
+            _allowed(constraint, columns)
+        return frozenset(columns.names)
 
     def feasible(self, population: Indices) -> npt.NDArray[np.bool_]:
         """Returns which rows of grid indices, shape (n, n_searched), keep all constraints, shape (n,)."""
@@ -99,6 +109,25 @@ class Constraints:
             choices = np.array(parameter.choices)
             columns[parameter.name] = choices[indices] if parameter.choices else parameter.billionths_at(indices) / BILLION
         return columns
+
+
+class _ReadColumns(Mapping[str, npt.NDArray[Any]]):
+    """Columns that remember which of them are read: a plug-in's constraint is a function, which declares no names."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self.names: set[str] = set()
+
+    def __getitem__(self, name: str) -> npt.NDArray[Any]:
+        values = self._columns[name]
+        self.names.add(name)
+        return values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._columns)
+
+    def __len__(self) -> int:
+        return len(self._columns)
 
 
 def _allowed(constraint: Constraint, columns: Columns) -> npt.NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
+from drivecal.domain.influence import Influence, InfluenceMap
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
 MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
@@ -69,6 +70,13 @@ def test_a_score_that_tolerates_no_difference_is_noted_where_it_is_predicted(
     assert any("tolerance" in note for note in notes) == noted
     alone = {"optimizer": None, "sensitivity": {"samples": 2, "intervals": 2}}
     assert not any("tolerance" in note for note in resolved(changed, reduction=reduction, **alone).notes)
+
+
+def test_narrowing_holds_only_parameters_that_no_constraint_names() -> None:
+    problem = resolved(sensitivity={"map": "m"}, reduction={"mode": "both", "narrow": True})
+    nothing = dict.fromkeys(problem.space.names, Influence(influential=False))
+    influence_map = InfluenceMap(dict.fromkeys(problem.scenarios, nothing))
+    assert [cut.parameter for cut in problem.search_area(influence_map).narrowed()] == ["warning"]
 
 
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:

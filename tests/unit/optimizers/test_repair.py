@@ -52,6 +52,15 @@ def holds(row: list[int]) -> bool:
     return a <= b and a + n * 0.5 >= 1 and (values["mode"] != "winter" or n > 0) and n != 0
 
 
+def test_the_names_of_constraints_are_what_their_functions_read() -> None:
+    assert CONSTRAINTS.names == {"a", "b", "n", "held", "mode"}
+    assert Constraints(SPACE, {"a <= b": LISTED["a <= b"]}).names == {"a", "b"}
+    assert Constraints(SPACE, {"all": lambda values: np.ones(len(dict(values)["a"]), dtype=bool)}).names == set(SPACE.names) | {
+        "held"
+    }
+    assert Constraints(SPACE).names == frozenset()
+
+
 @given(populations)
 def test_feasible_rows_are_those_that_keep_every_constraint(population: Indices) -> None:
     assert CONSTRAINTS.feasible(population).tolist() == [holds(row) for row in population.tolist()]

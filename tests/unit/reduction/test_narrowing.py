@@ -75,6 +75,13 @@ def test_given_sets_widen_the_area_so_that_they_lie_in_it() -> None:
     assert area.contract(_given((9, 4, 0), (3, 6, 0))).tolist() == [[7, 0, 0], [1, 2, 0]]
 
 
+def test_parameters_that_a_constraint_names_keep_their_full_range() -> None:
+    influences = {"P1": _between("2", "5"), "P2": NOTHING, "P3": _between(None, "0.5")}
+    influence_map = InfluenceMap({"S1": influences, "S2": influences})
+    area = common_area(SPACE, influence_map, SCENARIOS, _given(), {"P1", "P2"})
+    assert (area.first.tolist(), area.last.tolist()) == ([0, 0, 0], [10, 10, 3])
+
+
 def test_where_nothing_matters_everything_is_searched() -> None:
     nothing = dict.fromkeys(("P1", "P2", "P3"), NOTHING)
     assert _area(nothing, nothing).n_values.tolist() == full_area(SPACE).n_values.tolist() == [11, 11, 8]

@@ -88,7 +88,7 @@ class CalibrationProblem:
         on specification and influence map, so a campaign can resume. A common area without a set that keeps all constraints is not used."""
         if influence_map is None or not self.specification.reduction.narrow:
             return full_area(self.space)
-        area = common_area(self.space, influence_map, self.scenarios, self.start_indices)
+        area = common_area(self.space, influence_map, self.scenarios, self.start_indices, self.constraints.names)
         return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space)
 
     def expected_runs(self) -> ExpectedRuns:
