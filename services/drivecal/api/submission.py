@@ -132,7 +132,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = _checked(database, limits, validated(CampaignSpecification, document))
-    if used is not None and used.basis is not None and is_outdated(used, problem.bench):
+    if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:

@@ -48,13 +48,39 @@ def with_score(files: str = "f1", **changes: Any) -> Bundle:
 )
 def test_a_map_of_other_runs_ratings_or_measures_does_not_hold(changed: Bundle, *, holds: bool) -> None:
     made, problem = stored(resolved(with_score())), resolved(changed)
-    assert is_outdated(made, problem.bench) != holds
+    assert is_outdated(made, problem) != holds
     if holds:
         check_basis(made, problem)
     else:
         with pytest.raises(InvalidInputError) as caught:
             check_basis(made, problem)
         assert {fault.field for fault in caught.value.problems} == {"sensitivity.map"}
+
+
+FIRST, SECOND = "jerk >= 2*deceleration", "trigger_ttc >= 0.1*confirmations"
+
+
+@pytest.mark.parametrize(
+    ("made_under", "searched_under", "holds"),
+    [
+        ([FIRST], [FIRST, SECOND], True),
+        ([FIRST, SECOND], [SECOND, FIRST], True),
+        ([FIRST, SECOND], [FIRST], False),
+        ([FIRST], [], False),
+    ],
+)
+def test_a_map_does_not_hold_for_sets_that_its_constraints_forbade(
+    made_under: list[str], searched_under: list[str], *, holds: bool
+) -> None:
+    made, problem = stored(resolved(bundle(constraints=made_under))), resolved(bundle(constraints=searched_under))
+    assert is_outdated(made, problem) != holds
+    if holds:
+        check_basis(made, problem)
+    else:
+        with pytest.raises(InvalidInputError, match="sensitivity.map"):
+            check_basis(made, problem)
+    earlier = {name: value for name, value in (made.basis or {}).items() if name != "constraints"}
+    check_basis(replace(made, basis=earlier), problem)
 
 
 def without_scale(made: StoredInfluenceMap) -> StoredInfluenceMap:
@@ -68,7 +94,7 @@ def test_maps_without_a_scale_were_made_in_points_of_comfort() -> None:
     assert earlier.basis["scale"] == {"tolerance": 1.0, "span": 7.0}
     check_basis(without_scale(earlier), highway)
     made = without_scale(stored(resolved(with_score())))
-    assert is_outdated(made, resolved(with_score()).bench)
+    assert is_outdated(made, resolved(with_score()))
 
 
 def test_a_validation_is_about_maps_of_its_own_scale() -> None:

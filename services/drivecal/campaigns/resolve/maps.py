@@ -8,7 +8,6 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem, catalogue_scenarios
 from drivecal.campaigns.resolve.spaces import (
     covers,
@@ -116,6 +115,7 @@ def basis_of(problem: CalibrationProblem) -> dict[str, Any]:
         "setups": {scenario: setup.fingerprint for scenario, setup in problem.bench.setups.items()},
         "evaluator": problem.bench.evaluator_id,
         "scale": measure(problem.bench.scale),
+        "constraints": sorted(problem.constraints.listed),
     }
 
 
@@ -124,12 +124,14 @@ def measure(scale: Scale) -> dict[str, float]:
     return {"tolerance": scale.tolerance, "span": scale.span}
 
 
-def is_outdated(stored: StoredInfluenceMap, bench: Bench) -> bool:
-    """Whether a map was made from other runs, ratings or measures than a bench has. Posted maps never are."""
-    return stored.basis is not None and bool(_differences(stored.basis, bench))
+def is_outdated(stored: StoredInfluenceMap, problem: CalibrationProblem) -> bool:
+    """Whether a map was made from other runs, ratings or measures than a campaign has, or under constraints that the campaign lacks.
+    Posted maps never are."""
+    return stored.basis is not None and bool(_differences(stored.basis, problem))
 
 
-def _differences(basis: Mapping[str, Any], bench: Bench) -> list[str]:
+def _differences(basis: Mapping[str, Any], problem: CalibrationProblem) -> list[str]:
+    bench = problem.bench
     reasons: list[str] = []
     fingerprints = {scenario: setup.fingerprint for scenario, setup in bench.setups.items()}
     other = [
@@ -141,18 +143,21 @@ def _differences(basis: Mapping[str, Any], bench: Bench) -> list[str]:
         reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {bench.evaluator_id}")
     made, own = basis.get("scale", measure(COMFORT)), measure(bench.scale)  # earlier releases stored none
     reasons += [f"it was made for a {name} of {made[name]:g}, not {own[name]:g}" for name in own if made[name] != own[name]]
-    return reasons
+    # an analysis knows nothing of the sets that its constraints forbade; earlier releases stored none
+    lacking = [text for text in basis.get("constraints", ()) if text not in problem.constraints.listed]
+    return reasons + [f"it was made under the constraint {text}, which is missing here" for text in lacking]
 
 
 def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator, scale or space.
+    """Raises InvalidInputError if an analysis's map is invalid for a campaign: another setup, evaluator, scale or space, or a constraint
+    less.
 
     Posted maps rest on expert knowledge and are not checked here.
     """
     basis = stored.basis
     if basis is None:
         return
-    reasons = _differences(basis, problem.bench)
+    reasons = _differences(basis, problem)
     for name, value in fixed_from_document(basis["fixed"]).items():
         if problem.space.fixed.get(name) != value:
             reasons.append(f"it was made with {name} held at {shown(value)}")
