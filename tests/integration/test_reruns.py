@@ -317,6 +317,33 @@ def _ended_with_a_map(database: Database) -> StoredCampaign:
         return campaigns.get(connection, queued.id)
 
 
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [({}, None), ({"S2": 0}, [0.5, 1.5]), ({"S1": 0, "S2": 0}, [1.5]), ({"S2": 0, "S3": 7}, [0.5, 1.5])],
+)
+def test_a_rerun_keeps_each_scenarios_own_eta(
+    database: Database, weights: dict[str, float], expected: list[float] | None, *, begun: bool
+) -> None:
+    document = {
+        "catalogue": ["S1", "S2", "S3"], "weights": {"S2": 0}, "sensitivity": None, "robustness": {"eta": [0.5, 1.5]},
+        "optimizer": {"population": 10, "iterations": 2},
+    }  # fmt: skip
+    specification = CampaignSpecification.model_validate(document)
+    queued = submission.submit(database, LIMITS, specification, None)
+    with database.transaction() as connection:
+        if begun:
+            campaigns.set_resolution(connection, queued.sequence, resolve(specification).resolution())
+        campaigns.request_action(connection, queued.id, "cancel")
+    dispatcher(database, ComputedBackend()).step()
+    changes = RerunSpecification.model_validate({"weights": weights})
+    if expected is None:
+        with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "robustness.eta"):
+            submission.rerun(database, LIMITS, queued.id, changes, None)
+    else:
+        assert submission.rerun(database, LIMITS, queued.id, changes, None).spec["robustness"]["eta"] == expected
+
+
 def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:
     """Stores a problem; gives its digest."""
     document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text()) | {"scores": dict(scores)}

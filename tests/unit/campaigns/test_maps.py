@@ -77,7 +77,7 @@ def test_a_map_does_not_hold_for_sets_that_its_constraints_forbade(
     if holds:
         check_basis(made, problem)
     else:
-        with pytest.raises(InvalidInputError, match="sensitivity.map"):
+        with pytest.raises(InvalidInputError, match=r"sensitivity\.map"):
             check_basis(made, problem)
     earlier = {name: value for name, value in (made.basis or {}).items() if name != "constraints"}
     check_basis(replace(made, basis=earlier), problem)
