@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.support.runs import EXPERT_SPACE
 
-from drivecal.campaigns.comparisons.resolve import resolve_comparison, runs_of
+from drivecal.campaigns.comparisons.resolve import CONFIRMED, resolve_comparison, runs_of
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError
@@ -46,6 +46,27 @@ def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
     assert last.sensitivity is not None
     assert runs[-2].specification.sensitivity is None, "an analysis that the run does not use would count"
     assert last.fixed == COMPARED["fixed"]
+
+
+@pytest.mark.parametrize(
+    ("given", "label", "confirm"),
+    [
+        ("predicted", "predicted", CONFIRMED),
+        ("both", "both", CONFIRMED),
+        ({"mode": "predicted"}, "predicted", CONFIRMED),
+        ({"mode": "influence", "confirm": CONFIRMED}, "influence", CONFIRMED),
+        ({"mode": "both", "confirm": 20}, "both confirm=20", 20),
+        ({"mode": "predicted", "confirm": 0}, "predicted confirm=0", 0),
+        ({"mode": "influence", "audit": 0.1, "confirm": 5}, "influence audit=0.1 confirm=5", 5),
+        ({"mode": "exact", "confirm": 5}, "exact", 5),
+    ],
+)
+def test_modes_with_scores_of_others_confirm_alike(given: Any, label: str, confirm: int) -> None:
+    wanted = specification(sensitivity={"samples": 2, "intervals": 2}, reductions=["off", given], iterations=2)
+    stored = validated(ComparisonSpecification, resolve_comparison(wanted).specification.model_dump(mode="json"))
+    for run in (runs_of(wanted)[1], runs_of(stored)[1]):
+        assert run.conditions.reduction == label
+        assert run.specification.reduction.confirm == confirm
 
 
 def test_the_cost_is_that_of_all_runs() -> None:

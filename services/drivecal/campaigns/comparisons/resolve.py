@@ -23,8 +23,8 @@ COMMON = {"population": "populations", "iterations": "iterations", "start": "sta
 """Settings that the comparison chooses for every optimizer, and their fields."""
 
 CONFIRMED = 100
-"""Sets of a run with reuse that are simulated after its search at most, where nothing else is asked for: a dozen is many. A run for which
-they were too few notes it."""
+"""Sets of a run with references or predictions that are simulated after its search at most, unless `confirm` is given: a dozen is many. A
+run for which they were too few notes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class ComparisonProblem:
 def runs_of(specification: ComparisonSpecification) -> list[Run]:
     """The runs in order: by optimizer, population, seed, reduction. Depends on the specification alone."""
     labels = [optimizer.label or optimizer.kind for optimizer in specification.optimizers]
-    reductions = [_reduction(reduction) for reduction in specification.reductions]
+    reductions = [_settled(reduction) for reduction in specification.reductions]
     several = len(reductions) > 1
     runs = []
     for (label, optimizer), population, seed, reduction in product(
@@ -93,7 +93,8 @@ def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSo
                 diagnostics.problems.extend(_here(problem, optimizer, reduction) for problem in error.problems)
     diagnostics.problems = list(dict.fromkeys(diagnostics.problems))
     diagnostics.raise_if_any()
-    specification = specification.model_copy(update={"problem": resolved[0].specification.problem})
+    settled = [each if isinstance(each, str) else _settled(each) for each in specification.reductions]
+    specification = specification.model_copy(update={"problem": resolved[0].specification.problem, "reductions": settled})
     return ComparisonProblem(specification, tuple(runs_of(specification)), tuple(resolved))
 
 
@@ -134,13 +135,24 @@ def queue(
 
 
 def reduction_label(reduction: ReductionSpecification) -> str:
-    """The mode, with the settings that differ from its defaults."""
-    others = {name: value for name, value in reduction.model_dump(exclude_defaults=True).items() if name != "mode"}
+    """The mode, with the settings that differ from the defaults of comparisons. `reduction` is settled."""
+    others = reduction.model_dump(exclude_defaults=True, exclude={"mode", "confirm"})
+    if _confirms(reduction) and reduction.confirm != CONFIRMED:
+        others["confirm"] = reduction.confirm
     return " ".join([reduction.mode, *(f"{name}={value}" for name, value in others.items())])
 
 
-def _reduction(given: str | ReductionSpecification) -> ReductionSpecification:
-    return given if isinstance(given, ReductionSpecification) else validated(ReductionSpecification, {"mode": given})
+def _confirms(reduction: ReductionSpecification) -> bool:
+    """Whether scores of a run may be copied or predicted: its optimum must be that of its own set."""
+    return reduction.uses_map or reduction.predicts
+
+
+def _settled(given: str | ReductionSpecification) -> ReductionSpecification:
+    """Returns a reduction with its number of sets to confirm: stored specifications have every field, so none is a default there."""
+    reduction = given if isinstance(given, ReductionSpecification) else validated(ReductionSpecification, {"mode": given})
+    if "confirm" in reduction.model_fields_set or not _confirms(reduction):
+        return reduction
+    return reduction.model_copy(update={"confirm": CONFIRMED})
 
 
 def _campaign(
@@ -158,10 +170,7 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if reduction.uses_map:  # a run's score must hold for its own set
-        given = reduction.confirm if "confirm" in reduction.model_fields_set else 0
-        document["reduction"]["confirm"] = given or CONFIRMED
-    else:  # useless to the run, and its cells would count
+    if not reduction.uses_map:  # useless to the run, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 
@@ -184,7 +193,7 @@ def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostic
         diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} runs", remedy)
     _check_unique("populations", specification.populations, diagnostics)
     _check_unique("seeds", specification.seeds, diagnostics)
-    reductions = [_reduction(reduction) for reduction in specification.reductions]
+    reductions = [_settled(reduction) for reduction in specification.reductions]
     _check_unique("reductions", [reduction_label(reduction) for reduction in reductions], diagnostics)
     if specification.sensitivity is None and any(reduction.uses_map for reduction in reductions):
         remedy = "ask for a sensitivity analysis, name a map, or leave `influence` and `both` out"
