@@ -63,25 +63,44 @@ class Agreement:
         }
 
 
-def agreement(first: Iterable[InfluenceRow], second: Iterable[InfluenceRow]) -> Agreement:
-    """Two maps agree on a pair if it is influential in both or in neither and both bounds are within one interval."""
-    ours = {(row.scenario, row.parameter): row for row in first}
-    theirs = {(row.scenario, row.parameter): row for row in second}
+def agreement(
+    first: Iterable[InfluenceRow],
+    second: Iterable[InfluenceRow],
+    first_map: Iterable[InfluenceRow] = (),
+    second_map: Iterable[InfluenceRow] = (),
+) -> Agreement:
+    """Two maps agree on a pair if it is influential in both or in neither and both bounds are within one interval.
+
+    `first_map`, `second_map`: rows of the maps in their own spaces, if `first` and `second` are those of campaigns: these may search
+    narrower ranges, and intervals are parts of the map's.
+    """
+    ours, theirs = _by_pair(first), _by_pair(second)
+    our_intervals, their_intervals = ours | _by_pair(first_map), theirs | _by_pair(second_map)
     shared = [pair for pair in ours if pair in theirs]
     return Agreement(
         pairs=len(shared),
-        differences=tuple(Disagreement(ours[pair], theirs[pair]) for pair in shared if not agree(ours[pair], theirs[pair])),
+        differences=tuple(
+            Disagreement(ours[pair], theirs[pair])
+            for pair in shared
+            if not agree(ours[pair], theirs[pair], (our_intervals[pair], their_intervals[pair]))
+        ),
         only_first=tuple(pair for pair in ours if pair not in theirs),
         only_second=tuple(pair for pair in theirs if pair not in ours),
     )
 
 
-def agree(first: InfluenceRow, second: InfluenceRow) -> bool:
+def _by_pair(rows: Iterable[InfluenceRow]) -> dict[Pair, InfluenceRow]:
+    return {(row.scenario, row.parameter): row for row in rows}
+
+
+def agree(first: InfluenceRow, second: InfluenceRow, analysed: tuple[InfluenceRow, InfluenceRow] | None = None) -> bool:
     """Whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, and by half a grid step, by which
-    an interval's edge may be snapped; not at all where neither map comes from an analysis."""
+    an interval's edge may be snapped; not at all where neither map comes from an analysis. `analysed`: both rows in the maps' own spaces,
+    None if `first` and `second` are these."""
     if not (first.influential and second.influential):
         return first.influential == second.influential
-    allowed = max(_interval(first), _interval(second)) + ROUNDING * max(_range(first), _range(second))
+    whole = analysed or (first, second)
+    allowed = max(map(_interval, whole)) + ROUNDING * max(map(_range, whole))
     return _near(first.lower, second.lower, allowed) and _near(first.upper, second.upper, allowed)
 
 
@@ -94,7 +113,7 @@ def _range(row: InfluenceRow) -> float:
 
 
 def _interval(row: InfluenceRow) -> float:
-    """The width of the intervals that were analysed, in parameter units; 0 if none were."""
+    """The width of the intervals that were analysed, in parameter units; 0 if none were. `row`: in the map's own space."""
     if not row.s_rel_intervals or row.n_values is None:
         return 0.0
     return _range(row) * (1 / len(row.s_rel_intervals) + 0.5 / max(1, row.n_values - 1))

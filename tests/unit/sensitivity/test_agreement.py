@@ -62,6 +62,13 @@ def test_what_only_one_map_knows_is_listed_and_not_counted() -> None:
     ]
 
 
+def test_the_intervals_of_a_campaign_are_parts_of_its_maps_range() -> None:
+    narrow = row(0.2, 0.5, space_upper=0.5, n_values=11)  # the map is from 0 to 1
+    assert agreement([narrow], [narrow.model_copy(update={"lower": 0.4})]).agreeing == 0
+    assert agreement([narrow], [narrow.model_copy(update={"lower": 0.4})], [row(0.2)], [row(0.4)]).agreeing == 1
+    assert agreement([narrow], [narrow.model_copy(update={"lower": 0.45})], [row(0.2)], [row(0.45)]).agreeing == 0
+
+
 def test_maps_without_a_common_pair_have_no_share() -> None:
     assert agreement([row()], []).share is None
 

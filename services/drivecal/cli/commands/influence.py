@@ -34,11 +34,13 @@ DECIDED_BY = {
 
 @dataclass(frozen=True)
 class Described:
-    """Rows, the title of their source, and the basis of its analysis (None for a map that a user posted)."""
+    """Rows, the title of their source, the basis of its analysis (None for a map that a user posted), and the rows of the map in its own
+    space."""
 
     title: str
     rows: Sequence[InfluenceRow]
     basis: Mapping[str, Any] | None
+    in_map: Sequence[InfluenceRow]
 
 
 @app.command()
@@ -169,17 +171,17 @@ def _described(client: Client, identifier: str) -> Described:
             stored = client.influence_map(client.full_map_id(identifier))
         except NotFoundError as error:
             raise NotFoundError("campaign or influence map", identifier) from error
-        return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis)
+        return Described(f"influence map {stored.id}  {stored.name}", stored.rows or [], stored.basis, stored.rows or [])
     used = client.map_of(campaign)
-    basis = None if used is None else used.basis
-    return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis)
+    basis, in_map = (None, []) if used is None else (used.basis, used.rows or [])
+    return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis, in_map)
 
 
 def _compare(first: Described, second: Described, as_json: bool) -> None:
     for source in (first, second):
         if not source.rows:
             raise ConflictError(f"{source.title} has no influence map to compare (yet)")
-    compared = agreement(first.rows, second.rows)
+    compared = agreement(first.rows, second.rows, first.in_map, second.in_map)
     if as_json:
         print_json({"first": first.title, "second": second.title, **compared.document()})
         return
