@@ -1,18 +1,29 @@
 """The common reduction (Section III): the search space narrowed to the smallest area outside which no scenario is influenced. Pure.
 
 Neighbouring intervals of an analysis share their edges, so a bound lies in the cut region as well: the sets at the bound answer for those
-that are left out.
+that are left out. The bounds of a posted map belong to the influential range alone, and so do edges between two values: there the area
+holds the next value outside, which answers for the rest.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
 
 from drivecal.contracts.campaign import Narrowed
 from drivecal.domain.influence import Influence, InfluenceMap
-from drivecal.domain.parameters import Indices, Kind, Parameter, ParameterSpace, billionths, shown
+from drivecal.domain.parameters import Indices, Kind, Parameter, ParameterSpace, billionths, decimal, shown
+
+
+class WholeSpace(StrEnum):
+    """The reason why an area is the whole space."""
+
+    ALL_INFLUENTIAL = "no parameter has a region that influences no scenario and holds no start set"
+    CONSTRAINED = "a constraint names every parameter with a region that influences no scenario"
+    NONE_INFLUENTIAL = "no parameter influences any scenario"
+    INFEASIBLE = "no set of the smallest common area keeps all constraints"
 
 
 @dataclass(frozen=True)
@@ -26,6 +37,8 @@ class SearchArea:
     space: ParameterSpace
     first: Indices
     last: Indices
+    whole: WholeSpace = WholeSpace.ALL_INFLUENTIAL
+    """The reason, if the area is the whole space."""
 
     @cached_property
     def columns(self) -> Indices:
@@ -67,7 +80,7 @@ class SearchArea:
                         full_upper=float(parameter.upper),
                         values=parameter.n_values,
                         removed_values=parameter.n_values - left,
-                        choice=parameter.choices[first] if parameter.choices else None,
+                        choice=parameter.choices[first] if parameter.choices and first == last else None,
                     )
                 )
         return narrowed
@@ -81,14 +94,27 @@ class SearchArea:
             elif last - first + 1 < parameter.n_values:
                 parts.append(f"{parameter.name} from {shown(parameter.named(first))} to {shown(parameter.named(last))}")
         if not parts:
-            return "the search space was not narrowed: there is no region that influences no scenario"
+            return f"the search space was not narrowed: {self.whole}"
         share = float(np.prod((self.last - self.first + 1) / self.space.n_values))
         return f"the search space was narrowed to {share:.3g} of its sets: {', '.join(parts)}"
 
 
-def full_area(space: ParameterSpace) -> SearchArea:
+def full_area(space: ParameterSpace, reason: WholeSpace = WholeSpace.ALL_INFLUENTIAL) -> SearchArea:
     """Returns the whole space."""
-    return SearchArea(space, np.zeros_like(space.n_values), space.n_values - 1)
+    return SearchArea(space, np.zeros_like(space.n_values), space.n_values - 1, reason)
+
+
+def begun_area(area: SearchArea, narrowed: Sequence[Narrowed]) -> SearchArea:
+    """Returns the area that a campaign began with, as stored, in the space of `area`: another release may have narrowed otherwise."""
+    whole = full_area(area.space)
+    first, last = whole.first, whole.last
+    by_name = {cut.parameter: cut for cut in narrowed}
+    for column, parameter in enumerate(area.space.searched):
+        if parameter.name in by_name:
+            cut = by_name[parameter.name]
+            first[column] = parameter.first_from(billionths(decimal(cut.lower)))
+            last[column] = parameter.last_upto(billionths(decimal(cut.upper)))
+    return replace(area, first=first, last=last)
 
 
 def common_area(
@@ -103,22 +129,34 @@ def common_area(
     Values that the map does not speak of count as influential. Parameters that constraints name, `constrained`, keep their full range: a
     value without influence on the score still decides which values of others are allowed.
 
-    A parameter that influences no scenario is held at the given sets' value, or in the middle of its range if there are none. Where
-    nothing would be left to search, for no parameter influences any scenario, the area is the whole space.
+    A parameter that influences no scenario is held at the given sets' value, or in the middle of its range if there are none. The texts of
+    a choice have no order: it is held, or searched as a whole. Where nothing would be left to search, for no parameter influences any
+    scenario, the area is the whole space.
     """
     first, last = full_area(space).first, full_area(space).last
+    reason = WholeSpace.ALL_INFLUENTIAL
     for column, parameter in enumerate(space.searched):
-        if parameter.name in constrained:
-            continue
-        listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
-        reach = [indices for entry in listed if (indices := _influential_indices(parameter, entry)) is not None]
-        reach += _uncovered_indices(parameter, influence_map)
-        reach += [(index, index) for index in given[:, column].tolist()]
-        middle = (parameter.n_values - 1) // 2
-        first[column] = min((low for low, _ in reach), default=middle)
-        last[column] = max((high for _, high in reach), default=middle)
-    area = SearchArea(space, first, last)
-    return area if len(area.columns) else full_area(space)
+        low, high = _common_indices(parameter, influence_map, scenarios, given[:, column].tolist())
+        if parameter.name not in constrained:
+            first[column], last[column] = low, high
+        elif high - low + 1 < parameter.n_values:
+            reason = WholeSpace.CONSTRAINED
+    area = SearchArea(space, first, last, reason)
+    return area if len(area.columns) else full_area(space, WholeSpace.NONE_INFLUENTIAL)
+
+
+def _common_indices(
+    parameter: Parameter, influence_map: InfluenceMap, scenarios: Sequence[str], given: Sequence[int]
+) -> tuple[int, int]:
+    """Returns the first and the last grid index of a parameter that the common area holds."""
+    listed = [influence_map.influence(scenario, parameter.name) for scenario in scenarios]
+    shared = influence_map.shares_bounds
+    reach = [indices for entry in listed if (indices := _influential_indices(parameter, entry, shares_bounds=shared))]
+    reach += _uncovered_indices(parameter, influence_map)
+    reach += [(index, index) for index in given]
+    middle = (parameter.n_values - 1) // 2
+    first, last = min((low for low, _ in reach), default=middle), max((high for _, high in reach), default=middle)
+    return (0, parameter.n_values - 1) if parameter.choices and first < last else (first, last)
 
 
 def _uncovered_indices(parameter: Parameter, influence_map: InfluenceMap) -> list[tuple[int, int]]:
@@ -139,14 +177,22 @@ def _uncovered_indices(parameter: Parameter, influence_map: InfluenceMap) -> lis
     return [*below, (max(last_covered, 0), last)] if last_covered < last else below
 
 
-def _influential_indices(parameter: Parameter, influence: Influence) -> tuple[int, int] | None:
-    """The grid indices between the bounds; if the bounds lie between two values, these two; None if nothing is influential here."""
+def _influential_indices(parameter: Parameter, influence: Influence, *, shares_bounds: bool) -> tuple[int, int] | None:
+    """The grid indices between the bounds and, on each side that is cut, one that lies in the cut region: the bound's own if it is a value
+    of the grid and the map `shares_bounds`, else the next outside. None if nothing is influential here."""
     if not influence.influential:
         return None
-    first = 0 if influence.lower is None else parameter.first_from(billionths(influence.lower))
-    last = parameter.n_values - 1
+    first, last, end = 0, parameter.n_values - 1, parameter.n_values - 1
+    if influence.lower is not None:
+        bound = billionths(influence.lower)
+        first = parameter.first_from(bound)
+        if first > end:
+            return None
+        first -= first > 0 and not (shares_bounds and parameter.last_upto(bound) == first)
     if influence.upper is not None:
-        last = parameter.last_upto(billionths(influence.upper))
-    if first >= parameter.n_values or last < 0:
-        return None
-    return min(first, last), max(first, last)
+        bound = billionths(influence.upper)
+        last = parameter.last_upto(bound)
+        if last < 0:
+            return None
+        last += last < end and not (shares_bounds and parameter.first_from(bound) == last)
+    return first, last

@@ -18,6 +18,7 @@ from drivecal.contracts.work import BundleRequest
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import Influence, InfluenceMap
+from drivecal.reduction.narrowing import WholeSpace
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
 MEASURES = {"min_gap_m": 4.0, "peak_deceleration": 8.0, "rms_jerk": 2.0, "braking_s": 1.5}
@@ -77,6 +78,8 @@ def test_narrowing_holds_only_parameters_that_no_constraint_names() -> None:
     nothing = dict.fromkeys(problem.space.names, Influence(influential=False))
     influence_map = InfluenceMap(dict.fromkeys(problem.scenarios, nothing))
     assert [cut.parameter for cut in problem.search_area(influence_map).narrowed()] == ["warning"]
+    influential = InfluenceMap(dict.fromkeys(problem.scenarios, nothing | {"warning": Influence(influential=True)}))
+    assert problem.search_area(influential).whole is WholeSpace.CONSTRAINED
 
 
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:

@@ -77,6 +77,14 @@ def test_a_common_area_keeps_a_choice_or_holds_it() -> None:
     assert common_area(SPACE, partly, ["S1"], nothing).n_values.tolist() == SPACE.n_values.tolist()
 
 
+def test_given_sets_leave_a_choice_whole_unless_they_agree() -> None:
+    free = InfluenceMap({"S1": {"mode": FREE}})
+    area = common_area(SPACE, free, ["S1"], np.array([[0, 0], [2, 0]]))
+    assert (area.n_values.tolist(), area.narrowed()) == (SPACE.n_values.tolist(), [])
+    held = common_area(SPACE, free, ["S1"], np.array([[2, 0], [2, 5]])).narrowed()
+    assert [(cut.choice, cut.removed_values) for cut in held] == [(SPACE.searched[0].choices[2], 3)]
+
+
 def test_a_continuous_area_is_narrowed_by_its_bounds_exactly() -> None:
     bounds = Influence(influential=True, lower=Decimal("0.250000001"), upper=Decimal("0.5"))
     area = common_area(SPACE, InfluenceMap({"S1": {"P": bounds}}), ["S1"], np.empty((0, 2), dtype=np.int64))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
-from drivecal.reduction.narrowing import SearchArea, common_area, full_area
+from drivecal.reduction.narrowing import SearchArea, WholeSpace, begun_area, common_area, full_area
 
 SCENARIOS = ("S1", "S2")
 SPACE = ParameterSpace(
@@ -41,8 +41,8 @@ def _area(first: dict[str, Influence], second: dict[str, Influence], *rows: tupl
 
 def test_the_area_is_the_union_of_the_influential_bounds_of_all_scenarios() -> None:
     area = _area(
-        {"P1": _between("2", "5"), "P2": NOTHING, "P3": _between(None, "0.5")},
-        {"P1": _between("4", "7"), "P2": _between("0.3", None), "P3": _between(None, "0.3")},
+        {"P1": _between("2", "5"), "P2": NOTHING, "P3": _between(None, "0.428571429")},
+        {"P1": _between("4", "7"), "P2": _between("0.3", None), "P3": _between(None, "0.285714286")},
     )
     assert (area.first.tolist(), area.last.tolist()) == ([2, 3, 0], [7, 10, 3])
     assert area.n_values.tolist() == [6, 8, 4]
@@ -57,7 +57,8 @@ def test_the_area_is_the_union_of_the_influential_bounds_of_all_scenarios() -> N
 def test_what_a_map_does_not_list_is_searched_everywhere() -> None:
     area = _area({"P1": _between("2", "5")}, {})
     assert area.narrowed() == []
-    assert "not narrowed" in area.note()
+    assert area.whole is WholeSpace.ALL_INFLUENTIAL
+    assert area.note().endswith(area.whole)
 
 
 @pytest.mark.parametrize(("rows", "held"), [((), 5), (((3, 0, 0),), 3)])
@@ -79,12 +80,16 @@ def test_parameters_that_a_constraint_names_keep_their_full_range() -> None:
     influences = {"P1": _between("2", "5"), "P2": NOTHING, "P3": _between(None, "0.5")}
     influence_map = InfluenceMap({"S1": influences, "S2": influences})
     area = common_area(SPACE, influence_map, SCENARIOS, _given(), {"P1", "P2"})
-    assert (area.first.tolist(), area.last.tolist()) == ([0, 0, 0], [10, 10, 3])
+    assert (area.first.tolist(), area.last.tolist()) == ([0, 0, 0], [10, 10, 4])
+    area = common_area(SPACE, influence_map, SCENARIOS, _given(), SPACE.names)
+    assert (area.narrowed(), area.whole) == ([], WholeSpace.CONSTRAINED)
 
 
 def test_where_nothing_matters_everything_is_searched() -> None:
     nothing = dict.fromkeys(("P1", "P2", "P3"), NOTHING)
-    assert _area(nothing, nothing).n_values.tolist() == full_area(SPACE).n_values.tolist() == [11, 11, 8]
+    area = _area(nothing, nothing)
+    assert area.n_values.tolist() == full_area(SPACE).n_values.tolist() == [11, 11, 8]
+    assert area.whole is WholeSpace.NONE_INFLUENTIAL
 
 
 @pytest.mark.parametrize(
@@ -93,11 +98,11 @@ def test_where_nothing_matters_everything_is_searched() -> None:
         (_between("2.4", "2.6"), (2, 3)),  # between two values, which it may tell apart
         (_between("-5", "-1"), (5, 5)),  # below the range: all values lie above the bounds
         (_between("11", None), (5, 5)),
-        (_between("2.5", None), (3, 10)),
-        (_between("-3", "4.9"), (0, 4)),
+        (_between("2.5", None), (2, 10)),  # 2 answers for all below
+        (_between("-3", "4.9"), (0, 5)),
     ],
 )
-def test_bounds_of_another_grid_are_met_by_the_nearest_values_inside(influence: Influence, expected: tuple[int, int]) -> None:
+def test_bounds_between_two_values_keep_the_next_value_outside(influence: Influence, expected: tuple[int, int]) -> None:
     area = _area({"P1": influence}, {"P1": NOTHING})
     assert (area.first[0], area.last[0]) == expected
 
@@ -107,6 +112,36 @@ def test_values_that_the_map_does_not_speak_of_are_not_cut() -> None:
     influences = {"P1": _between("4", "6"), "P2": NOTHING, "P3": EVERYWHERE}
     area = common_area(SPACE, InfluenceMap({"S1": influences, "S2": influences}, inner), SCENARIOS, _given())
     assert (area.first.tolist(), area.last.tolist()) == ([0, 7, 0], [6, 10, 7])
+
+
+@pytest.mark.parametrize(
+    ("influence", "expected"),
+    [
+        (_between("5", "10"), (4, 10)),
+        (_between("0", "5"), (0, 6)),
+        (_between("3", "5"), (2, 6)),
+        (_between("2.5", None), (2, 10)),
+        (NOTHING, (5, 5)),
+    ],
+)
+def test_bounds_that_are_influential_themselves_keep_a_value_of_each_cut_region(
+    influence: Influence, expected: tuple[int, int]
+) -> None:
+    influences = {"P1": influence, "P2": EVERYWHERE}
+    posted = InfluenceMap({"S1": influences, "S2": influences}, shares_bounds=False)
+    area = common_area(SPACE, posted, SCENARIOS, _given())
+    assert (area.first[0], area.last[0]) == expected
+    keys = ReferenceKeys(posted, "S1", SPACE.names).keys(
+        billionths_matrix(SPACE.parameter_sets(_given(*((i, 0, 0) for i in range(11)))))
+    )
+    assert set(keys) == set(keys[expected[0] : expected[1] + 1])
+
+
+def test_a_begun_search_keeps_its_area() -> None:
+    area = _area({"P1": _between("2", "5"), "P2": NOTHING}, {"P1": _between("4", "7"), "P2": _between("0.3", None)})
+    for other in (full_area(SPACE), _area({"P1": NOTHING}, {"P1": NOTHING})):
+        begun = begun_area(other, area.narrowed())
+        assert (begun.first.tolist(), begun.last.tolist()) == (area.first.tolist(), area.last.tolist())
 
 
 bounds = st.tuples(st.integers(0, 10), st.integers(0, 10)).map(sorted)
@@ -142,4 +177,4 @@ def test_values_keep_their_exact_decimals() -> None:
     influences = {"P3": _between("0.2", "0.6")}
     area = _area(influences, influences)
     expanded = area.expand(np.zeros((1, 3), dtype=np.int64))
-    assert SPACE.parameter_sets(expanded)[0].values["P3"] == Decimal("0.285714286")
+    assert SPACE.parameter_sets(expanded)[0].values["P3"] == Decimal("0.142857143")

@@ -259,7 +259,10 @@ def stored_map(stored: StoredInfluenceMap) -> InfluenceMap:
             choices[name] = frozenset({value})
         else:
             ranges[name] = value, value
-    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices)
+    shares_bounds = (
+        stored.basis is not None
+    )  # a posted range is influential up to its bounds, and says nothing of an analysis' edges
+    return InfluenceMap(map_from_document(stored.scenarios).scenarios, ranges, choices, shares_bounds)
 
 
 def map_from_document(document: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> InfluenceMap:

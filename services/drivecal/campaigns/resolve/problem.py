@@ -33,7 +33,7 @@ from drivecal.domain.constraints import Constraints
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.domain.scenarios import Scenario
-from drivecal.reduction.narrowing import SearchArea, common_area, full_area
+from drivecal.reduction.narrowing import SearchArea, WholeSpace, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -89,7 +89,7 @@ class CalibrationProblem:
         if influence_map is None or not self.specification.reduction.narrow:
             return full_area(self.space)
         area = common_area(self.space, influence_map, self.scenarios, self.start_indices, self.constraints.names)
-        return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space)
+        return area if self.constraints.allow_any(area.first, area.last) else full_area(self.space, WholeSpace.INFEASIBLE)
 
     def expected_runs(self) -> ExpectedRuns:
         """The number of simulations if no cell can be answered without one."""

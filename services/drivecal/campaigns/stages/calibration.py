@@ -27,6 +27,7 @@ from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.checks import checked_proposal
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
+from drivecal.reduction.narrowing import begun_area
 from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -55,6 +56,8 @@ class Calibration(CampaignStage):
         self._ranking = self._answers.ranking
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = problem.search_area(view.influence_map)
+        if campaign.narrowed is not None:
+            self._area = begun_area(self._area, campaign.narrowed)
         self._notes = problem.notes
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
