@@ -89,7 +89,7 @@ def test_it_is_shown_listed_and_exported(run: Run, ended: dict[str, Any]) -> Non
     assert shown.exit_code == 0
     lines = shown.stdout.splitlines()
     table = next(index for index, line in enumerate(lines) if line.startswith("optimizer"))
-    assert lines[table].split()[:6] == ["optimizer", "population", "reduction", "best", "mean", "min"]
+    assert lines[table].split()[:6] == ["optimizer", "population", "reduction", "best", "mean", "worst"]
     assert [line.split()[0] for line in lines[table + 1 : table + 5]] == ["genetic", "genetic", "swarm", "swarm"]
     assert "influence audit=0.0 max_error=1.0 - exact" in shown.stdout
     assert [line.split()[0] for line in run("list").stdout.splitlines()[1:]] == [ended["id"]]

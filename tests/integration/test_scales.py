@@ -67,6 +67,7 @@ def test_the_search_minimises_and_a_failed_run_never_wins(database: Database) ->
     assert best == sorted(best, reverse=True)
     assert told == sorted(told, reverse=True)
     means = [each.mean or 0.0 for each in figures]
+    assert all((each.minimum or 0.0) >= mean for each, mean in zip(figures, means, strict=True)), "the worst is the highest"
     assert means[-1] < means[0]
 
 

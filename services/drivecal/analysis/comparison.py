@@ -111,7 +111,7 @@ def _group(
         seeds=len(members),
         best=best_of(optima, sign),
         mean=_mean(optima),
-        minimum=min(optima, default=None),
+        minimum=best_of(optima, -sign),
         rating=_mean([run.ratings[-1] for run in begun if run.ratings[-1] is not None]),
         alternatives=_mean([run.alternatives[-1] for run in begun]),
         simulations=_mean([run.simulated for run in begun]),

@@ -159,7 +159,7 @@ def _plain(value: object) -> str:
 
 
 def _final_optima(groups: Sequence[ComparedGroup], *, several: bool) -> str:
-    header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
+    header = ["optimizer", "size", *(["reduction"] if several else []), "best", "mean", "worst", "rating", "sets at best"]
     header += ["simulations", "converged", "in iteration", "after simulations", "as good as any"]
     caption = "Final optima over the seeds, by population size, and what they took"
     return table(header, compared_groups(groups, with_reduction=several), caption, wrap_header=True)

@@ -127,8 +127,8 @@ class ComparedRun(Answer):
 class ComparedGroup(Answer):
     """The runs of one optimizer, population size and reduction.
 
-    `best`, `mean`, `minimum`: over the final optima (`simulated_best` of the table `comparison`) of its `seeds` runs that have one; the
-    means of iterations and simulations to convergence are over the `converged` ones.
+    `best`, `mean`, `minimum` (the worst: the highest of an objective to minimise): over the final optima (`simulated_best` of the table
+    `comparison`) of its `seeds` runs that have one; the means of iterations and simulations to convergence are over the `converged` ones.
     """
 
     optimizer: str

@@ -35,7 +35,7 @@ def test_the_population_is_drawn_as_it_was() -> None:
     np.testing.assert_equal(line(figure, "population.baseline").get_ydata(), [4.5, 4.5])
     text = svg(figure, "test")
     assert "Alternative optima, F(ps) = 7.000" in text
-    for label in ("best", "mean", "minimum", "baseline", "number of parameter sets"):
+    for label in ("best", "mean", "worst", "baseline", "number of parameter sets"):
         assert f">{label}</text>" in text
 
 

@@ -313,7 +313,7 @@ class Calibration(CampaignStage):
             best=None if best is None else best[0].objective,
             rating=None if best is None else best[0].rating,
             mean=float(known.mean()) if known.size else None,
-            minimum=float(known.min()) if known.size else None,
+            minimum=self._answers.worst(objectives),
             alternatives=0 if best is None else best[1],
         )
 

@@ -55,6 +55,12 @@ class PopulationAnswers:
         """The weighted score (Eq. 6), or the first objective, of each individual, shape (population,); NaN without a result."""
         return self._weighted(self._scores) if self._goals is None else self._judged()[0][:, 0]
 
+    def worst(self, objectives: Floats) -> float | None:
+        """The worst of `objectives`, shape (population,), by their direction; None without a result."""
+        sign = self._sign if self._goals is None else self._goals.objectives[0].sign
+        known = objectives[~np.isnan(objectives)]
+        return float(sign * np.min(sign * known)) if known.size else None
+
     def inform(self, optimizer: Optimizer) -> None:
         """Tells an optimizer the objectives of the population; higher is better for every optimizer."""
         if self._goals is None:

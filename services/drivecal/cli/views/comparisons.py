@@ -24,7 +24,7 @@ def comparison_document(client: Client, identifier: str) -> dict[str, Any]:
 def print_comparison(groups: Sequence[ComparedGroup], effects: Sequence[ReductionEffect]) -> None:
     """Prints Table 5 of the paper for these runs, and the effects of the reductions."""
     several = len({group.reduction for group in groups}) > 1
-    header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "min", "rating", "sets at best"]
+    header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "worst", "rating", "sets at best"]
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
     print_columns(header, compared_groups(groups, with_reduction=several))
     typer.echo(

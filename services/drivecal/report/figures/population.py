@@ -9,7 +9,7 @@ from drivecal.report.figures.drawing import BLUE, INK, ORANGE, VERMILION, Drawn,
 
 LARGEST_WITH_MARKERS = 60
 """Iterations up to which each gets a marker."""
-LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), ("minimum", "minimum", VERMILION, ":", "v"))
+LINES = (("best", "best", BLUE, "-", "o"), ("mean", "mean", ORANGE, "--", "s"), ("minimum", "worst", VERMILION, ":", "v"))
 """Field, label, colour, dashes, marker: distinguishable without colours."""
 
 
@@ -32,7 +32,7 @@ def drawn(generations: Sequence[Generation], baseline: float | None = None) -> D
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
-    """Draws best, mean and minimum of each population with the `baseline`, and the number of alternative optima so far."""
+    """Draws best, mean and worst of each population with the `baseline`, and the number of alternative optima so far."""
     numbers = [generation.iteration + 1 for generation in generations]
     marked = len(numbers) <= LARGEST_WITH_MARKERS
     with style():

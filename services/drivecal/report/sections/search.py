@@ -84,4 +84,4 @@ def population_table(generations: Sequence[Generation]) -> str:
         line.iteration: [*(fixed(value, 3) for value in (line.best, line.mean, line.minimum)), line.alternatives]
         for line in generations
     }
-    return in_numbers("The course of the search in numbers", ["best", "mean", "minimum", "alternatives"], rows, generations)
+    return in_numbers("The course of the search in numbers", ["best", "mean", "worst", "alternatives"], rows, generations)
