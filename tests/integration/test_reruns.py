@@ -23,12 +23,17 @@ from drivecal.api.tables.ranking import earlier_best, ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
-from drivecal.campaigns.resolve.maps import basis_of, map_from_document
+from drivecal.campaigns.resolve.maps import basis_of, map_from_document, resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import problem_of, resolved_spec
 from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    InfluenceMapSpecification,
+    RerunSpecification,
+)
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
@@ -342,6 +347,26 @@ def test_a_rerun_keeps_each_scenarios_own_eta(
             submission.rerun(database, LIMITS, queued.id, changes, None)
     else:
         assert submission.rerun(database, LIMITS, queued.id, changes, None).spec["robustness"]["eta"] == expected
+
+
+def test_a_campaign_uses_a_map_that_was_posted_for_its_problem_and_no_other(database: Database) -> None:
+    _push(database, "f1", SCORES)
+    given = {"problem": "python-function", "scenarios": {"wet": {"warning": {"influential": False}}}}
+    motorway = {"scenarios": {"S1": {"P1": {"influential": False}}}}
+    posted, other = (
+        resolve_map(InfluenceMapSpecification.model_validate(each), stored_bundles(database)) for each in (given, motorway)
+    )
+    with database.transaction() as connection:
+        own, foreign = (store_posted_map(connection, each).id for each in (posted, other))
+    document = {"problem": "python-function", "optimizer": {"population": 10, "iterations": 2}}
+
+    def submitted(map_id: str) -> StoredCampaign:
+        specification = CampaignSpecification.model_validate(document | {"sensitivity": {"map": map_id}})
+        return submission.submit(database, LIMITS, specification, None)
+
+    assert submitted(own).influence_map_id == own
+    with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "sensitivity.map"):
+        submitted(foreign)
 
 
 def _push(database: Database, file: str, scores: Mapping[str, Any]) -> str:

@@ -218,8 +218,8 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
     if stored is None:
         return None
     if stored.driving_function != problem.bench.function:
-        message = f"the map is about the driving function {stored.driving_function!r}"
-        raise InvalidInputError(Problem(MAP, message, f"name a map of {problem.bench.function!r}"))
+        message, remedy = f"the map is about {stored.driving_function!r}", f"name or post a map of {problem.bench.function!r}"
+        raise InvalidInputError(Problem(MAP, message, remedy))
     check_basis(stored, problem)
     return stored.id
 

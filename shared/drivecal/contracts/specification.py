@@ -379,6 +379,8 @@ class InfluenceMapSpecification(Model):
     """An influence map as a user posts it, checked against the grid of `parameters`. Unlisted parameters count as influential."""
 
     name: Name = "influence map"
+    problem: ProblemName = HIGHWAY
+    """The built-in problem, or the name or digest of a pushed bundle. The map holds for all pushes of that name."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     driving_function: Identifier = "frenet"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import yaml
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.checks import checked
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
+from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
@@ -80,6 +82,38 @@ def test_narrowing_holds_only_parameters_that_no_constraint_names() -> None:
     assert [cut.parameter for cut in problem.search_area(influence_map).narrowed()] == ["warning"]
     influential = InfluenceMap(dict.fromkeys(problem.scenarios, nothing | {"warning": Influence(influential=True)}))
     assert problem.search_area(influential).whole is WholeSpace.CONSTRAINED
+
+
+def test_a_map_is_posted_for_a_problem_of_a_users_own() -> None:
+    entries = {"jerk": {"lower": 20, "upper": 40}, "warning": {"influential": False}}
+    document = {"problem": "python-function", "scenarios": {"wet": entries}}
+    posted = resolve_map(InfluenceMapSpecification.model_validate(document), lambda _: bundle())
+    assert posted.function == resolved().bench.function
+    assert posted.influence_map.influence("wet", "jerk") == Influence(influential=True, lower=Decimal(20), upper=Decimal(40))
+    assert [parameter.name for parameter in posted.space] == list(resolved().space.names)
+
+
+@pytest.mark.parametrize(
+    ("document", "fields"),
+    [
+        (
+            {"scenarios": {"S1": {}, "wet": {"P1": {}, "jerk": {"lower": 11}}}},
+            {"scenarios.S1", "scenarios.wet.P1", "scenarios.wet.jerk.lower"},
+        ),
+        ({"scenarios": {"wet": {"warning": {"lower": 1}}}}, {"scenarios.wet.warning"}),
+        ({"driving_function": "mpc", "scenarios": {"wet": {}}}, {"driving_function"}),
+        ({"problem": "unknown", "scenarios": {"wet": {}}}, {"problem"}),
+    ],
+)
+def test_a_map_that_does_not_fit_its_problem_is_refused_by_field(document: dict[str, Any], fields: set[str]) -> None:
+    def find(name: str) -> Bundle:
+        if name == "unknown":
+            raise NotFoundError("problem", name)
+        return bundle()
+
+    with pytest.raises(InvalidInputError) as caught:
+        resolve_map(InfluenceMapSpecification.model_validate({"problem": "python-function", **document}), find)
+    assert {problem.field for problem in caught.value.problems} == fields
 
 
 def test_a_name_becomes_the_digest_of_its_latest_push() -> None:

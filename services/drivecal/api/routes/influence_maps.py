@@ -10,6 +10,7 @@ from drivecal.api.responses import ROOT
 from drivecal.api.tables.files import download
 from drivecal.api.tables.influence import map_rows
 from drivecal.api.tables.paging import FILES
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
@@ -26,7 +27,7 @@ def post(
     specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency, limits: LimitsDependency
 ) -> InfluenceMapAnswer:
     """Stores a map, its bounds checked against the grid of its parameters. Campaigns name it in `sensitivity: {map: ID}`."""
-    posted = resolve_map(specification)
+    posted = resolve_map(specification, stored_bundles(database))
     with database.transaction() as connection:
         admission.admit_map(connection, limits.posted_maps, EXPERT)
         stored = store_posted_map(connection, posted)

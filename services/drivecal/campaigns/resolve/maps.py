@@ -8,7 +8,9 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.problem import CalibrationProblem, catalogue_scenarios
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import (
     covers,
     fixed_from_document,
@@ -17,12 +19,17 @@ from drivecal.campaigns.resolve.spaces import (
     space_from_document,
     space_to_document,
 )
-from drivecal.contracts.specification import InfluenceMapSpecification, InfluenceSpecification, ReductionSpecification
+from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
+from drivecal.contracts.specification import (
+    InfluenceMapSpecification,
+    InfluenceSpecification,
+    ProblemSpecification,
+    ReductionSpecification,
+)
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.plugins import registry
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.decisions import decision
 from drivecal.sensitivity.scenario import ScenarioInfluence
@@ -39,16 +46,23 @@ EXPERT = "expert"
 class PostedMap:
     """A valid map from expert knowledge."""
 
-    specification: InfluenceMapSpecification
+    name: str
+    function: str
+    """The driving function, or the problem of a user's own, that the map is about."""
     influence_map: InfluenceMap
     space: tuple[Parameter, ...]
     """The space that the bounds were checked against."""
 
 
-def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:
+def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource = no_bundles) -> PostedMap:
     """Resolves a posted map. Raises InvalidInputError for every scenario, parameter and bound that does not fit."""
-    function = registry.driving_function(specification.driving_function)
-    scenarios = catalogue_scenarios(specification.catalogue)
+    diagnostics = Diagnostics()
+    named = specification.model_dump(include={"problem", "catalogue", "driving_function"})
+    workbench = find_workbench(ProblemSpecification.model_construct(**named), bundles, diagnostics)
+    diagnostics.raise_if_any()
+    function, scenarios = workbench.function, workbench.scenarios
+    if function is None:
+        raise AssertionError("a part is missing without a finding")
     space = search_parameters(specification.parameters, function)
     parameters = {parameter.name: parameter for parameter in space}
     problems: list[Problem] = []
@@ -69,16 +83,16 @@ def resolve_map(specification: InfluenceMapSpecification) -> PostedMap:
                 problems.extend(error.problems)
     if problems:
         raise InvalidInputError(*problems)
-    return PostedMap(specification, InfluenceMap(influences), space)
+    return PostedMap(specification.name, function.name, InfluenceMap(influences), space)
 
 
 def store_posted_map(connection: Connection, posted: PostedMap) -> StoredInfluenceMap:
     """Stores a map from expert knowledge."""
     return influence_maps.insert(
         connection,
-        name=posted.specification.name,
+        name=posted.name,
         source=EXPERT,
-        driving_function=posted.specification.driving_function,
+        driving_function=posted.function,
         parameters=space_to_document(posted.space),
         scenarios=map_to_document(posted.influence_map),
     )
