@@ -185,6 +185,8 @@ def test_yaml_in_the_documentation_is_valid(block: Block) -> None:
         checked(document)
     elif "simulator" in document:
         TypeAdapter(AnySimulator).validate_python(document["simulator"])
+    elif "scenarios" in document and "problem" in document:
+        assert resolve_map(validated(InfluenceMapSpecification, document), example).influence_map.scenarios
     elif "scenarios" in document:
         assert list(scenarios_problems(0.1, document["scenarios"])) == []
     elif "scrape_configs" not in document:  # a file of Prometheus
