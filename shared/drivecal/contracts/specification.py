@@ -354,8 +354,7 @@ class RerunSpecification(Model):
     """Changes of a rerun; everything else, with references and influence map, comes from the first campaign.
 
     Weights of 0 leave scenarios out, missing ones are 1; without any, command line and Python client send the first campaign's. Another
-    `evaluator` rates the stored runs again, without a simulation; a map that was computed from the first one's ratings is then computed
-    again, mostly from stored runs.
+    `evaluator` rates stored runs again, without a simulation; a map from the first one's ratings is made again, mostly from them.
     """
 
     weights: Annotated[dict[Identifier, Annotated[float, Field(ge=0, le=1e6)]], Field(max_length=1000)]
@@ -376,11 +375,10 @@ class InfluenceSpecification(Model):
 
 
 class InfluenceMapSpecification(Model):
-    """An influence map as a user posts it, checked against the grid of `parameters`. Unlisted parameters count as influential."""
+    """A posted influence map of every push of a `problem`, checked against the grid of `parameters`. What is not listed is influential."""
 
     name: Name = "influence map"
     problem: ProblemName = HIGHWAY
-    """The built-in problem, or the name or digest of a pushed bundle. The map holds for all pushes of that name."""
     catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     driving_function: Identifier = "frenet"

@@ -182,8 +182,7 @@ class EvaluationRow(Answer):
 
 
 class Generation(Answer):
-    """An iteration of the calibration stage. `mean` and `minimum`, the worst objective (the highest of an objective to minimise): of all
-    its sets, also of those that break constraints."""
+    """An iteration of the calibration stage. `mean` and `minimum` (the worst): of all its sets, also of those that break constraints."""
 
     iteration: int
     """Counted from 0; commands, page and report count iterations from 1."""
