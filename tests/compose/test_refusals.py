@@ -9,10 +9,14 @@ from pathlib import Path
 import pytest
 from tests.support.compose import Cluster
 
+from drivecal.cluster.release import release
+
 pytestmark = [pytest.mark.compose, pytest.mark.timeout(1800)]
 
 OTHER_TOKEN = "0123456789abcdef0123456789abcdef"
 OTHER_VERSION = "0.0.9"
+OTHER_RELEASE = release().replace(version("drivecal"), OTHER_VERSION)
+"""The same sources under another version."""
 METADATA = f"/opt/drivecal/lib/python3.11/site-packages/drivecal-{version('drivecal')}.dist-info/METADATA"
 """Where an image's drivecal says which version it is."""
 
@@ -70,10 +74,10 @@ def test_a_dispatcher_with_too_little_shared_memory_waits_and_says_so(cluster: C
 
 def test_a_dispatcher_of_another_release_gives_no_work_and_names_both(cluster: Cluster, other_release: str) -> None:
     with cluster.changed("dispatcher", services={"dispatcher": {"volumes": [other_release]}}):
-        in_readyz = f"are of another version than the coordinator ({OTHER_VERSION}): "
-        said = f"this node has drivecal {OTHER_VERSION} and the head at ray-head:6379 has {version('drivecal')}"
+        in_readyz = f"are of another version than the coordinator ({OTHER_RELEASE}): "
+        said = f"this node has drivecal {OTHER_RELEASE} and the head at ray-head:6379 has {release()}"
         assert_said(cluster, "dispatcher", said, in_readyz=in_readyz)
-        assert f"has drivecal {version('drivecal')}; install the same release on both" in cluster.problems()
+        assert f"has drivecal {release()}; install the same release on both" in cluster.problems()
         assert not cluster.is_ready()
 
 
@@ -93,9 +97,9 @@ def test_a_node_of_another_release_gets_no_work_and_both_are_named(cluster: Clus
             lambda: f"{container[:12]} has drivecal {OTHER_VERSION}" in cluster.problems(), "a version that is refused"
         )
         said = cluster.run("docker", "logs", container, check=False)
-        assert f"this node has drivecal {OTHER_VERSION} and the head at ray-head:6379 has {version('drivecal')}" in said
+        assert f"this node has drivecal {OTHER_RELEASE} and the head at ray-head:6379 has {release()}" in said
         said = cluster.compose("logs", "--no-log-prefix", "dispatcher")
-        assert f"node {container[:12]} gets no work: this coordinator has drivecal {version('drivecal')}" in said
+        assert f"node {container[:12]} gets no work: this coordinator has drivecal {release()}" in said
         assert cluster.ready_nodes() == before
         assert cluster.is_ready()  # the others work on
     finally:

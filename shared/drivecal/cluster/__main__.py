@@ -13,11 +13,11 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
 from drivecal.cluster.members import Node, ask
+from drivecal.cluster.release import release
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 
@@ -101,7 +101,7 @@ def _common_options(environment: Mapping[str, str]) -> list[str]:
     address = environment.get("DRIVECAL_NODE_ADDRESS")
     return [
         *([f"--node-ip-address={address}"] if address else []),
-        f"--labels={VERSION_LABEL}={version('drivecal')}",
+        f"--labels={VERSION_LABEL}={release()}",
         f"--object-store-memory={OBJECT_STORE_BYTES}",
         "--num-gpus=0",
         "--include-log-monitor=false",  # saves a process of 80 MB; the output of workers is not forwarded

@@ -2,9 +2,9 @@
 
 import shutil
 from collections.abc import Mapping
-from importlib.metadata import version
 from pathlib import Path
 
+from drivecal.cluster.release import release
 from drivecal.cluster.settings import OBJECT_STORE_BYTES
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 
@@ -55,7 +55,7 @@ def version_gap(theirs: str | None, address: str) -> str | None:
 
     A node of another version joins but gets no work, and the coordinator reports why.
     """
-    ours = version("drivecal")
+    ours = release()
     if theirs in {None, ours}:
         return None
     return (

@@ -16,7 +16,7 @@ CONNECT_SECONDS = 3.0
 
 @dataclass(frozen=True, slots=True, order=True)
 class Node:
-    """A living node. `version`: its installed drivecal, None if the node was not started by drivecal."""
+    """A living node. `version`: `release()` of its installed drivecal, None if the node was not started by drivecal."""
 
     name: str
     id: str

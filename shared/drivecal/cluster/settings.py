@@ -3,7 +3,7 @@
 OBJECT_STORE_BYTES = 80 * 2**20
 """Shared memory of a node, Ray's minimum: batches and results travel with the calls; only recorded runs are in the object store."""
 VERSION_LABEL = "drivecal-version"
-"""Label of a node with the version of its installed drivecal."""
+"""Label of a node with the release of its installed drivecal: version and digest of the sources."""
 PORT = 6379
 """Default port of the head."""
 

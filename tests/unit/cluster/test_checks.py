@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,11 +12,12 @@ import pytest
 from drivecal.cluster import __main__ as node
 from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
 from drivecal.cluster.members import Node, ask, members
+from drivecal.cluster.release import release
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL
 from drivecal.domain.errors import ConflictError, InvalidInputError, UnavailableError
 
 TOKEN = "0123456789abcdef"
-HEAD = Node("head", "a" * 56, 0, version("drivecal"), is_head=True)
+HEAD = Node("head", "a" * 56, 0, release(), is_head=True)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_too_little_shared_memory_is_said_with_what_is_needed(tmp_path: Path, mo
 
 
 def test_another_version_than_the_heads_is_said_with_both() -> None:
-    ours = version("drivecal")
+    ours = release()
     gap = version_gap("9.9", "h:1")
     assert gap is not None
     assert all(named in gap for named in (ours, "h:1", "9.9"))
@@ -91,9 +91,7 @@ def test_a_node_waits_for_its_head_longer_and_longer_and_then_compares_versions(
 def test_the_head_offers_no_dashboard_and_simulates_nothing() -> None:
     command = node.head_command(6379, {})
     assert command[:3] == ["ray", "start", "--head"]
-    assert {"--num-cpus=0", "--include-dashboard=false", "--block", f"--labels={VERSION_LABEL}={version('drivecal')}"} <= set(
-        command
-    )
+    assert {"--num-cpus=0", "--include-dashboard=false", "--block", f"--labels={VERSION_LABEL}={release()}"} <= set(command)
 
 
 def test_a_node_has_as_many_workers_as_configured() -> None:

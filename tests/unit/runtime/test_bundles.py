@@ -128,10 +128,22 @@ def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive
     works = worker(tmp_path, ScriptedSimulator())
     works.store(request_.bundle, archive)
     for requested in ("1.another", None):
-        setup = replace(request_, simulator=section, document={"adapter": "3", "controller": requested})
+        setup = replace(request_, simulator=section, document={"adapter": "1", "controller": requested})
         refusal = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).refusal or ""
         assert registry.simulator("highway").controllers["planner"] in refusal
         assert str(requested) in refusal
+
+
+def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    works = worker(tmp_path, ScriptedSimulator(version="7"))
+    works.store(request_.bundle, archive)
+    batches = {
+        adapter: Batch(replace(request_, document={"adapter": adapter}), (Cell(1, {"x": 2.0}),)) for adapter in ("8", "7")
+    }
+    refused = works.run(batches["8"])
+    assert refused.results == ()
+    assert "is 8 at the coordinator and 7 at the worker" in (refused.refusal or "")
+    assert works.run(batches["7"]).refusal is None
 
 
 def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

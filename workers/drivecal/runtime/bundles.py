@@ -170,6 +170,7 @@ class BundleSessions:
     def _opened(self, setup: BundleRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
         chosen = self._simulators(setup.simulator["kind"])
+        _refuse_other_adapters(setup, chosen.version)
         _refuse_other_controllers(setup)
         declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
         return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
@@ -198,6 +199,16 @@ def _watch(sessions: weakref.ref[BundleSessions]) -> None:
 def _unable(error: OSError) -> UnavailableError:
     """Returns the refusal of a machine that lacks disk, processes or files: its cells are not to blame, so they wait."""
     return UnavailableError(f"this machine cannot run simulators: {error}")
+
+
+def _refuse_other_adapters(setup: BundleRequest, installed: str) -> None:
+    """Raises UnavailableError if the adapter here is not the one of the setup's document, to which the results would be credited."""
+    requested = setup.document.get("adapter")
+    if requested not in {None, installed}:
+        raise UnavailableError(
+            f"coordinator and worker differ: the adapter {setup.simulator['kind']!r} is {requested} at the coordinator and {installed} at"
+            " the worker; install the same drivecal on both"
+        )
 
 
 def _refuse_other_controllers(setup: BundleRequest) -> None:

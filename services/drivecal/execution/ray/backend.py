@@ -4,10 +4,10 @@ import logging
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from typing import Any
 
 from drivecal.cluster.members import Node
+from drivecal.cluster.release import release
 from drivecal.contracts.work import Batch
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
@@ -45,7 +45,7 @@ class RayBackend(SupervisedBackend):
         self._ray = self._cluster.ray
         self._actor_class = self._ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Worker)
         self._trial = trial
-        self._version = version("drivecal")
+        self._version = release()
         self._nodes: tuple[Node, ...] = ()
         self._archives: dict[str, Any] = {}
         """References to archives in Ray's store, by digest."""

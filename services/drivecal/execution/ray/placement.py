@@ -27,7 +27,7 @@ def missing(nodes: Sequence[Node], placed: Collection[str], most: int | None, ve
 
 
 def fits(node: Node, version: str) -> bool:
-    """Whether a node has the coordinator's version of drivecal, or an unknown version."""
+    """Whether a node has the coordinator's drivecal (`release()`), or an unknown one."""
     return node.version in {None, version}
 
 
