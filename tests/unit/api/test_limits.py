@@ -192,6 +192,8 @@ def test_too_many_requests_at_once_are_refused_and_health_is_not() -> None:
         await entered.acquire()
         assert limited.places_of_strangers.taken == 1
         assert (await ask("/readyz", None))[0] == 503
+        for path in ("/", "/page/assets/index.js", "/help", "/help/index.html"):
+            assert (await ask(path, None))[0] == 200, "a browser asks for a dozen files at once"
         go.set()
         assert [(await one)[0] for one in [*slow, stranger]] == [200] * 3
         assert (await ask("/quick", "known"))[0] == 200

@@ -166,8 +166,13 @@ def _holder(connection: HTTPConnection, tokens: Tokens) -> Token | None:
 
 
 def _is_open(request: Request) -> bool:
-    path = request.scope["path"]
-    return path in OPEN or (request.method in READING and (path in {"/", HELP} or path.startswith((PAGE, HELP + "/"))))
+    return request.scope["path"] in OPEN or is_of_the_page(request.scope)
+
+
+def is_of_the_page(scope: Scope) -> bool:
+    """Returns whether a request reads the page, one of its files, or the documentation, which need no token."""
+    path = scope["path"]
+    return scope["method"] in READING and (path in {"/", HELP} or path.startswith((PAGE, HELP + "/")))
 
 
 def _bearer(header: str) -> bytes | None:

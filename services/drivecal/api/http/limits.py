@@ -12,6 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from drivecal.api.http.authorisation import is_of_the_page
 from drivecal.api.http.problems import problem_response
 from drivecal.domain.errors import OverloadError
 
@@ -169,7 +170,7 @@ class Concurrency:
     """ASGI middleware that answers 503 if too many requests are being answered.
 
     `request.state.place` is the request's place, which an event stream gives back because it only waits. Requests that lack a token have
-    their own places.
+    their own places, except for files of the page and the documentation: they are in memory, and a browser asks for a dozen at once.
     """
 
     def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS, strangers: int = MOST_REQUESTS_OF_STRANGERS) -> None:
@@ -183,6 +184,9 @@ class Concurrency:
             await self.app(scope, receive, send)
             return
         stranger = scope.setdefault("state", {}).get("token") is None
+        if stranger and is_of_the_page(scope):
+            await self.app(scope, receive, send)
+            return
         try:
             place = (self.places_of_strangers if stranger else self.places).take()
         except OverloadError as error:
