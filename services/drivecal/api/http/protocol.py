@@ -44,9 +44,9 @@ class Protocol(H11Protocol):
         self._expect_a_head()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hands the connection on, with nothing between it and its new protocol."""
+        """Hands the connection on to its new protocol."""
         self._stop_waiting()
-        self.transport = self._gently.handed_on()
+        self._gently.hand_on()
         super().handle_websocket_upgrade(event)
 
     def data_received(self, data: bytes) -> None:

@@ -9,7 +9,7 @@ What is said over it is in `PROTOCOL`, which the OpenAPI document quotes: it can
 import asyncio
 import json
 from collections.abc import Iterator
-from contextlib import aclosing, suppress
+from contextlib import aclosing
 from typing import Annotated, Any
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
@@ -86,16 +86,16 @@ class _Line:
         self._one_at_a_time = asyncio.Lock()
 
     async def serve(self) -> None:
-        alive = asyncio.create_task(self._stay_alive())
+        """Obeys the page until it is gone, reads nothing any more, or a task fails."""
         try:
-            with suppress(WebSocketDisconnect):
+            async with asyncio.TaskGroup() as self._tasks:
+                alive = self._tasks.create_task(self._stay_alive())
                 while self._is_open and await self._obey(await self._socket.receive_text()):
                     pass
-        finally:
-            tasks = [alive, *self._followed.values()]
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+                for task in (alive, *self._followed.values()):
+                    task.cancel()
+        except* (WebSocketDisconnect, TimeoutError):
+            pass
 
     @property
     def _is_open(self) -> bool:
@@ -121,7 +121,7 @@ class _Line:
             self._followed.pop(campaign).cancel()
         self._followed = {name: task for name, task in self._followed.items() if not task.done()}
         if len(self._followed) < MOST_FOLLOWED:
-            self._followed[campaign] = asyncio.create_task(self._tell(campaign, after))
+            self._followed[campaign] = self._tasks.create_task(self._tell(campaign, after))
         else:
             await self._send({"campaign": campaign, "error": f"a page follows {MOST_FOLLOWED} campaigns at most"})
 
@@ -149,9 +149,11 @@ class _Line:
 
     async def _send(self, message: dict[str, Any]) -> None:
         async with self._one_at_a_time, asyncio.timeout(STALLED_SECONDS):
+            if not self._is_open:
+                return
             if self._socket.state.is_admitted():
                 await self._socket.send_text(json.dumps(message))
-            elif self._is_open:
+            else:
                 await self._socket.close(NOT_UNDERSTOOD)
 
 
