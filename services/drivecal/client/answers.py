@@ -89,6 +89,13 @@ def _document(response: httpx.Response) -> dict[str, object]:
     except ValueError:
         document = None
     if not isinstance(document, dict) or "status" not in document:
+        if response.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
+            message = f"a proxy before the server at {_server(response)} refuses a body of this size"
+            raise InvalidInputError(Problem("", message, "raise its limit, e.g. client_max_body_size 64m"))
+        if response.status_code == HTTPStatus.GATEWAY_TIMEOUT:
+            seconds = response.elapsed.total_seconds()
+            message = f"a proxy before the server at {_server(response)} gave up after {seconds:.0f} s"
+            raise UnavailableError(f"{message}; raise its read timeout, e.g. proxy_read_timeout 300s")
         if response.status_code in PROXY:
             message = f"a proxy answers HTTP {response.status_code} in the place of the server at {response.url}"
             raise UnavailableError(f"{message}; it may be starting: try again")

@@ -36,7 +36,7 @@ ASKING = {HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE}
 SLOW_SECONDS = 300.0
 """Time within which a whole table has to begin, and to continue: a large ranking takes a while."""
 PATIENCE_SECONDS = 30.0
-"""Total wait for a server that asks to try again, in calls that are safe to repeat."""
+"""Total wait for a server that asks to try again, in calls that are safe to repeat. Answers that took longer are not asked for again."""
 
 
 class Transport:
@@ -80,8 +80,9 @@ class Transport:
 
     def _request(self, method: str, place: Sequence[str], **content: Any) -> httpx.Response:
         """Repeats a call that is safe to repeat while the server asks for it, breaks off or starts again, for up to PATIENCE_SECONDS."""
-        waited, broken = 0.0, 0
+        waited, answering, broken = 0.0, 0.0, 0
         while True:
+            began = time.monotonic()
             try:
                 response = self._once(method, place, **content)
             except UnavailableError as error:
@@ -95,15 +96,19 @@ class Transport:
                     raise
                 pause = SECONDS_TO_RESTART
             else:
+                answering += time.monotonic() - began  # a proxy that gives up does so after a minute, each time
                 asked = _pause(response)
-                if asked is None or waited + asked > PATIENCE_SECONDS:
+                if asked is None or max(waited + asked, answering) > PATIENCE_SECONDS:
                     return response
                 pause = asked
             time.sleep(pause)
             waited += pause
 
     def _pieces(self, place: Sequence[str], query: Mapping[str, Any]) -> Iterator[bytes]:
-        """Yields a long answer in pieces as they arrive; asks again while the server asks for it, as `_request`."""
+        """Yields a long answer in pieces as they arrive; asks again while the server asks for it, as `_request`.
+
+        Does not ask again if a proxy gave up on the server: it would begin the same work anew.
+        """
         params = {name: value for name, value in query.items() if value is not None}
         path, waited = path_of(self._full_place(place)), 0.0
         timeout = httpx.Timeout(self._http.timeout.connect, read=SLOW_SECONDS)
@@ -112,7 +117,7 @@ class Transport:
                 with self._http.stream("GET", path, params=params, timeout=timeout) as response:
                     if not response.is_success:
                         response.read()
-                    asked = _pause(response)
+                    asked = None if response.status_code == HTTPStatus.GATEWAY_TIMEOUT else _pause(response)
                     if asked is None or waited + asked > PATIENCE_SECONDS:
                         raise_for(response, *named(place))
                         yield from response.iter_bytes()

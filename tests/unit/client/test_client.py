@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import socket
 import time
+from itertools import count
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
 from tests.support.scripted import Answer, campaign, problem, server
 
-from drivecal.client import Client
+from drivecal.client import Client, transport
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import (
     ConflictError,
@@ -100,6 +102,37 @@ def test_a_proxy_whose_server_is_away_is_asked_again(waits: list[float]) -> None
     with server(page, page, campaign("queued")) as (client, _):
         assert client.submit({}).state == "queued"
     assert waits == [1.0, 1.0]
+
+
+def test_a_proxy_that_refuses_a_large_body_is_named() -> None:
+    with server((413, {"Content-Type": "text/html"}, b"<html>")) as (client, _), pytest.raises(InvalidInputError) as caught:
+        client.submit({})
+    (refused,) = caught.value.problems
+    assert "proxy" in refused.message
+    assert "client_max_body_size" in refused.remedy
+
+
+GAVE_UP: Answer = (504, {"Content-Type": "text/html"}, b"<html>")
+
+
+def test_a_proxy_that_gave_up_on_a_whole_table_is_not_asked_again(waits: list[float]) -> None:
+    with server(GAVE_UP) as (client, script):
+        with pytest.raises(UnavailableError, match="gave up after 0 s; raise its read timeout"):
+            list(client.table("a" * 32, "ranking", "csv"))
+        assert len(script.requests) == 1
+    assert waits == []
+
+
+def test_a_proxy_that_gives_up_late_is_not_asked_again(waits: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    with server(GAVE_UP, GAVE_UP, campaign("queued")) as (client, script):
+        assert client.submit({}).state == "queued"
+        assert waits == [1.0, 1.0]
+        minutes = count(0.0, 60.0)
+        monkeypatch.setattr(transport, "time", SimpleNamespace(sleep=waits.append, monotonic=lambda: next(minutes)))
+        script.answers += [GAVE_UP] * 2
+        with pytest.raises(UnavailableError, match="read timeout"):
+            client.workers()
+        assert len(script.answers) == 1
 
 
 def test_a_lost_answer_is_asked_for_until_the_server_is_back(waits: list[float], monkeypatch: pytest.MonkeyPatch) -> None:

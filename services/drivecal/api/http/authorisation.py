@@ -95,7 +95,11 @@ class Authorisation:
         if request.method in READING or _only_checks(request):
             return None
         if not given and not sessions.same_origin(request.headers):
-            return 403, "with a session this server takes changes from its own page only; send Authorization: Bearer TOKEN", {}
+            detail = (
+                "with a session this server takes changes from its own page only; send Authorization: Bearer TOKEN;"
+                " behind a proxy, pass the Host header on"
+            )
+            return 403, detail, {}
         if not token.may_write and request.scope["path"] != sessions.PATH:
             return _insufficient(token)
         return None
