@@ -8,10 +8,13 @@ from typing import Any
 
 import pytest
 import structlog
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.types import Message, Receive, Scope, Send
 
 from drivecal.api.http import sessions
 from drivecal.api.http.authorisation import ANYBODY, LIVE, Authorisation, Tokens, is_loopback_host
+from drivecal.api.routes import page_session
 from drivecal.configuration.tokens import TokenFile, parse
 
 ANNA, PLANT = b"anna-0123456789abcdef", b"plant-0123456789abcdef"
@@ -327,3 +330,11 @@ def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:
     asyncio.run(Authorisation(app, Fixed())(scope, never, never))
     assert noted[0]["token"] == "anna"
     assert "0123456789abcdef" not in str(noted)
+
+
+def test_a_session_begins_and_ends_without_a_host_as_in_http_1_0() -> None:
+    (token,) = parse(b"anna write anna-0123456789abcdef", "tokens")
+    request, begun, ended = Request({"type": "http", "headers": [], "state": {"token": token}}), Response(), Response()
+    page_session.begin_session(request, begun)
+    page_session.end_session(request, ended)
+    assert [answer.headers["set-cookie"].partition("=")[0] for answer in (begun, ended)] == ["drivecal-session"] * 2

@@ -29,7 +29,7 @@ def begin_session(request: Request, response: Response) -> Session:
     token: Token = request.state.token
     if token is not ANYBODY:
         response.set_cookie(
-            sessions.cookie_name(request.headers["host"]),
+            sessions.cookie_name(request.headers.get("host", "")),
             sessions.begin(token),
             max_age=sessions.SECONDS,
             httponly=True,
@@ -42,7 +42,7 @@ def begin_session(request: Request, response: Response) -> Session:
 @router.delete("/session", status_code=204)
 def end_session(request: Request, response: Response) -> None:
     """Takes the session's cookie away."""
-    response.delete_cookie(sessions.cookie_name(request.headers["host"]), httponly=True, samesite="strict")
+    response.delete_cookie(sessions.cookie_name(request.headers.get("host", "")), httponly=True, samesite="strict")
 
 
 def _session(token: Token) -> Session:
