@@ -168,8 +168,11 @@ def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:
         path.write_text(TOKENS.replace(WRITE, "another-0123456789abcdef"))
         assert api.http.get("/api/v1/scenarios", headers=bearer(WRITE)).status_code == 401
         assert api.http.get("/api/v1/scenarios", headers=bearer("another-0123456789abcdef")).status_code == 200
-        path.write_text("broken")
+        path.write_text(TOKENS.replace(WRITE, "short"))
+        assert api.http.get("/api/v1/scenarios", headers=bearer("another-0123456789abcdef")).status_code == 401
         assert api.http.get("/api/v1/scenarios", headers=bearer(READ)).status_code == 200
+        assert str(path) in " ".join(api.http.get("/readyz", headers=bearer(READ)).json()["problems"])
+        assert api.http.get("/readyz").json()["problems"] == []
 
 
 @pytest.fixture(scope="module")

@@ -55,6 +55,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.database = database
         app.state.meters = meters
         app.state.pushing = pushing
+        app.state.tokens = tokens
         app.state.limits = Limits.of(settings)
         app.state.remembered = ResponseCache()
         async with EventHub(database).running() as app.state.event_hub:

@@ -47,6 +47,14 @@ class Token:
 
 def parse(content: bytes, source: str) -> tuple[Token, ...]:
     """Returns the tokens in a file's content. Raises InvalidInputError naming `source` and line of each fault."""
+    tokens, problems = _parsed(content, source)
+    if problems:
+        raise InvalidInputError(*problems)
+    return tuple(tokens)
+
+
+def _parsed(content: bytes, source: str) -> tuple[list[Token], list[Problem]]:
+    """Returns the tokens of all lines without a fault, and the faults of the others."""
     tokens: list[Token] = []
     problems: list[Problem] = []
     first_lines: dict[str | bytes, int] = {}
@@ -57,16 +65,16 @@ def parse(content: bytes, source: str) -> tuple[Token, ...]:
             problems.append(Problem(where, *wrong))
             continue
         token = Token(words[0].decode("ascii"), words[1] != b"read", _digest(words[2]), words[1] == b"author")
-        for key, kind in ((token.name, "name"), (token.digest, "token")):
-            if key in first_lines:
-                problems.append(Problem(where, f"the {kind} is that of line {first_lines[key]}", f"give each {kind} once"))
+        keys: tuple[tuple[str | bytes, str], ...] = ((token.name, "name"), (token.digest, "token"))
+        again = [(first_lines[key], kind) for key, kind in keys if key in first_lines]
+        problems += [Problem(where, f"the {kind} is that of line {line}", f"give each {kind} once") for line, kind in again]
+        for key, _ in keys:
             first_lines.setdefault(key, number)
-        tokens.append(token)
-    if problems:
-        raise InvalidInputError(*problems)
-    if not tokens:
-        raise InvalidInputError(Problem(source, "it holds no token", f"write {FORM}"))
-    return tuple(tokens)
+        if not again:
+            tokens.append(token)
+    if not tokens and not problems:
+        problems.append(Problem(source, "it holds no token", f"write {FORM}"))
+    return tokens, problems
 
 
 def _lines(content: bytes) -> Iterator[tuple[int, list[bytes]]]:
@@ -105,6 +113,8 @@ class TokenFile:
         self._path = path
         self._version = _version(path)
         self.tokens = parse(_read(path), str(path))
+        self.fault: str | None = None
+        """Message about the present version of the file if it cannot be used as it is."""
 
     def find(self, presented: bytes) -> Token | None:
         """Returns the token with this secret, None without a match. Takes equally long for any secret: it compares all digests, in
@@ -122,17 +132,27 @@ class TokenFile:
         return next((token for token in self.tokens if token.name == name), None)
 
     def _refresh(self) -> None:
-        """Reads the file again if it has changed. A faulty version is ignored and logged once."""
+        """Reads the file again if it has changed. A faulty version is logged once and adds no token, but revokes the tokens that no good
+        line of it holds. A missing, unreadable or empty file changes nothing: many editors leave one for a moment."""
         version = _version(self._path)
         if version == self._version:
             return
         self._version = version
         try:
-            self.tokens = parse(_read(self._path), str(self._path))
+            content = _read(self._path)
+            tokens, problems = _parsed(content, str(self._path))
         except InvalidInputError as error:
-            log.warning("the tokens are unchanged because the file is unusable: %s", error)
-        else:
+            content, tokens, problems = b"", [], list(error.problems)
+        if not problems:
+            self.tokens, self.fault = tuple(tokens), None
             log.warning("the tokens were read again: %d tokens", len(self.tokens))
+            return
+        if any(_lines(content)):
+            known = {token.digest for token in self.tokens}
+            self.tokens = tuple(token for token in tokens if token.digest in known)
+        faults = "; ".join(map(str, problems))
+        self.fault = f"the tokens file is faulty: {len(self.tokens)} known tokens are accepted and no new ones until it is mended: {faults}"
+        log.warning("%s", self.fault)
 
 
 def _version(path: Path) -> tuple[int, ...] | None:

@@ -113,7 +113,7 @@ def test_a_token_is_exchanged_without_a_restart(tmp_path: Path) -> None:
     assert found.name == "anna"
 
 
-@pytest.mark.parametrize("broken", [b"", b"anna write " + ANNA + b"\nanna read x\n", None])
+@pytest.mark.parametrize("broken", [b"", b"# nothing\n", GOOD + b"third read x\n", None])
 def test_a_version_that_is_wrong_leaves_the_tokens_as_they_were_and_says_so_once(
     tmp_path: Path, broken: bytes | None, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -128,9 +128,23 @@ def test_a_version_that_is_wrong_leaves_the_tokens_as_they_were_and_says_so_once
             assert tokens.find(PLANT) is not None
     assert len(caplog.messages) == 1
     assert str(path) in caplog.messages[0]
+    assert tokens.fault == caplog.messages[0]
     assert ANNA.decode() not in caplog.text
     path.write_bytes(GOOD + b"third write 0123456789abcdef")
     assert tokens.find(b"0123456789abcdef") is not None
+    assert tokens.fault is None
+
+
+@pytest.mark.parametrize("line", [b"", b"anna write x\n", b"anna write " + ANNA + b" leaked\n"])
+def test_a_faulty_version_revokes_what_no_good_line_holds_and_adds_nothing(tmp_path: Path, line: bytes) -> None:
+    path = file(tmp_path, GOOD)
+    tokens = TokenFile(path)
+    path.write_bytes(b"plant2 read " + PLANT + b"\nthird write 0123456789abcdef\nbroken\n" + line)
+    assert tokens.find(ANNA) is None
+    assert tokens.find(b"0123456789abcdef") is None
+    assert tokens.find(PLANT) is not None
+    assert tokens.named("anna") is None
+    assert tokens.fault is not None
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "::", "192.0.2.1", "fe80::1%eth0", "::ffff:192.0.2.1"])

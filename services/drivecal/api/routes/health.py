@@ -8,6 +8,7 @@ from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.problems import RETRY_SECONDS
 from drivecal.api.live.dispatcher_health import Judgement, judge
 from drivecal.api.metrics import Meters
+from drivecal.configuration.tokens import TokenFile
 from drivecal.contracts.inventory import Readiness
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.plugins import registry
@@ -29,13 +30,16 @@ async def alive() -> dict[str, str]:
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "Not ready; `problems` says why"}})
 def ready(request: Request, response: Response, database: DatabaseDependency) -> Readiness:
     """Campaigns can be stored, and a dispatcher with a worker can run them. A single working worker suffices, even if `problems` lists
-    missing workers, workers that refuse a campaign, or plug-ins that cannot be used. `problems` is empty without a token if the
-    server requires tokens. Answers within five seconds, whatever is wrong."""
+    missing workers, workers that refuse a campaign, plug-ins that cannot be used, or a faulty tokens file. `problems` is empty without
+    a token if the server requires tokens. Answers within five seconds, whatever is wrong."""
     judgement = _judge(database)
     if not judgement.ready:
         response.status_code = 503
         response.headers["Retry-After"] = str(RETRY_SECONDS)
     shown = [] if request.state.token is None else [*judgement.problems, *map(str, registry.broken())]
+    tokens: TokenFile | None = request.app.state.tokens
+    if request.state.token is not None and tokens is not None and tokens.fault is not None:
+        shown.append(tokens.fault)
     return Readiness(ready=judgement.ready, problems=shown)
 
 
