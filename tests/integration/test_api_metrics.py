@@ -15,6 +15,7 @@ from prometheus_client import Metric, parser
 from prometheus_client.openmetrics import parser as openmetrics
 from sqlalchemy import text, update
 from tests.support.server import RunningApi, new_database, serving
+from websockets.sync.client import connect
 
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -184,6 +185,8 @@ def test_open_event_streams_are_counted_while_they_are_open(api: RunningApi) -> 
     with httpx.stream("GET", f"{api.url}/api/v1/campaigns/{stored.id}/events", timeout=30) as stream:
         assert stream.status_code == 200
         assert value(metrics(api), "drivecal_http_event_streams") == 1
+        with connect(f"{api.url.replace('http', 'ws')}/api/v1/live", open_timeout=20):
+            assert value(metrics(api), "drivecal_http_event_streams") == 2
     for _ in range(100):
         if value(metrics(api), "drivecal_http_event_streams") == 0:
             break

@@ -56,7 +56,8 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.meters = meters
         app.state.pushing = pushing
         app.state.tokens = tokens
-        app.state.limits = Limits.of(settings)
+        app.state.limits = limits = Limits.of(settings)
+        meters.event_streams.set_function(lambda: limits.event_streams.taken)
         app.state.remembered = ResponseCache()
         async with EventHub(database).running() as app.state.event_hub:
             yield

@@ -1,7 +1,8 @@
 """Metrics for Prometheus at `/metrics`: requests to this process, the database, and the dispatcher through its heartbeat.
 
-If the database does not answer, its metrics are left out and `drivecal_database_up` is 0. Counters from the database never decrease, not
-even with a new process. Counters of the dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
+If the database does not answer, its metrics are left out and `drivecal_database_up` is 0. Counters from the database continue with a new
+process, but without the single evaluations that `drivecal db prune` removed, which Prometheus takes as a reset. Counters of the
+dispatcher's and the API's own memory begin at 0 with their process, as Prometheus expects.
 """
 
 from collections.abc import Iterator, Mapping
@@ -59,7 +60,9 @@ class Meters:
             ["route", "method"],
             registry=self.registry,
         )
-        self.event_streams = Gauge("drivecal_http_event_streams", "Open event streams", registry=self.registry)
+        self.event_streams = Gauge(
+            "drivecal_http_event_streams", "Open event streams and live connections of pages", registry=self.registry
+        )
         ProcessCollector(registry=self.registry)
         self.registry.register(ServiceCollector(database))
 

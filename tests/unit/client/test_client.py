@@ -118,7 +118,7 @@ GAVE_UP: Answer = (504, {"Content-Type": "text/html"}, b"<html>")
 def test_a_proxy_that_gave_up_on_a_whole_table_is_not_asked_again(waits: list[float]) -> None:
     with server(GAVE_UP) as (client, script):
         with pytest.raises(UnavailableError, match="gave up after 0 s; raise its read timeout"):
-            list(client.table("a" * 32, "ranking", "csv"))
+            list(client.table("a" * 32, "evaluations", "csv"))
         assert len(script.requests) == 1
     assert waits == []
 

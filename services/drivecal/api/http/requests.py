@@ -53,15 +53,11 @@ class RequestRecords:
                 headers = MutableHeaders(scope=message)
                 headers[REQUEST_ID] = request_id
                 streams = headers.get("content-type", "").startswith("text/event-stream")
-                if streams:
-                    self.meters.event_streams.inc()
             await send(message)
 
         try:
             await self.app(scope, receive, noting)
         finally:
-            if streams:
-                self.meters.event_streams.dec()
             self._note(scope, status, None if streams else time.perf_counter() - begin)
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
