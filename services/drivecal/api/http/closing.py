@@ -39,6 +39,7 @@ class ClosingGently(asyncio.Transport):
         self.gone = True
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Sets the protocol that receives the client's data."""
         self._transport.set_protocol(protocol)
 
     @property
