@@ -17,6 +17,7 @@ from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import BundleRequest
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import Influence, InfluenceMap
@@ -75,13 +76,16 @@ def test_a_score_that_tolerates_no_difference_is_noted_where_it_is_predicted(
     assert not any("tolerance" in note for note in resolved(changed, reduction=reduction, **alone).notes)
 
 
-def test_narrowing_holds_only_parameters_that_no_constraint_names() -> None:
+def test_narrowing_holds_only_parameters_that_no_constraint_names(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = resolved(sensitivity={"map": "m"}, reduction={"mode": "both", "narrow": True})
     nothing = dict.fromkeys(problem.space.names, Influence(influential=False))
     influence_map = InfluenceMap(dict.fromkeys(problem.scenarios, nothing))
     assert [cut.parameter for cut in problem.search_area(influence_map).narrowed()] == ["warning"]
     influential = InfluenceMap(dict.fromkeys(problem.scenarios, nothing | {"warning": Influence(influential=True)}))
     assert problem.search_area(influential).whole is WholeSpace.CONSTRAINED
+    monkeypatch.setattr(Constraints, "allow_any", lambda *_: False)
+    area = problem.search_area(influence_map)
+    assert (area.narrowed(), area.whole) == ([], WholeSpace.INFEASIBLE)
 
 
 def test_a_map_is_posted_for_a_problem_of_a_users_own() -> None:
