@@ -28,7 +28,7 @@ from drivecal.execution.backend import (
     WorkerInfo,
 )
 from drivecal.execution.worker_process import Call, WorkerProcess
-from drivecal.plugins.simulators import PROBE_SECONDS, start_limit
+from drivecal.plugins.simulators import END_SECONDS, MOST_SESSIONS, PROBE_SECONDS, start_limit
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a backend is given up, because a new process may succeed, unless it `waits_for_workers`."""
@@ -293,9 +293,11 @@ class SupervisedBackend(Backend, ABC):
 
 
 def _limits_of_simulators(batch: Batch) -> float:
-    """Returns how long a user's simulator may take for a batch (s): it ends its probe, its start and its runs itself."""
+    """Returns how long a user's simulator may take for a batch (s): it ends its probe, two starts and its runs itself. A run that hangs
+    costs a start as well, and each end of a simulation END_SECONDS at most."""
     timeout = batch.setup.timeout
     if timeout is None or not batch.cells:
         return 0.0
     probe = PROBE_SECONDS if isinstance(batch.setup, BundleRequest) and batch.setup.tools is not None else 0.0
-    return probe + start_limit(timeout) + 2 * timeout * len(batch.cells)
+    starts = 2 * start_limit(timeout) + MOST_SESSIONS * END_SECONDS
+    return probe + starts + (2 * timeout + END_SECONDS) * len(batch.cells)

@@ -19,6 +19,12 @@ PROBE_SECONDS = 45.0
 """Time limit of a probe: below that of a batch, whose worker would be ended, and above the start of slow tools."""
 
 
+MOST_SESSIONS = 8
+"""Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
+END_SECONDS = 3.0
+"""Time (s) within which a simulator has ended: all its processes are asked to, and what still runs is killed."""
+
+
 def start_limit(timeout: float) -> float:
     """Returns the time limit of a start (s) of a simulator with this limit of a run."""
     return max(timeout, START_SECONDS)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -36,3 +39,13 @@ def test_any_other_source_is_another_release(tmp_path: Path) -> None:
 def test_a_release_is_a_label_that_ray_accepts() -> None:
     assert release().startswith(f"{version('drivecal')}-")
     assert re.fullmatch(r"[a-zA-Z0-9][a-zA-Z0-9_.-]{0,61}[a-zA-Z0-9]", release())
+
+
+def test_folders_beside_the_installation_change_no_release(tmp_path: Path) -> None:
+    written(tmp_path / "drivecal", stray="1\n")
+    (tmp_path / "drivecal" / "stray" / ".#lock.py").symlink_to("nobody@nowhere")
+    there = subprocess.run(
+        [sys.executable, "-c", "from drivecal.cluster.release import release; print(release())"],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert there.stdout.strip() == release()

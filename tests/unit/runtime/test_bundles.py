@@ -17,15 +17,13 @@ import pytest
 from tests.support.simulators import eventually, running
 
 from drivecal.adapters import children, process
-from drivecal.adapters.scratch import GRANTED
-from drivecal.bundles import archives
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
+from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime import bundles
-from drivecal.runtime.bundles import IDLE_SECONDS, MOST_SESSIONS, BundleSessions
+from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
 
@@ -76,31 +74,6 @@ class ScriptedSession:
 
     def close(self) -> None:
         self.simulator.closed.append(self.scenario)
-
-
-@pytest.fixture
-def archive(tmp_path: Path) -> bytes:
-    folder = tmp_path / "problem"
-    folder.mkdir()
-    (folder / "problem.yaml").write_text("problem: p\n")
-    return archives.pack(folder)
-
-
-@pytest.fixture
-def request_(archive: bytes) -> BundleRequest:
-    return BundleRequest(
-        bundle=archives.content_digest(archive),
-        problem="p",
-        scenario="city",
-        data={},
-        simulator={"kind": "process", "timeout": 10.0},
-        parameters=("x",),
-        integers=(),
-        measures=("a",),
-        failures=("collision",),
-        series=("v",),
-        run_fingerprint="fingerprint",
-    )
 
 
 def worker(tmp_path: Path, simulator: ScriptedSimulator) -> Worker:
@@ -287,46 +260,6 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
         works.run(Batch(replace(request_, scenario=name), (Cell(1, {"x": 2.0}),)))
     assert simulator.opened == scenarios
     assert simulator.closed == scenarios[:1]
-
-
-@pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
-def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
-) -> None:
-    class Licensed(ScriptedSimulator):
-        most = 2
-
-        def open(self, *arguments: Any) -> SimulatorSession:
-            if len(self.opened) - len(self.closed) >= self.most:
-                raise fault
-            return super().open(*arguments)
-
-    simulator = Licensed()
-    works = worker(tmp_path, simulator)
-    works.store(request_.bundle, archive)
-    for number in range(3):
-        assert works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),))).refusal is None
-    assert (simulator.opened, simulator.closed) == (["s0", "s1", "s2"], ["s0", "s1"])
-    simulator.most = 0
-    assert works.run(Batch(replace(request_, scenario="s3"), (Cell(1, {"x": 2.0}),))).refusal
-
-
-def test_a_program_that_crashes_at_its_start_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(GRANTED, str(tmp_path))
-    program = f"""
-import atexit, os, sys; licence = {str(tmp_path / "licence")!r}
-if os.path.exists(licence): sys.exit("no licence")
-open(licence, "x").close()
-atexit.register(os.remove, licence)
-{READY.replace("request = json.loads(input())", "request = json.loads(input())" + chr(10) + "    if 'quit' in request: break")}"""
-    section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
-    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
-    sessions.store(request_.bundle, archive)
-    for scenario in ("s0", "s1"):
-        setup = replace(request_, scenario=scenario, simulator=section)
-        assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
 
 
 def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

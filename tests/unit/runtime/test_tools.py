@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from tests.unit.runtime.test_bundles import ScriptedSimulator, archive, request_
+from tests.unit.runtime.test_bundles import ScriptedSimulator
 
 from drivecal.contracts.work import Batch, BatchResult, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
@@ -14,8 +14,6 @@ from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.tools import ASK_AGAIN_SECONDS, Tools
 from drivecal.runtime.worker import Worker
-
-__all__ = ["archive", "request_"]
 
 
 @dataclass

@@ -35,7 +35,8 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> R
     failure, reported, recorded = answer.get("failure"), answer.get("measures"), answer.get("series", {})
     if failure is not None:
         _check_failure(failure, declared)
-        reported, recorded = _kept({} if reported is None else reported, _has_value), _kept(recorded, _has_values)
+        reported = _kept({} if reported is None else reported, _has_value)
+        recorded = _kept({} if recorded is None else recorded, _has_values)
     if not isinstance(reported, dict):
         raise _error("the answer has no object `measures`")
     measures = {name: _number(name, value) for name, value in reported.items()}

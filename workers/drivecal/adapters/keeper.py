@@ -74,8 +74,8 @@ def seen(pid: int) -> Seen | None:
 
 
 def share(process: Seen) -> int:
-    """Returns the memory of a process in bytes, with pages that several processes have divided among them; without a share if /proc tells
-    none."""
+    """Returns the memory of a process in bytes, with pages that several processes have divided among them; without them if /proc reports
+    no share."""
     try:
         lines = Path(f"/proc/{process.pid}/smaps_rollup").read_bytes().splitlines()
     except OSError:

@@ -49,7 +49,7 @@ def answer(returned: object) -> Mapping[str, Any]:
         raise TypeError(f"the function returned {type(returned).__name__}, not a dict of measures")
     if isinstance(returned.get("failure"), str) or isinstance(returned.get("measures"), Mapping):
         whole = dict(returned)
-        whole["measures"] = _plain(whole.get("measures", {}))
+        whole["measures"] = _plain(whole.get("measures") or {})
         if isinstance(whole.get("series"), Mapping):
             whole["series"] = {name: [_number(value) for value in values] for name, values in whole["series"].items()}
         return whole

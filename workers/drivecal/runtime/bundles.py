@@ -1,6 +1,7 @@
 """Problem bundles on a worker: the open sessions of their simulators."""
 
 import logging
+import math
 import threading
 import time
 import weakref
@@ -15,15 +16,13 @@ from drivecal.bundles.fingerprints import controller_version
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
+from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.tools import Tools
 
 log = logging.getLogger(__name__)
 
-MOST_SESSIONS = 8
-"""Open sessions of a worker, least recently used first to go: each may hold a process of the user's."""
 IDLE_SECONDS = 600.0
 """Time without a run after which a session is closed: it may hold memory and a licence."""
 
@@ -47,6 +46,8 @@ class BundleSessions:
         """Locks of open sessions, which keep their files in the cache."""
         self._used: dict[tuple[str, ...], float] = {}
         """Time of the last run of each session."""
+        self._failed_alone: dict[tuple[str, ...], float] = {}
+        """Time at which a start failed without other sessions: it lacks something else than what those hold."""
         self._clock = clock
         self._running = threading.Lock()
         self._watched = False
@@ -153,25 +154,31 @@ class BundleSessions:
         return self._sessions[setup.key]
 
     def _opened_alone(self, setup: BundleRequest) -> SimulatorSession:
-        """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks."""
+        """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
+        after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
+        _refuse_other_adapters(setup, self._simulators(setup.simulator["kind"]).version)
+        _refuse_other_controllers(setup)
+        tried = self._clock() - self._failed_alone.get(setup.key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
         except (UnavailableError, OSError):
-            if not self._sessions:
+            if not self._sessions or tried:
                 raise
         else:
-            if not self._sessions or not (isinstance(session, ProcessSession) and session.has_failed):
+            if not self._sessions or tried or not _has_failed(session):
                 return session
             session.close()
         for key in list(self._sessions):
             self._drop(key)
-        return self._opened(setup)
+        self._failed_alone[setup.key] = self._clock()
+        session = self._opened(setup)
+        if not _has_failed(session):
+            del self._failed_alone[setup.key]
+        return session
 
     def _opened(self, setup: BundleRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
         chosen = self._simulators(setup.simulator["kind"])
-        _refuse_other_adapters(setup, chosen.version)
-        _refuse_other_controllers(setup)
         declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
         return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
 
@@ -183,6 +190,11 @@ class BundleSessions:
             if session is not None:
                 with suppress(OSError):
                     session.close()
+
+
+def _has_failed(session: SimulatorSession) -> bool:
+    """Returns whether a program crashed or hung at its start; a start that it refuses raises an error."""
+    return isinstance(session, ProcessSession) and session.has_failed
 
 
 def _watch(sessions: weakref.ref[BundleSessions]) -> None:

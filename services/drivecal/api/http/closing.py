@@ -15,7 +15,7 @@ from typing import Any
 
 LINGER_SECONDS = 2.0
 LINGER_BYTES = 64 * 1_048_576
-STALLED_SECONDS = 60.0
+STALLED_SECONDS = 300.0
 """Time without any progress of an answer after which its connection is aborted."""
 
 

@@ -30,6 +30,8 @@ MOST_REQUESTS = 200
 """Requests being answered or waiting for one of the 40 threads. Without a bound, abandoned requests would be answered first."""
 MOST_REQUESTS_OF_STRANGERS = 8
 """Requests without a token at a server with tokens, such as probes of /readyz."""
+MOST_FILES_OF_STRANGERS = 64
+"""Files of the page at a time without a token: a few browsers that open it together."""
 CLOSE = {"Connection": "close"}
 
 
@@ -170,13 +172,14 @@ class Concurrency:
     """ASGI middleware that answers 503 if too many requests are being answered.
 
     `request.state.place` is the request's place, which an event stream gives back because it only waits. Requests that lack a token have
-    their own places, except for files of the page and the documentation: they are in memory, and a browser asks for a dozen at once.
+    their own places, and more of them for files of the page and the documentation, of which a browser asks for a dozen at once.
     """
 
     def __init__(self, app: ASGIApp, most: int = MOST_REQUESTS, strangers: int = MOST_REQUESTS_OF_STRANGERS) -> None:
         self.app = app
         self.places = Places(most, "requests are being answered", retry_seconds=2)
         self.places_of_strangers = Places(strangers, "requests without a token are being answered", retry_seconds=2)
+        self.places_of_files = Places(MOST_FILES_OF_STRANGERS, "files of the page are being answered", retry_seconds=2)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Passes the request on if there is a place for it."""
@@ -184,11 +187,11 @@ class Concurrency:
             await self.app(scope, receive, send)
             return
         stranger = scope.setdefault("state", {}).get("token") is None
-        if stranger and is_of_the_page(scope):
-            await self.app(scope, receive, send)
-            return
+        places = self.places
+        if stranger:
+            places = self.places_of_files if is_of_the_page(scope) else self.places_of_strangers
         try:
-            place = (self.places_of_strangers if stranger else self.places).take()
+            place = places.take()
         except OverloadError as error:
             headers = {"Retry-After": str(error.retry_seconds)}
             await problem_response(Request(scope), 503, str(error), headers=headers)(scope, receive, send)

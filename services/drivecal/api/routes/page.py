@@ -97,7 +97,7 @@ def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: 
     """A page or file of the documentation."""
     if not (MANUAL / START).is_file():
         return _instead(MANUAL)
-    if (name or START) not in _names(MANUAL):
+    if not _holds(MANUAL, name or START):
         raise HTTPException(404, f"the documentation has no such page; it starts at {HELP}/")
     return _answer(MANUAL / (name or START), "no-cache", accept_encoding, if_none_match, MANUAL_GUARD)
 
@@ -105,13 +105,18 @@ def manual_page(name: str, accept_encoding: AcceptEncoding = "", if_none_match: 
 @router.get(PAGE + "{name:path}")
 def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") -> Response:
     """A file of the page."""
-    if name not in _names(FILES):
+    if not _holds(FILES, name):
         raise HTTPException(404, "the page has no such file; the page may have changed since: load it again")
     return _answer(FILES / name, FOREVER if name.startswith("assets/") else "no-cache", accept_encoding, if_none_match)
 
 
-def _names(folder: Path) -> set[str]:
-    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.suffix in TYPES and path.is_file()}
+def _holds(folder: Path, name: str) -> bool:
+    """Returns whether a folder has a file of this name to serve. Names that lead out of it are none."""
+    try:
+        path = (folder / name).resolve()
+        return path.suffix in TYPES and path.is_relative_to(folder.resolve()) and path.is_file()
+    except (OSError, ValueError):  # too long, or with a null character
+        return False
 
 
 def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, guard: Mapping[str, str] = GUARD) -> Response:
@@ -126,7 +131,7 @@ def _answer(path: Path, caching: str, accept_encoding: str, if_none_match: str, 
     return Response(content, headers=headers)
 
 
-@lru_cache(maxsize=100)
+@lru_cache(maxsize=500)
 def _read(path: Path, modified: int) -> _File:
     """Reads a file. `modified`: distinguishes the files of a new build."""
     del modified

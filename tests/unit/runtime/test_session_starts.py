@@ -1,0 +1,85 @@
+"""Starts of simulators that fail beside open sessions, which may hold what they lack."""
+
+from __future__ import annotations
+
+import errno
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.unit.runtime.test_bundles import READY, ScriptedSimulator, worker
+
+from drivecal.adapters.scratch import GRANTED
+from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.domain.errors import UnavailableError
+from drivecal.plugins.simulators import SimulatorSession
+from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
+from drivecal.runtime.cache import BundleCache
+
+
+@pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
+def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
+) -> None:
+    class Licensed(ScriptedSimulator):
+        most = 2
+
+        def open(self, *arguments: Any) -> SimulatorSession:
+            if len(self.opened) - len(self.closed) >= self.most:
+                raise fault
+            return super().open(*arguments)
+
+    simulator = Licensed()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    for number in range(3):
+        assert works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),))).refusal is None
+    assert (simulator.opened, simulator.closed) == (["s0", "s1", "s2"], ["s0", "s1"])
+    simulator.most = 0
+    for _ in range(2):
+        assert works.run(Batch(replace(request_, scenario="s3"), (Cell(1, {"x": 2.0}),))).refusal
+
+
+def test_a_program_that_crashes_at_its_start_beside_idle_sessions_is_tried_without_them(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(GRANTED, str(tmp_path))
+    program = f"""
+import atexit, os, sys; licence = {str(tmp_path / "licence")!r}
+if os.path.exists(licence): sys.exit("no licence")
+open(licence, "x").close()
+atexit.register(os.remove, licence)
+{READY.replace("request = json.loads(input())", "request = json.loads(input())" + chr(10) + "    if 'quit' in request: break")}"""
+    section = {"kind": "process", "command": [sys.executable, "-c", program], "memory_mb": 500, "timeout": 10.0}
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"))
+    sessions.store(request_.bundle, archive)
+    for scenario in ("s0", "s1"):
+        setup = replace(request_, scenario=scenario, simulator=section)
+        assert sessions.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
+
+
+def test_sessions_are_not_closed_again_for_a_start_that_fails_alone_as_well(
+    tmp_path: Path, archive: bytes, request_: BundleRequest
+) -> None:
+    now, simulator = [0.0], ScriptedSimulator()
+    sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
+    sessions.store(request_.bundle, archive)
+    broken = replace(request_, scenario="broken", data={"missing": True})
+    for closed in (1, 1, 2):
+        sessions.run(replace(request_, scenario="good"), Cell(1, {"x": 2.0}))
+        with pytest.raises(UnavailableError):
+            sessions.run(broken, Cell(2, {"x": 2.0}))
+        assert simulator.closed == ["good"] * closed
+        now[0] += 0.6 * IDLE_SECONDS
+
+
+def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    simulator = ScriptedSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    works.run(Batch(replace(request_, scenario="good"), (Cell(1, {"x": 2.0}),)))
+    other = replace(request_, scenario="other", document={"adapter": "0"})
+    assert works.run(Batch(other, (Cell(1, {"x": 2.0}),))).refusal
+    assert simulator.closed == []
