@@ -83,7 +83,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
 def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
     run: Run, api: RunningApi, ended: str
 ) -> None:
-    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3")
+    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3", "--within", "7")
     assert run("robustness", ended, *options).exit_code == 0
     study = newest(api)
     again = run("robustness", ended, "--delta", "0.03", "--json")
@@ -123,7 +123,7 @@ def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi
     options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
     few = run("robustness", ended, *options)
     assert few.stdout.splitlines()[-1].endswith(
-        "have the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
+        " the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
     )
     study = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
     more = run("robustness", study, *options, "--within", "7")
