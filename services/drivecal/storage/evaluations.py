@@ -14,6 +14,7 @@ from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
 from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import occupying
+from drivecal.storage.references.withdrawal import is_copied
 
 COPIES = (Outcome.REPEATED, Outcome.REUSED)
 DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
@@ -298,8 +299,7 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
             late.c.stage == StageName.CALIBRATION,
             late.c.iteration >= iterations,
             first.c.iteration < iterations,
-            first.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED))
-            | ((first.c.outcome == Outcome.CERTIFIED) & first.c.run_id.is_(None)),  # withdrawn
+            is_copied(first),
         )
         .group_by(late.c.id, late.c.scenario)
         .subquery()

@@ -30,6 +30,7 @@ from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings,
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
 from drivecal.storage.references import metrics
+from drivecal.storage.references.withdrawal import is_copied, is_withdrawn
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -38,10 +39,7 @@ parsed = lru_cache(10_000)(ParameterSet.from_json)
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
-_WITHDRAWN = evaluations.c.outcome.in_((Outcome.CERTIFIED, Outcome.REPEATED)) & evaluations.c.run_id.is_(None)
-"""Answers whose certificate was withdrawn: other certified and repeated ones keep their run as long as they are stored."""
-_COPIED = evaluations.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)) | _WITHDRAWN
-"""Answers of which no run of the very cell is known."""
+_WITHDRAWN, _COPIED = is_withdrawn(evaluations), is_copied(evaluations)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +79,12 @@ class StoredEvaluation:
     predicted_score: float | None
     predicted_rating: float | None
     sampled: bool
+
+    @property
+    def is_copied(self) -> bool:
+        """Whether no run of the very cell is known of its answer: a reused, predicted or withdrawn one."""
+        withdrawn = self.outcome in {Outcome.CERTIFIED, Outcome.REPEATED} and self.run_id is None
+        return withdrawn or self.outcome in {Outcome.REUSED, Outcome.PREDICTED}
 
 
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))

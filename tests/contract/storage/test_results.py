@@ -16,6 +16,7 @@ from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.references import runs
 from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.results import StoredEvaluation
+from drivecal.storage.retention.marking import mark
 
 CALIBRATION = StageName.CALIBRATION
 
@@ -235,11 +236,37 @@ def test_an_answer_by_a_withdrawn_certificate_counts_as_copied_until_the_very_ce
         assert copy is not None
         assert (copy.id, copy.reference) == (certified, proof)
         assert results.first_copy(connection, sequence, "S1", sets[0]) is None
+        assert [results.by_id(connection, each).is_copied for each in (proof, certified)] == [False, True]
+        assert runs.simulated_later(connection, sequence, EVALUATOR) == []
         again = replace(cells[1], stage=StageName.ROBUSTNESS)
-        simulate(connection, campaign(connection).sequence, [again], score=4)
+        (corrects,) = simulate(connection, campaign(connection).sequence, [again], score=4)
         assert known() == (4, True)
+        assert [run.evaluation for run in runs.simulated_later(connection, sequence, EVALUATOR)] == [corrects]
         later = replace(cells[1], iteration=1)
         (own,) = simulate(connection, sequence, [later], score=4)
         assert results.number_at(connection, sequence, 0, 1, "S1") == own
         outcomes = list(results.outcomes_of(connection, sequence, [sets[1]]))
         assert outcomes == [(sets[1], "S1", Outcome.REUSED), (sets[1], "S1", Outcome.SIMULATED)]
+
+
+def test_pruning_leaves_the_simulation_that_corrects_a_withdrawn_answer(database: Database) -> None:
+    with database.transaction() as connection:
+        setup, (one,) = setup_id(connection), sample_set_ids(connection, 1)
+        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.CERTIFIED)
+        certified = campaign(connection).sequence
+        (withdrawn,) = evaluations.insert(connection, certified, [cell])
+        evaluations.answer(connection, [AnsweredCell(withdrawn, Outcome.CERTIFIED, 6, 6.0, None)])
+        study = campaign(connection).sequence
+        simulate(connection, study, [replace(cell, plan=Outcome.SIMULATED)], score=4)
+        assert mark(connection, {study}, {}).cells == 0
+        assert mark(connection, {study, certified}, {}).cells == 2
+
+
+def test_a_confirmed_cell_counts_under_the_withdrawn_copy_that_had_answered_it(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence, setup, (one,) = campaign(connection).sequence, setup_id(connection), sample_set_ids(connection, 1)
+        cell = NewEvaluation(CALIBRATION, 1, 0, "S1", setup, one, Outcome.REPEATED)
+        (copy,) = evaluations.insert(connection, sequence, [cell])
+        evaluations.answer(connection, [AnsweredCell(copy, Outcome.REPEATED, 6, 6.0, None)])
+        simulate(connection, sequence, [replace(cell, iteration=2, plan=Outcome.SIMULATED)])
+        assert evaluations.confirmed(connection, sequence, 2) == {"S1": {Outcome.REPEATED: 1}}

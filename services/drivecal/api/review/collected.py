@@ -16,7 +16,6 @@ from drivecal.contracts.campaign import Study, StudyName
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.evaluations import Outcome
 from drivecal.report.data import Row, Studied
 from drivecal.report.review.data import RankedIn, Review, ReviewedSet, ScoreOrigin
 from drivecal.storage import campaigns, results, studies
@@ -113,7 +112,7 @@ def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontR
             cell = results.by_id(connection, number)
             outcome = "failed" if cell.outcome is None else cell.outcome.value
             run = corrected.get((cell.parameter_set_id, scenario))
-            if cell.outcome not in {Outcome.REUSED, Outcome.PREDICTED} or scenario in chosen.reused:
+            if not cell.is_copied or scenario in chosen.reused:
                 cells[scenario] = ScoreOrigin(number, outcome)
             elif run is not None:
                 cells[scenario] = ScoreOrigin(run.evaluation, "later", run.campaign)

@@ -131,10 +131,9 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
 
 
 def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
-    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted; None if they
-    simulated none."""
-    copied = campaign.cells.reused + campaign.cells.predicted
-    if not campaign.state.ended or campaign.best is None or campaign.resolution is None or not copied:
+    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted, or whose
+    certificate was withdrawn; None if they simulated none."""
+    if not campaign.state.ended or campaign.best is None or campaign.resolution is None:
         return None
     resolved = resolved_spec(campaign)
     with database.read() as connection:

@@ -323,8 +323,8 @@ def _explanation(
 
 
 def _later(case: _Case) -> str:
-    """Returns the sentence that another campaign simulated this copied or predicted cell later; empty if it did not."""
-    if case.cell.outcome not in {Outcome.REUSED, Outcome.PREDICTED}:
+    """Returns the sentence that another campaign simulated this copied, predicted or withdrawn cell later; empty if it did not."""
+    if not case.cell.is_copied:
         return ""
     later = runs.simulated_later(case.connection, case.campaign.sequence, case.evaluator, case.cell.id)
     return "".join(

@@ -17,6 +17,7 @@ from drivecal.storage.engine.types import finite, now
 from drivecal.storage.references.metrics import Stored
 from drivecal.storage.references.metrics import pack as pack_metrics
 from drivecal.storage.references.metrics import reader as metrics_reader
+from drivecal.storage.references.withdrawal import is_copied
 
 RECENT_RUNS = 1_000
 """Newest runs of a setup whose mean predicts the cost of the next."""
@@ -307,8 +308,8 @@ def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> 
 
 
 def simulated_later(connection: Connection, campaign_sequence: int, evaluator: str, cell: int | None = None) -> list[LaterRun]:
-    """Returns the runs by which `results.answers` corrects copied and predicted scores of a calibration, or of one `cell`, but for those of
-    its own."""
+    """Returns the runs by which `results.answers` corrects copied scores of a calibration, predicted and withdrawn ones included, or of one
+    `cell`, but for those of its own."""
     table, run = evaluations.c, runs.c
     elsewhere = (run.campaign_sequence != campaign_sequence) | (run.stage != StageName.CALIBRATION)
     query = (
@@ -319,7 +320,7 @@ def simulated_later(connection: Connection, campaign_sequence: int, evaluator: s
         .where(
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
-            table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)),
+            is_copied(evaluations),
             elsewhere,
         )
         .order_by(table.iteration, table.individual, table.scenario)

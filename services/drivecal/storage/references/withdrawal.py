@@ -7,7 +7,7 @@ take them for copies (`storage.results`): a simulation of the very cell takes th
 
 from collections.abc import Collection
 
-from sqlalchemy import Connection, and_, delete, select, update
+from sqlalchemy import ColumnElement, Connection, FromClause, and_, delete, select, update
 
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.bulk import among
@@ -15,6 +15,17 @@ from drivecal.storage.engine.tables import evaluations, ratings, reference_keys,
 
 WITHDRAWN = "withdrawn: a simulation contradicted a certificate of the same setup"
 """Detail of a withdrawn answer."""
+
+
+def is_withdrawn(cells: FromClause) -> ColumnElement[bool]:
+    """Whether the certificate of an answer among `cells`, evaluations or an alias of them, was withdrawn: other certified and repeated ones
+    keep their run as long as they are stored."""
+    return cells.c.outcome.in_((Outcome.CERTIFIED, Outcome.REPEATED)) & cells.c.run_id.is_(None)
+
+
+def is_copied(cells: FromClause) -> ColumnElement[bool]:
+    """Whether no run of the very cell is known of an answer among `cells`: a reused, predicted or withdrawn one."""
+    return cells.c.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)) | is_withdrawn(cells)
 
 
 def withdraw_certified(connection: Connection, setup_ids: Collection[int]) -> int:

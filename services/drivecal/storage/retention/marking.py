@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Column, Connection, Select, case, func, select, text
 
-from drivecal.domain.evaluations import Outcome
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, reference_keys, runs
+from drivecal.storage.references.withdrawal import is_copied
 
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -79,7 +79,7 @@ class _Needs:
         """Marks the cells of other campaigns, with all that they refer to, and the best sets of the old ones."""
         own: list[Integers] = []
         table = evaluations.c
-        copied = case((table.outcome.in_((Outcome.REUSED, Outcome.PREDICTED)), 1), else_=0)
+        copied = case((is_copied(evaluations), 1), else_=0)
         query = select(
             *(table.id, table.campaign_sequence, table.setup_id, table.parameter_set_id),
             *(func.coalesce(column, 0) for column in (table.run_id, table.reference, table.proven_by)),
