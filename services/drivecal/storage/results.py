@@ -266,6 +266,13 @@ def sets_since(connection: Connection, campaign_sequence: int, stage: StageName,
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
 
+def sets_at(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> dict[int, ParameterSet]:
+    """Returns the parameter sets that an iteration of a stage asked for, by individual."""
+    query = select(evaluations.c.individual, parameter_sets.c.parameter_values).join(parameter_sets).distinct()
+    rows = connection.execute(query.where(*of_iteration(campaign_sequence, stage, iteration)))
+    return {individual: parsed(values) for individual, values in rows}
+
+
 def released(connection: Connection, campaign_sequence: int) -> list[StoredEvaluation]:
     """Returns the released predictions of a campaign, in the order of their request."""
     query = _of_campaign(campaign_sequence).where(evaluations.c.outcome == Outcome.PREDICTED)

@@ -1,6 +1,6 @@
 """The robustness stage: simulates the best sets with other vehicles (Section IV-D of the paper) and ranks them by their tolerance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import Any
@@ -28,7 +28,7 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
-from drivecal.storage import campaigns, results
+from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
@@ -93,16 +93,25 @@ class RobustnessStage(StudyStage):
             raise ValueError("the campaign has no robustness stage")
         self._wanted, self._settings = wanted, settings_of(wanted, problem.bench.scale)
         self._sign = problem.bench.scale.sign
-        self._examined = self._choose()
+        self._examined = self._requested() or self._choose()
         self._scores = np.full((len(self._examined), len(problem.scenarios)), np.nan)
         self._ratings = self._scores.copy()
         self._judged: list[Judged | None] = [None] * len(self._examined)
         """By examined set, with goals only: objectives and violations with the nominal vehicle."""
         self._study: RobustnessStudy | None = None
 
+    def _requested(self) -> list[Examined]:
+        """The sets of the stored round 0, to which the numbers of all cells refer; none before. A resumed study must not choose again: what
+        others simulate or withdraw in the meantime changes the choice."""
+        with self._database.read() as connection:
+            sets = results.sets_at(connection, self._campaign.sequence, self.name, 0)
+            document = studies.get(connection, self._campaign.sequence, self.name) or {"items": []}
+        beside = {_key(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
+        return [Examined(sets[number], *beside.get(_key(sets[number].floats), (0, None))) for number in sorted(sets)]
+
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
-        sees correct copied scores of another campaign, as in that one's ranking; a resumed study sees the same."""
+        sees correct copied scores of another campaign, as in that one's ranking."""
         goals, of = self._goals, self._wanted.of
         standing = Ranking(self._problem.weights, self._sign, goals)
         with self._database.read() as connection:
@@ -312,6 +321,10 @@ class RobustnessStage(StudyStage):
                 for trial in known.trials
             ],
         }
+
+
+def _key(parameters: Mapping[str, float | str]) -> frozenset[tuple[str, float | str]]:
+    return frozenset(parameters.items())
 
 
 def _known(value: float) -> float:
