@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +11,7 @@ from sqlalchemy import func, select
 from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
-from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
+from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.organising import Archived
@@ -21,11 +22,13 @@ from drivecal.storage import campaigns, evaluations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.maintenance.invariants import check_answers
 from drivecal.storage.organising import deletion, labels, saved_views
 from drivecal.storage.organising.deletion import delete_campaign
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
+from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.retention import removal
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
@@ -168,6 +171,25 @@ def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(d
         references = {row.reference for row in results.stream(connection, other.sequence) if row.reference is not None}
         origins = {number: results.by_id(connection, number).campaign_sequence for number in references}
     assert first.sequence in origins.values()
+
+
+def test_a_withdrawn_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(database: Database) -> None:
+    with database.transaction() as connection:
+        first, other = campaign(connection), campaign(connection)
+        setup, (one,) = setup_id(connection), sample_set_ids(connection, 1)
+        certified = cell(0, setup, one, plan=Outcome.CERTIFIED)
+        (origin,) = evaluations.insert(connection, first.sequence, [certified])
+        (made,) = runs_of.insert_results(connection, [new_run(setup, one, evaluation=origin, campaign_sequence=first.sequence)])
+        evaluations.answer(connection, [AnsweredCell(origin, Outcome.CERTIFIED, 5, 5.25, made.id)])
+        donor = evaluations.own_exact(connection, first.sequence, "S1", setup, [one])[one]
+        evaluations.insert(connection, other.sequence, [replace(certified, plan=Outcome.REPEATED, donor=donor)])
+        evaluations.insert(connection, first.sequence, [replace(certified, individual=1, plan=Outcome.SIMULATED)])
+        withdraw_certified(connection, [setup])
+        campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
+    deleted(database, first)
+    assert cells(database, first) == 1
+    with database.read() as connection:
+        assert list(check_answers(connection)) == []
 
 
 @pytest.mark.parametrize("use", ["rerun of it", "study of it", "use of its influence map"])

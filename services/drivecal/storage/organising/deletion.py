@@ -15,7 +15,6 @@ from typing import Any
 from sqlalchemy import Connection, delete, exists, func, or_, select, update
 
 from drivecal.domain.errors import ConflictError
-from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -29,6 +28,7 @@ from drivecal.storage.engine.tables import (
     traces,
 )
 from drivecal.storage.engine.types import now
+from drivecal.storage.evaluations import DONORS
 from drivecal.storage.retention import removal
 
 SLICE = 20_000
@@ -142,7 +142,8 @@ def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:
     # "+ 0", or the database might go through all cells of the campaign for each slice
     mine = cell.id.between(numbers.start, numbers.stop - 1) & (cell.campaign_sequence + 0 == sequence)
     made_its_run = exists().where(runs.c.id == cell.run_id, runs.c.evaluation_id == cell.id)
-    goes = mine & ~made_its_run & cell.outcome.is_distinct_from(Outcome.SIMULATED)
+    may_answer = func.coalesce(cell.outcome.in_(DONORS), False)  # a withdrawn one has no run any more, and still its copies
+    goes = mine & ~made_its_run & ~may_answer
     for table in (traces, leases):
         here = table.c.evaluation_id.between(numbers.start, numbers.stop - 1)
         connection.execute(delete(table).where(here, exists().where(cell.id == table.c.evaluation_id, mine)))
