@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.runs import SMALL, WITH_ANALYSIS, finish, get, influenced, nothing_matters, post_map, run, step_until, submit
@@ -18,6 +19,7 @@ from drivecal.api.routes.background import trust_in
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
+from drivecal.campaigns.stages.population import PopulationAnswers
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import NotFoundError
@@ -242,7 +244,17 @@ def test_a_campaign_after_a_refuted_certificate_finds_what_it_finds_on_a_new_dat
     new.dispose()
 
 
-def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_best_set(database: Database) -> None:
+def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_best_set(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ranked = []
+
+    def ranks(answers: PopulationAnswers, connection: Connection, number: int) -> Ranking:
+        ranked.append(number)
+        return rank_again(answers, connection, number)
+
+    rank_again = PopulationAnswers.rank_again
+    monkeypatch.setattr(PopulationAnswers, "rank_again", ranks)
     backend = certifying()
     campaign, working = submit(database, **simple()), dispatching(database, backend)
     step_until(database, campaign, 5, working)
@@ -268,6 +280,7 @@ def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_b
     assert best[0].reused == ()
     assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
     assert added
+    assert ranked == [campaign.sequence], "once, however many rounds confirm"
     assert {row.outcome for row in added} == {Outcome.SIMULATED}
     assert set(reasons) == {"confirmation"}
     assert any((reason.about, reason.light) == ("certificates", "amber") for reason in trust_in(database, campaign.id).reasons)

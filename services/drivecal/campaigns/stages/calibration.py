@@ -77,6 +77,8 @@ class Calibration(CampaignStage):
             self._planner = LotPlanner(view, problem.space, problem.specification.reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirmation: Confirmation | None = None
+        self._withdrawn = 0
+        """Withdrawn answers that the ranking knows of."""
         self._verdict = verdict_in(campaign.notes)
 
     @staticmethod
@@ -231,8 +233,10 @@ class Calibration(CampaignStage):
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
         with self._database.read() as connection:
-            if results.withdrawn(connection, sequence):  # another campaign may have contradicted their certificates
-                self._ranking = self._answers.rank_again(connection, sequence)
+            if (
+                withdrawn := results.withdrawn(connection, sequence)
+            ) != self._withdrawn:  # others may contradict their certificates
+                self._ranking, self._withdrawn = self._answers.rank_again(connection, sequence), withdrawn
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
         if limit == 0 or believed is None:
