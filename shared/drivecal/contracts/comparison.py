@@ -50,8 +50,8 @@ class ComparisonSpecification(ProblemSpecification):
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     start: Literal["lhs", "halton"] = "halton"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)
-    """Modes, alone or with settings; only modes that use a map get it. The others are compared with the first, seed by seed. Runs with
-    references or predictions confirm up to 100 sets unless `confirm` is given."""
+    """Modes, alone or with settings; only those that use a map or `narrow` get it. The others are compared with the first, seed by seed.
+    Runs with references or predictions confirm up to 100 sets unless `confirm` is given."""
     at_a_time: Annotated[int, Field(ge=1, le=64)] = 4
     """Runs that are active at the same time, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
 

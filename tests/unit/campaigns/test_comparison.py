@@ -48,6 +48,14 @@ def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
     assert last.fixed == COMPARED["fixed"]
 
 
+def test_a_run_that_only_narrows_gets_the_map() -> None:
+    reductions = ["exact", {"mode": "exact", "narrow": True}]
+    wanted = specification(sensitivity={"samples": 2, "intervals": 2}, reductions=reductions, iterations=2)
+    plain, narrowed = runs_of(wanted)[:2]
+    assert (plain.specification.sensitivity, narrowed.specification.sensitivity) == (None, wanted.sensitivity)
+    assert len(resolve_comparison(wanted).problems) == 8
+
+
 @pytest.mark.parametrize(
     ("given", "label", "confirm"),
     [

@@ -170,7 +170,7 @@ def _campaign(
         "optimizer": chosen | {"seed": conditions.seed},
         "reduction": reduction.model_dump(),
     }
-    if not reduction.uses_map:  # useless to the run, and its cells would count
+    if not (reduction.uses_map or reduction.narrow):  # useless to the run, and its cells would count
         document["sensitivity"] = None
     return validated(CampaignSpecification, document)
 
