@@ -140,7 +140,8 @@ class ErrorRate(Answer):
     `lots` of reused answers so many were `rejected` and simulated whole. `stopped`: an earlier release stopped reuse here for good.
 
     R_err is wrong / audited. `upper_95`: with lots, a time-uniform upper limit of the share of wrong answers among the released ones;
-    without lots, the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit, and for several runs with lots.
+    without lots, the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit or, with lots, the first released
+    one, and for several runs with lots.
     Lots are sampled in different shares, so that with them R_err is what the audits saw, and no estimate of all answers."""
 
     audited: int = 0
