@@ -15,8 +15,8 @@ from drivecal.report.rows import fixed
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""
-CHOICE = ("of", "solutions", "within", "sets")
-"""Settings that decide which sets are examined."""
+CHOICE = ("of", "solutions", "within")
+"""Settings that decide which sets are examined, beside those that a study names."""
 Settings = dict[str, tuple[Any, Any]]
 
 
