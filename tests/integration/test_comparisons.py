@@ -13,7 +13,7 @@ from sqlalchemy import update
 from tests.support.comparisons import runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, finish, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import dispatcher, everything, finish, get, nothing_matters, post_map, run, submit
 
 from drivecal.campaigns.comparisons.resolve import CONFIRMED
 from drivecal.campaigns.comparisons.results import compared as read_compared
@@ -27,7 +27,6 @@ from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references.withdrawal import withdraw_certified
 
 
 def cells_of(database: Database, one: StoredCampaign, iteration: int = 0) -> list[tuple[Any, ...]]:
@@ -331,21 +330,6 @@ def test_a_comparison_of_results_that_are_all_there_leaves_time_for_others(datab
     assert backend.sent == []
     assert max(after - before for before, after in pairwise(ended)) == 1
     assert get(database, again).cells.simulated > 0, "counted as needed all the same"
-
-
-def test_scores_whose_certificates_were_withdrawn_after_the_end_are_no_optima(database: Database) -> None:
-    backend = ComputedBackend(answer=influenced, class_of=lambda scenario, cell: influenced(scenario, cell).rating)
-    given: dict[str, Any] = {"optimizers": [{"kind": "genetic"}], "populations": [6], "reductions": ["exact"]}
-    ended = finish(database, submit_comparison(database, **given), dispatcher(database, backend))
-    with database.transaction() as connection:
-        before = read_compared(connection, ended).runs()
-        withdraw_certified(connection, range(1, 10))
-        after = read_compared(connection, ended).runs()
-        again = read_compared(connection, ended).runs()
-    assert ended.cells.certified > 0
-    assert all(run.simulated_best == run.best for run in before)
-    assert any(run.simulated_best != run.best for run in after)
-    assert again == after
 
 
 def test_a_run_is_named_by_the_reduction_that_it_was_stored_with(database: Database) -> None:

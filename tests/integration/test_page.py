@@ -100,7 +100,11 @@ def test_the_documentation_is_served_to_everybody_under_the_policy_of_the_page(
 
 
 @pytest.mark.parametrize(
-    "name", ["sources.sha256", "nothing.js", "../app.py", "%2e%2e/app.py", "assets/../../app.py", "assets"]
+    "name",
+    [
+        *("sources.sha256", "nothing.js", "../app.py", "%2e%2e/app.py", "assets/../../app.py", "assets"),
+        *("assets/%2e%2e/index.html", "nothing/%2e%2e/index.html"),
+    ],
 )
 def test_nothing_but_the_page_is_served_as_the_page(api: RunningApi, built: Path, name: str) -> None:
     del built

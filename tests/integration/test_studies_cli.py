@@ -83,7 +83,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
 def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
     run: Run, api: RunningApi, ended: str
 ) -> None:
-    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3")
+    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3", "--within", "7")
     assert run("robustness", ended, *options).exit_code == 0
     study = newest(api)
     again = run("robustness", ended, "--delta", "0.03", "--json")
@@ -98,7 +98,9 @@ def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another
     assert "3 sets" in result.stdout
     other = newest(api)
     sets = [row["parameters"] for row in json.loads(again.stdout)]
-    assert other["spec"]["robustness"] == study["spec"]["robustness"] | {"sets": sets}, "with all of its settings"
+    assert other["spec"]["robustness"] == study["spec"]["robustness"] | {"sets": sets, "solutions": 0}, (
+        "with all of its settings"
+    )
     assert (study["spec"]["robustness"]["of"], other["spec"]["vehicle"]["model"]) == (ended, "hybrid")
     run("robustness", study["id"], "--vehicle", "hybrid")
     assert newest(api) == other

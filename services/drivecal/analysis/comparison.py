@@ -34,7 +34,7 @@ class Course:
     simulations: Sequence[int]
     ended: bool
     reused: bool = False
-    """Whether references, predictions or certificates that were withdrawn answered any cell."""
+    """Whether references or predictions answered any cell."""
     simulated_best: float | None = None
     """Then: the best objective of a set whose every score was simulated for itself."""
     confirmations: int = 0

@@ -249,8 +249,8 @@ class RobustnessSpecification(Model):
     condition: Literal["max", "mean", "per_factor"] = "max"
     refinements: Annotated[int, Field(ge=0, le=30)] = 0
     """Number of halvings of the last, failed step to find delta_max."""
-    solutions: Annotated[int, Field(ge=1, le=1000)] = 20
-    """The most sets that are examined, of those that share the best objective: one from every region of the space first."""
+    solutions: Annotated[int, Field(ge=0, le=1000)] = 20
+    """The most sets that are examined beside `sets`, of those that share the best objective: one from every region of the space first."""
     within: Annotated[float, Field(ge=0)] = 0.0
     """Sets whose objective is worse by no more than this count as the best, too."""
     sets: Annotated[list[Values], Field(max_length=1000)] = []

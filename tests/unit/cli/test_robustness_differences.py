@@ -97,7 +97,10 @@ def test_what_changes_is_printed_and_given_to_programs(capsys: pytest.CaptureFix
 def test_studies_with_other_boxes_are_said_to_mean_other_degrees(capsys: pytest.CaptureFixture[str]) -> None:
     print_difference(made(PLAIN), made(PLAIN, delta=0.04, samples=15, eta=[1.0, 2.0], of="another", sets=[{"P1": 1}]))
     differs, meaning, *_ = capsys.readouterr().out.splitlines()
-    assert differs == ("settings that differ: delta 0.01 -> 0.04, samples 30 -> 15, eta 1 -> 1.0, 2.0, of best -> another")
+    assert differs == (
+        "settings that differ: delta 0.01 -> 0.04, samples 30 -> 15, eta 1 -> 1.0, 2.0, "
+        "of best -> another, sets none -> 1 given"
+    )
     assert "condition" in meaning
     print_difference(made(PLAIN), made(PLAIN))
     assert capsys.readouterr().out.startswith("both studies have the same settings\n")

@@ -116,7 +116,7 @@ def trust_in(
     begun = replace(campaign, spec=stored_document(campaign.spec))  # with the settings that earlier releases had
     earlier = None if first is None else earlier_best(database, campaign, first)
     compromises = _compromises(database, campaign, front)
-    later = None if compromises is not None else later_best(database, campaign)
+    later = None if compromises is not None else later_best(database, campaign, withdrawn)
     answer = campaign_answer(begun, now(), silent=None)
     return trust(answer, validated, driven, earlier, search, compromises, chosen, later, withdrawn)
 

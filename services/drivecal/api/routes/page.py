@@ -111,7 +111,9 @@ def file(name: str, accept_encoding: AcceptEncoding = "", if_none_match: IfNoneM
 
 
 def _holds(folder: Path, name: str) -> bool:
-    """Returns whether a folder has a file of this name to serve. Names that lead out of it are none."""
+    """Returns whether a folder has a file of this name to serve. A file has a single name: `..` would make others of it."""
+    if ".." in Path(name).parts:
+        return False
     try:
         path = (folder / name).resolve()
         return path.suffix in TYPES and path.is_relative_to(folder.resolve()) and path.is_file()

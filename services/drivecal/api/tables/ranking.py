@@ -130,10 +130,12 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
     return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score)
 
 
-def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
+def later_best(database: Database, campaign: StoredCampaign, withdrawn: int) -> Later | None:
     """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted, or whose
-    certificate was withdrawn; None if they simulated none."""
+    certificate was withdrawn (so many were); None if they simulated none."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None:
+        return None
+    if not campaign.cells.reused + campaign.cells.predicted + withdrawn:
         return None
     resolved = resolved_spec(campaign)
     with database.read() as connection:

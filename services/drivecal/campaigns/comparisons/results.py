@@ -8,7 +8,7 @@ from sqlalchemy import Connection
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Course, Pair
 from drivecal.campaigns.comparisons.resolve import Run, reduction_label, runs_of
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec, stored_document
 from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ComparisonSpecification, ReductionEffect
 from drivecal.contracts.input_errors import validated
@@ -66,7 +66,8 @@ def compared(connection: Connection, comparison: StoredCampaign) -> ComparisonRe
 def _carried_out(campaign: StoredCampaign, run: Run) -> analysis.Conditions:
     """Returns the conditions of a run with the reduction of its stored campaign: another release confirmed another number of sets unless
     `confirm` was given."""
-    return run.conditions._replace(reduction=reduction_label(validated(ReductionSpecification, campaign.spec["reduction"])))
+    reduction = validated(ReductionSpecification, stored_document(campaign.spec)["reduction"])
+    return run.conditions._replace(reduction=reduction_label(reduction))
 
 
 def _scale(runs: Sequence[StoredCampaign]) -> Scale:
@@ -77,9 +78,7 @@ def _scale(runs: Sequence[StoredCampaign]) -> Scale:
 def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Conditions) -> Course:
     page, _ = generations.page(connection, run.sequence, limit=MOST_GENERATIONS)
     figures = [figures for _, figures in page]
-    # a run sees no results of others, so that without certified cells of its own none of its answers was withdrawn
-    withdrawn = results.withdrawn(connection, run.sequence) if run.cells.certified else 0
-    reused = withdrawn > 0 or any(figure.reused or figure.predicted for figure in figures)
+    reused = any(figure.reused or figure.predicted for figure in figures)
     return Course(
         conditions=conditions,
         best=[figure.best for figure in figures],
@@ -89,7 +88,7 @@ def _course(connection: Connection, run: StoredCampaign, conditions: analysis.Co
         simulations=[_needed(figure) for figure in figures],
         ended=run.state is CampaignState.SUCCEEDED,
         reused=reused,
-        simulated_best=_best_simulated(connection, run, withdrawn) if reused else None,
+        simulated_best=_best_simulated(connection, run) if reused else None,
         confirmations=_needed(run.cells) - sum(map(_needed, figures)) if len(figures) == _iterations(run) else 0,
     )
 
@@ -100,23 +99,21 @@ def _iterations(run: StoredCampaign) -> int:
     return wanted
 
 
-def _best_simulated(connection: Connection, run: StoredCampaign, withdrawn: int) -> float | None:
-    """See `results.best_simulated`. Looks up an ended run once for each number of its answers that were `withdrawn`: clients that follow a
-    comparison ask every few seconds."""
-    key = run.id, withdrawn
-    if key in _ended:
-        return _ended[key]
+def _best_simulated(connection: Connection, run: StoredCampaign) -> float | None:
+    """See `results.best_simulated`. Looks up an ended run only once: clients that follow a comparison ask every few seconds."""
+    if run.id in _ended:
+        return _ended[run.id]
     resolved = resolved_spec(run)
     best = results.best_simulated(connection, run.sequence, resolved.weights, resolved.scale.sign)
     if run.state.ended:
-        _ended[key] = best
+        _ended[run.id] = best
         if len(_ended) > MOST_REMEMBERED:
             _ended.clear()
     return best
 
 
-_ended: dict[tuple[str, int], float | None] = {}
-"""Best objectives of ended runs, by the run's unique id and the number of its withdrawn answers."""
+_ended: dict[str, float | None] = {}
+"""Best objectives of ended runs, by the run's unique id."""
 
 
 def _needed(figures: Figures | CellCounts) -> int:

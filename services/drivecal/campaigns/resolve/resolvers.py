@@ -191,6 +191,8 @@ def find_robust_sets(
     if specification.optimizer is None and not wanted.sets and wanted.of is None:
         remedy = "choose an optimizer, or name sets in robustness.sets or a campaign in robustness.of"
         diagnostics.add("robustness", "there are no solutions to examine", remedy)
+    if not wanted.solutions and not wanted.sets:
+        diagnostics.add("robustness.solutions", "0 examines no set", "give at least 1, or name sets in robustness.sets")
     if specification.optimizer is not None and wanted.of is not None:
         diagnostics.add("robustness.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
     if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):

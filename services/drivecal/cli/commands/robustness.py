@@ -90,7 +90,7 @@ def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, mod
     """Returns the campaign of the same study, with all its settings and sets, in another vehicle model. The sets are named, for what the
     study has simulated may have changed which are the best."""
     examined = [row.parameters for row in client.robustness(maker.id)]
-    settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker), "sets": examined}
+    settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker), "sets": examined, "solutions": 0}
     bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
     source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
     made = None if again else known(client, source, Wanted("robustness", settings, bench))

@@ -15,8 +15,8 @@ from drivecal.report.rows import fixed
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""
-CHOICE = ("of", "solutions", "within")
-"""Settings that decide which sets are examined, beside those that a study names."""
+CHOICE = ("of", "solutions", "within", "sets")
+"""Settings that decide which sets are examined."""
 Settings = dict[str, tuple[Any, Any]]
 
 
@@ -47,8 +47,11 @@ class MadeStudy:
 
 
 def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> Settings:
-    """Returns differing settings by name, as (this study's, the other study's)."""
-    return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name)}
+    """Returns differing settings by name, as (this study's, the other study's). A study that examines named sets alone repeats another one:
+    how these were chosen is no difference."""
+    repeated = 0 in {here.get("solutions"), there.get("solutions")}
+    skipped = {"solutions", "within", "sets"} if repeated else set()
+    return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name) and name not in skipped}
 
 
 def document(here: MadeStudy, there: MadeStudy) -> dict[str, object]:
