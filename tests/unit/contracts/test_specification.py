@@ -168,7 +168,7 @@ NAN, INFINITE = float("nan"), float("inf")
         ("reduction.threshold", 1),
         ("robustness", {"delta": 0}), ("robustness", {"delta": 1.1}), ("robustness", {"steps": 0}), ("robustness", {"samples": 0}),
         ("robustness", {"eta": 0}), ("robustness", {"eta": []}), ("robustness", {"eta": [1, 0]}), ("robustness", {"eta": "1"}),
-        ("robustness", {"condition": "median"}), ("robustness", {"solutions": 0}), ("robustness", {"refinements": -1}),
+        ("robustness", {"condition": "median"}), ("robustness", {"solutions": -1}), ("robustness", {"refinements": -1}),
         ("robustness", {"within": -0.1}), ("robustness", {"sets": [{"P1": NAN}]}), ("robustness", {"seed": -1}), ("robustness", True),
         ("validation", {"samples": 0}), ("validation", {"references": 0}), ("validation", {"largest": 10**9}),
         ("validation", {"bases": 3}), ("validation", "yes"),
