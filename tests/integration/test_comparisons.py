@@ -336,9 +336,9 @@ def test_a_run_is_named_by_the_reduction_that_it_was_stored_with(database: Datab
     given: dict[str, Any] = {"optimizers": [{"kind": "genetic"}], "populations": [6], "reductions": ["exact", "predicted"]}
     comparison = submit_comparison(database, **given)
     with database.transaction() as connection:
-        for one in runs_of(database, comparison):
-            earlier = {**one.spec, "reduction": {**one.spec["reduction"], "confirm": 20}}
-            here = tables.campaigns.c.sequence == one.sequence
+        for stored in runs_of(database, comparison):
+            earlier = {**stored.spec, "reduction": {**stored.spec["reduction"], "confirm": 20}}
+            here = tables.campaigns.c.sequence == stored.sequence
             connection.execute(update(tables.campaigns).where(here).values(spec=earlier))
-        found = read_compared(connection, comparison).runs()
-    assert {run.reduction for run in found} == {"exact", "predicted confirm=20"}
+        compared = read_compared(connection, comparison).runs()
+    assert {run.reduction for run in compared} == {"exact", "predicted confirm=20"}

@@ -2,21 +2,10 @@
 
 from __future__ import annotations
 
+from drivecal.cli.commands.demo.command import BASELINE
 from drivecal.domain.parameter_sets import ParameterSet
 
-MIDDLE: dict[str, float] = {
-    "P1": 0,
-    "P2": 1,
-    "P3": 100,
-    "P4": 1000,
-    "P5": 750,
-    "P6": 0.5,
-    "P7": 100,
-    "P8": 1000,
-    "P9": 5,
-    "P10": 10,
-    "P11": 100,
-}
+MIDDLE = BASELINE
 """Middle of the highway's parameter space, but for P1, which is 0 dB."""
 
 

@@ -155,19 +155,24 @@ def test_the_check_of_a_database_reads_every_problem(database: Database, stateme
     assert said in verdict.problems[0]
 
 
+def copied_portions(database: Database, folder: Path, name: str) -> list[int]:
+    """Copies a database; returns the rows of a table that were there after each portion."""
+    portions: list[int] = []
+    target = Database.open(f"sqlite:///{folder / 'copy.db'}")
+    target.upgrade()
+    with database.read() as source, target.transaction() as connection:
+        copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == name else None)
+    target.dispose()
+    return portions
+
+
 def test_large_archives_are_copied_in_portions_of_bounded_size(
     database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK_BYTES", 1000)
     for digest in (A, B, C):
         push(database, digest, archive=bytes(1001))
-    portions: list[int] = []
-    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
-    target.upgrade()
-    with database.read() as source, target.transaction() as connection:
-        copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == "bundles" else None)
-    assert portions == [1, 2, 3]
-    target.dispose()
+    assert copied_portions(database, tmp_path, "bundles") == [1, 2, 3]
 
 
 def test_large_documents_are_copied_in_portions_of_bounded_size(
@@ -177,10 +182,4 @@ def test_large_documents_are_copied_in_portions_of_bounded_size(
     with database.transaction() as connection:
         for _ in range(3):
             campaigns.insert(connection, name="long", spec={"starts": "x" * 1000})
-    portions: list[int] = []
-    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
-    target.upgrade()
-    with database.read() as source, target.transaction() as connection:
-        copy_rows(source, connection, lambda table, done, _: portions.append(done) if table == "campaigns" else None)
-    assert portions == [1, 2, 3]
-    target.dispose()
+    assert copied_portions(database, tmp_path, "campaigns") == [1, 2, 3]

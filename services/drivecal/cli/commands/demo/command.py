@@ -19,7 +19,7 @@ from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import DrivecalError
 
-BASELINE = {
+BASELINE: dict[str, float] = {
     "P1": 0,
     "P2": 1,
     "P3": 100,
