@@ -30,8 +30,11 @@ test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: who
 	@$(WHOLE_FILES) -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
-	@DRIVECAL_LONG=1 $(BIN)/pytest tests/faults -m faults
-	@DRIVECAL_LONG=1 $(WHOLE_FILES) -m "slow or not slow" --ignore tests/faults --ignore tests/browser
+	@$(COMPILE_KERNELS)
+	@failed=0; export DRIVECAL_LONG=1; \
+	$(BIN)/pytest tests/faults -m faults --numprocesses 2 --dist load || failed=1; \
+	$(WHOLE_FILES) -m "slow or not slow" --ignore tests/faults --ignore tests/browser || failed=1; \
+	exit $$failed
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)
 	@$(BIN)/pytest tests/compose -m compose -s

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.support.effort import LONG
+from tests.support.faults import report
 from tests.support.faults.coordinator import Coordinator
 from tests.support.faults.findings import Found
 from tests.support.faults.oracle import undisturbed
@@ -46,3 +49,40 @@ def server_on(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Callab
 def base_seed() -> int:
     """Of all random points: DRIVECAL_FAULTS_SEED repeats a suite that failed, otherwise every suite has its own."""
     return int(os.environ.get("DRIVECAL_FAULTS_SEED") or random.randrange(10**6) * 1000)
+
+
+@pytest.fixture(autouse=True)
+def told(record_property: Callable[[str, object], None]) -> Iterator[None]:
+    """Has the test's report carry what its servers went through."""
+    report.NOTES.clear()
+    yield
+    if report.NOTES:
+        record_property(report.PROPERTY, report.CARRIED.dump_json(report.NOTES).decode())
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Tells what was done to servers and what came of it, and keeps it, if the long forms ran."""
+    if not LONG:
+        return
+    ended = [one for reports in terminalreporter.stats.values() for one in reports if isinstance(one, pytest.TestReport)]
+    failed = {one.nodeid for one in ended if one.failed}
+    seconds: dict[str, float] = {}
+    for one in ended:
+        seconds[one.nodeid] = seconds.get(one.nodeid, 0.0) + one.duration
+    lives = {
+        one.nodeid: report.CARRIED.validate_json(str(dict(one.user_properties).get(report.PROPERTY, "[]")))
+        for one in ended
+        if one.when == "teardown"
+    }
+    tests = [
+        report.Told(name.partition("[")[0].rpartition("/")[2], name not in failed, seconds[name], lives.get(name, []))
+        for name in seconds
+    ]
+    if not tests:
+        return
+    rows = report.table(tests)
+    report.TARGET.parent.mkdir(parents=True, exist_ok=True)
+    report.TARGET.write_text(json.dumps({"tests": rows, "faults": report.by_kind(tests)}, indent=2))
+    terminalreporter.section("faults")
+    for line in [*report.lines(rows), *(f"{database}: {kinds}" for database, kinds in report.by_kind(tests).items())]:
+        terminalreporter.write_line(line)

@@ -31,7 +31,7 @@ from tests.support.faults.oracle import carried_out
 from tests.support.faults.postgres import KillablePostgres
 
 DATABASES = ("sqlite", "postgresql")
-LIVES, KILLS_IN_A_LIFE = 5, 10
+LIVES, KILLS_IN_A_LIFE = 20, 10
 KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -82,7 +82,7 @@ def test_campaigns_on_postgresql_outlive_their_database(
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("life", range(LIVES))
 @pytest.mark.parametrize("kind", DATABASES)
-def test_fifty_kills_at_random_points(
+def test_two_hundred_kills_at_random_points(
     kind: str, life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int
 ) -> None:
     seed = base_seed + 100 * DATABASES.index(kind) + life
@@ -94,8 +94,8 @@ def test_fifty_kills_at_random_points(
 
 @pytest.mark.faults
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("life", range(2))
-def test_ten_kills_of_postgresql_in_the_middle_of_a_commit(
+@pytest.mark.parametrize("life", range(4))
+def test_twenty_kills_of_postgresql_in_the_middle_of_a_commit(
     life: int, server_on: MakeServer, without_faults: dict[str, Found], base_seed: int, postgres: KillablePostgres
 ) -> None:
     seed = base_seed + 500 + life

@@ -14,6 +14,8 @@ from drivecal.server.guardian import end_session
 GRACE_SECONDS = 8.0
 """Seconds for a child to end by itself; the server then ends within ten."""
 TRIES_TO_START = 3
+KILLED = {128 + signal.SIGKILL, -signal.SIGKILL}
+"""Exit codes of a process that others killed, the system without memory among them: they say nothing about its settings."""
 LOOK_SECONDS, ASK_SECONDS = 0.1, 1.0
 """Intervals between two looks at the children, and between two questions of what is not ready."""
 PATIENCE_SECONDS = 30.0
@@ -54,6 +56,8 @@ class _Child:
         self.pauses = Pauses()
         self.process: subprocess.Popen[bytes] | None = None
         self.started_at = self.start_at = 0.0
+        self.gave_up = 0
+        """Ends that were its own doing."""
 
     def start(self) -> None:
         keep = ",".join(str(descriptor) for descriptor in self.specification.keep)
@@ -78,6 +82,7 @@ class _Child:
         if process.stdin:
             process.stdin.close()
         self.start_at = time.monotonic() + self.pauses.next(time.monotonic() - self.started_at)
+        self.gave_up += process.returncode not in KILLED
         return process.returncode
 
 
@@ -123,7 +128,7 @@ class Supervisor:
                 code = child.ended()
                 if code is not None and not self._signals:
                     name = child.specification.name
-                    if not self._ready and child.pauses.deaths >= TRIES_TO_START:
+                    if not self._ready and child.gave_up >= TRIES_TO_START:
                         log.error("the %s does not start (exit code %d); its messages are above", name, code)
                         return 1
                     pause = max(0.0, child.start_at - time.monotonic())

@@ -17,6 +17,7 @@ from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coor
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
+from tests.support.faults.report import NOTES, Note
 from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
 from tests.support.serve import alive
 
@@ -104,7 +105,8 @@ def outage(postgres: KillablePostgres, seconds: float) -> Fault:
     def postgres_killed(coordinator: Coordinator) -> None:
         in_a_commit = postgres.kill_in_a_commit()
         begin = time.monotonic()
-        print(f"         {'in' if in_a_commit else 'OUTSIDE'} a commit; down for {seconds:.1f} s", flush=True)
+        postgres_killed.__name__ = f"kill_postgresql_{'in_a' if in_a_commit else 'outside_of_any'}_commit"
+        print(f"         {postgres_killed.__name__}; down for {seconds:.1f} s", flush=True)
         if seconds >= SAID_SECONDS:
             assert_said(coordinator, "database")
             refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json=ANALYSING, timeout=35.0)
@@ -175,6 +177,23 @@ class Life:
     """Evaluations of the campaigns, all told: of their run without faults."""
     told: list[str] = field(default_factory=list)
     begin: float = field(default_factory=time.monotonic)
+    note: Note = field(default_factory=lambda: Note(""))
+    struck: float | None = None
+    """When the last fault was over, until the server is ready again."""
+
+    def strike(self, fault: Fault) -> None:
+        """Has it happen."""
+        self.note.faults.append((fault.__name__, None))
+        fault(self.coordinator)
+        self.note.faults[-1] = fault.__name__, None  # what it has become
+        self.struck = time.monotonic()
+
+    def see_whether_ready(self) -> None:
+        """Notes how long the last fault kept the server from working, at the first look at which it does."""
+        if self.struck is not None and self.coordinator.ready:
+            name, _ = self.note.faults[-1]
+            self.note.faults[-1] = name, time.monotonic() - self.struck
+            self.struck = None
 
     def tell(self, words: str) -> None:
         """Notes what was done, and when."""
@@ -202,9 +221,12 @@ class Life:
             while (self.answered(accepted) or 0) < moment.share * self.cells:
                 assert self.coordinator.running, f"the server ended by itself:\n{self.coordinator.told()}"
                 assert not patience.over, f"no progress within {patience.told()}:\n{self.coordinator.told()}"
+                self.see_whether_ready()
                 time.sleep(LOOK_SECONDS)
             since = time.monotonic()
-        time.sleep(max(0.0, since + moment.seconds - time.monotonic()))
+        while (left := since + moment.seconds - time.monotonic()) > 0:
+            self.see_whether_ready()
+            time.sleep(min(left, LOOK_SECONDS))
         return self.answered(accepted)
 
 
@@ -228,6 +250,8 @@ def live(
     """Gives a server its work, the `documents` or the suite's campaigns, and does all of the plan to it; then the campaigns have to end as
     they do without faults, and the server has to leave nothing behind."""
     life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
+    life.note.database = coordinator.database_url.partition(":")[0].partition("+")[0]
+    NOTES.append(life.note)
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)
@@ -235,11 +259,14 @@ def live(
         for moment, fault in plan:
             answered = life.wait_for(moment, accepted)
             life.tell(f"{fault.__name__} at {answered} of {life.cells} cells")
-            fault(coordinator)
+            life.strike(fault)
     life.tell(f"ready again {coordinator.wait_ready()} after the last fault")
+    life.see_whether_ready()
     wait_until_ended(coordinator, accepted)
+    life.note.accepted = len(accepted.campaigns) + len(accepted.evaluations)
     life.tell(f"all has ended; {len(accepted.evaluations)} single evaluations were accepted")
     assert_as_without_faults(coordinator, accepted, expected)
+    life.note.as_without_faults = True
     life.tell(f"SIGTERM ended it in {coordinator.terminate()}")
     return life
 

@@ -131,6 +131,25 @@ def test_a_child_that_never_starts_ends_the_server_with_a_word(server: Server) -
     assert not (server.folder / "one").exists() or not is_running(server.pid("one"))
 
 
+KILLED_THRICE = (
+    SLEEPER
+    + """
+import signal
+lives = folder / "lives"
+lives.write_text(lives.read_text() + "x" if lives.exists() else "x")
+if len(lives.read_text()) <= 3:
+    os.kill(os.getpid(), signal.SIGKILL)
+note(); time.sleep(600)
+"""
+)
+
+
+@pytest.mark.parametrize("server", [(PEACEFUL, KILLED_THRICE)], indirect=True)
+def test_a_child_that_is_killed_while_it_starts_is_started_again(server: Server) -> None:
+    server.ready()
+    assert server.log.read_text().count("the two ended unexpectedly (exit code 137)") == 3
+
+
 def test_the_members_of_a_session_are_found_by_it() -> None:
     child = subprocess.Popen(["sh", "-c", "sleep 60 & sleep 60 & wait"], start_new_session=True)
     until(lambda: len(members(child.pid)) == 2, "two members")
