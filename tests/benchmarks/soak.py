@@ -1,9 +1,10 @@
 """Does anything grow for hours? `python tests/benchmarks/run.py soak [--minutes 20] [--backend processes|ray]`.
 
-Runs a server with many small campaigns, comparisons and single evaluations, clients that follow them, and workers that are killed now and
-then. Every few seconds it notes memory, handles, threads and children of every role of the server, temporary files, and Ray's store. It
-prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches fill) and a verdict: flat, if the slope adds
-less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`; 0 if all is flat and no campaign failed.
+Runs a server with many small campaigns and comparisons, clients and a page's WebSocket that follow them, and workers that are killed now
+and then. Every few seconds it notes memory, handles, threads and number of the processes of each role of the server, the largest process
+of each, temporary files, and Ray's store. It prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches
+fill) and a verdict: flat, if the slope adds less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`
+every ten minutes and at the end; 0 if all is flat and no campaign failed.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from pathlib import Path
 from statistics import median
 
 import psutil
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from drivecal.cli.commands.demo.coordinator import coordinator
 from drivecal.client import Client
@@ -38,10 +41,11 @@ KILL_EVERY = 60.0
 SHARE = 0.1
 FLOORS = {"MB": 8.0, "handles": 4.0, "threads": 2.0, "processes": 1.0, "files": 20.0}
 """Growth that is no growth, by unit."""
+WRITE_EVERY = 600.0
 ROLES = {
+    "drivecal.server.guardian": "guardians",  # first: its command line ends with its child's
     "drivecal.api": "API",
     "drivecal.dispatch": "dispatcher",
-    "drivecal.server.guardian": "guardian",
     "drivecal.execution.processes.child": "workers",
     "ray::": "Ray's workers",
     "raylet": "raylet",
@@ -73,11 +77,15 @@ def main() -> int:
         with coordinator(home) as client:
             over = threading.Event()
             busy = [threading.Thread(target=work, args=(client.url, over, course, number)) for number in range(2)]
+            busy.append(threading.Thread(target=page, args=(client.url, over, course)))
             for thread in busy:
                 thread.start()
-            began = killed = time.monotonic()
+            began = killed = written = time.monotonic()
             while (passed := time.monotonic() - began) < 60 * chosen.minutes:
                 look(course, passed, temporary)
+                if time.monotonic() - written >= WRITE_EVERY:
+                    written = time.monotonic()
+                    write(course, passed)
                 if time.monotonic() - killed >= KILL_EVERY:
                     killed = time.monotonic()
                     course.done["workers killed"] += kill_a_worker()
@@ -85,16 +93,21 @@ def main() -> int:
             over.set()
             for thread in busy:
                 thread.join()
-    rows = verdicts(course, 60 * chosen.minutes)
-    TARGET.parent.mkdir(parents=True, exist_ok=True)
-    TARGET.write_text(
-        json.dumps({"minutes": chosen.minutes, "done": course.done, "faults": course.faults, "slopes": rows}, indent=2)
-    )
+    rows = write(course, 60 * chosen.minutes)
     print(", ".join(f"{number:,} {what}" for what, number in course.done.items()))
     for row in rows:
-        print(f"{row['of']:16} {row['unit']:10} {row['median']:10,.1f} {row['per_hour']:+10,.1f} per hour  {row['verdict']}")
+        print(f"{row['of']:24} {row['unit']:10} {row['median']:10,.1f} {row['per_hour']:+10,.1f} per hour  {row['verdict']}")
     print("\n".join(course.faults))
     return int(bool(course.faults) or any(row["verdict"] != "flat" for row in rows))
+
+
+def write(course: Course, seconds: float) -> list[dict[str, float | str]]:
+    """Stores and returns what was measured so far."""
+    rows = verdicts(course, seconds)
+    document = {"minutes": seconds / 60, "done": course.done, "faults": course.faults, "slopes": rows}
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(document, indent=2))
+    return rows
 
 
 @contextmanager
@@ -129,7 +142,8 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
     common = {"parameters": SPACE, "catalogue": ["S1", "S2"]}
     if seed % 7 == 0:
         optimizers = [{"kind": "genetic"}, {"kind": "swarm"}]
-        document = {"name": "soak", "optimizers": optimizers, "populations": [6], "seeds": [seed], "iterations": 2, **common}
+        chosen = {"optimizers": optimizers, "populations": [6], "seeds": [seed, seed + 1, seed + 2], "iterations": 2}
+        document = {"name": "soak", **chosen, **common}
         ended = client.wait(client.compare(document).id, progress=False)
         course.done["comparisons"] += 1
     else:
@@ -146,15 +160,38 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
     client.workers()
 
 
+def page(url: str, over: threading.Event, course: Course) -> None:
+    """Keeps one page open, as a user does for days: its WebSocket, which follows whatever campaign is the newest."""
+    followed = ""
+    with Client(url, token="") as client, connect(url.replace("http", "ws") + "/api/v1/live") as socket:
+        while not over.is_set():
+            try:
+                newest = next((campaign.id for campaign in client.campaigns(limit=1).items), followed)
+                if newest != followed:
+                    leave = {"unfollow": followed} if followed else {}
+                    socket.send(json.dumps({"follow": newest} | leave))
+                    followed = newest
+                socket.recv(timeout=1.0)
+                course.done["messages to the page"] += 1
+            except TimeoutError:
+                continue
+            except (DrivecalError, ConnectionClosed) as error:
+                course.faults.append(f"the page: {type(error).__name__}: {error}")
+                return
+
+
 def look(course: Course, passed: float, temporary: Path) -> None:
     """Notes the size of every role, of temporary files and of Ray's store."""
     sums: dict[tuple[str, str], float] = defaultdict(float)
+    largest: dict[tuple[str, str], float] = defaultdict(float)
     for process in psutil.Process().children(recursive=True):
         try:
             command = " ".join(process.cmdline())
             role = next((name for part, name in ROLES.items() if part in command), None)
             if role is not None:
-                sums[role, "MB"] += process.memory_full_info().uss / 2**20
+                own = process.memory_full_info().uss / 2**20
+                sums[role, "MB"] += own
+                largest[f"{role}, largest", "MB"] = max(own, largest[f"{role}, largest", "MB"])
                 sums[role, "handles"] += process.num_fds()
                 sums[role, "threads"] += process.num_threads()
                 sums[role, "processes"] += 1
@@ -165,7 +202,7 @@ def look(course: Course, passed: float, temporary: Path) -> None:
     files = [path for path in temporary.rglob("*") if path.is_file()]
     sums["temporary", "files"] = len(files)
     sums["temporary", "MB"] = sum(_size(path) for path in files) / 2**20
-    for key, value in sums.items():
+    for key, value in (sums | largest).items():
         course.values[key].append((passed, value))
 
 

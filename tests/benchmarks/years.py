@@ -1,9 +1,10 @@
 """How does a database of years work? `python tests/benchmarks/run.py years [--cells 20000 200000] [--backends sqlite postgresql]`.
 
-Fills databases with campaigns of 1,219 cells each, four of a group and half of the groups of one problem (`_years_rows.py`), and measures
-what users and operators do: questions over HTTP, look-ups of 6,000 cells, start of the server, check, backup, upgrade and pruning. A
-question's time is the shortest of some repeats. What concerns one campaign or a page must not grow with the database: from the first size
-to the last it may grow by a factor of MOST_GROWTH. Writes `.drivecal/bench/years.json`.
+Fills databases with groups of four campaigns and a study, half of the groups of one problem (`_years_rows.py`; 10,000,000 cells are
+some 5,000 campaigns of 500 problems), and measures what users and operators do: questions over HTTP, look-ups of 6,000 cells, start of
+the server, check, backup, upgrade and pruning. A question's time is the shortest of some repeats. What concerns one campaign or a page
+must not grow with the database: from the first size to the last it may grow by a factor of MOST_GROWTH. Work on the whole database has a
+limit for each million cells (`PER_MILLION`). Writes `.drivecal/bench/years.json`.
 """
 
 from __future__ import annotations
@@ -58,6 +59,16 @@ WHOLE = {
     "metrics": "/metrics",
 }
 """Questions about the whole database."""
+PER_MILLION = dict.fromkeys(WHOLE, 2.0) | {
+    "start of the API": 1.0,
+    "backup": 20.0,
+    "check": 60.0,
+    "upgrade from 0012": 30.0,
+    "prune, plan": 20.0,
+    "prune, longest slice": 2.0,
+}
+"""Most seconds for each million cells; at least `SHORT` are allowed in all."""
+SHORT = 5.0
 Figures = dict[str, float]
 
 
@@ -248,6 +259,10 @@ def judged(backend: str, sizes: dict[str, Figures]) -> Iterator[str]:
     for name in QUESTIONS:
         if last[name] > MOST_GROWTH * max(first[name], 0.005):
             yield f"{backend}: {name} grows from {first[name] * 1000:.0f} to {last[name] * 1000:.0f} ms"
+    for name, seconds in PER_MILLION.items():
+        most = max(SHORT, seconds * last["rows of evaluations"] / 1e6)
+        if last[name] > most:
+            yield f"{backend}: {name} takes {last[name]:.1f} s, at most {most:.1f} wanted"
 
 
 def show(figures: dict[str, dict[str, Figures]]) -> None:

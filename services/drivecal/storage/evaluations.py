@@ -10,7 +10,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome, OutcomeCosts
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import leases
-from drivecal.storage.engine.bulk import rows_among
+from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
 from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import occupying
@@ -84,17 +84,10 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEv
     """Stores a population's cells and returns their ids, in order."""
     if not cells:
         return []
-    statement = evaluations.insert().returning(evaluations.c.id, sort_by_parameter_order=True)
-    ids = list(connection.scalars(statement, [_row(campaign_sequence, cell) for cell in cells]))
-    led = [
-        {"evaluation": evaluation, "leading": ids[cell.leader]}
-        for evaluation, cell in zip(ids, cells, strict=True)
-        if cell.leader is not None
-    ]
-    if led:
-        statement_of_leaders = update(evaluations).where(evaluations.c.id == bindparam("evaluation"))
-        connection.execute(statement_of_leaders.values(reference=bindparam("leading")), led)
-    return ids
+    ids = numbers(connection, evaluations.c.id, len(cells))
+    rows = [_row(campaign_sequence, cell, number, ids) for number, cell in zip(ids, cells, strict=True)]
+    execute_rows(connection, evaluations.insert(), rows)
+    return list(ids)
 
 
 def reused(
@@ -129,7 +122,7 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
         .values({name: bindparam(f"new_{name}") for name in _ANSWER})
     )
     rows = [{"evaluation": answer.id} | {f"new_{name}": getattr(answer, name) for name in _ANSWER} for answer in answers]
-    answered = connection.execute(statement, rows).rowcount
+    answered = execute_rows(connection, statement, rows)
     leases.end(connection, [answer.id for answer in answers])  # of an earlier attempt too: another cell's run may be the answer
     return answered
 
@@ -210,17 +203,20 @@ def _own(
 _PREDICTION = ("lot", "confidence", "predicted_score", "predicted_rating")
 
 
-def _row(campaign_sequence: int, cell: NewEvaluation) -> dict[str, Any]:
+def _row(campaign_sequence: int, cell: NewEvaluation, number: int, together: Sequence[int]) -> dict[str, Any]:
+    """`together`: the numbers of the cells that are inserted with it."""
+    leader = None if cell.leader is None else together[cell.leader]
     answered = cell.donor if cell.answered_at_once else None
     as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "audited", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
+        "id": number,
         "campaign_sequence": campaign_sequence,
         "iteration": int(cell.iteration),
         "individual": int(cell.individual),
         "outcome": None if answered is None else cell.plan,
         **{name: getattr(answered, name, None) for name in ("score", "rating", "failure")},
         "run_id": None if answered is None else answered.run,
-        "reference": None if cell.donor is None else cell.donor.evaluation,
+        "reference": leader if leader is not None or cell.donor is None else cell.donor.evaluation,
         "attempts": 0,
     }
 

@@ -8,10 +8,11 @@ its workers down must not get three new attempts from every dispatcher.
 A lease has no row of its own before it was taken once, and none any more when the cell has its answer.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 
-from sqlalchemy import Connection, bindparam, delete, select, update
+from sqlalchemy import Connection, bindparam, delete, literal, select, update
 
 from drivecal.storage.engine.bulk import among, insert, rows_among
 from drivecal.storage.engine.tables import evaluations, leases
@@ -29,22 +30,27 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
     Not granted are those that have their answer, those under a lease of this term that has neither expired nor been given back, and, on
     PostgreSQL, cells that another transaction is leasing: they are skipped without waiting.
     """
-    unanswered = select(evaluations.c.id).where(evaluations.c.outcome.is_(None)).with_for_update(skip_locked=True)
-    free = [row.id for row in rows_among(connection, unanswered, evaluations.c.id, list(breakdowns))]
-    if not free:
-        return {}
     term, moment = term_in_office(connection), now()
-    new = insert(connection, leases)
-    again = {name: new.excluded[name] for name in ("attempts", "term", "expires_at")}
-    statement = new.on_conflict_do_update(
-        index_elements=["evaluation_id"],
-        set_={"number": leases.c.number + 1, **again},
-        where=(leases.c.term != term) | (leases.c.expires_at <= moment),
-    )
-    common = {"number": 1, "term": term, "expires_at": moment + timedelta(seconds=seconds)}
-    rows = [{"evaluation_id": number, "attempts": breakdowns[number], **common} for number in sorted(free)]
-    granted = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number), rows)
-    return {row.evaluation_id: row.number for row in granted}
+    by_count: dict[int, list[int]] = defaultdict(list)
+    for evaluation, count in sorted(breakdowns.items()):
+        by_count[count].append(evaluation)
+    common = literal(term), literal(moment + timedelta(seconds=seconds), leases.c.expires_at.type)
+    granted: dict[int, int] = {}
+    for count, wanted in by_count.items():
+        lease = select(evaluations.c.id, literal(1), literal(count), *common).where(evaluations.c.outcome.is_(None))
+        for condition in among(connection, evaluations.c.id, wanted):
+            unanswered = lease.where(condition).with_for_update(skip_locked=True)
+            new = insert(connection, leases).from_select(["evaluation_id", "number", *_RENEWED], unanswered)
+            statement = new.on_conflict_do_update(
+                index_elements=["evaluation_id"],
+                set_={"number": leases.c.number + 1} | {name: new.excluded[name] for name in _RENEWED},
+                where=(leases.c.term != term) | (leases.c.expires_at <= moment),
+            )
+            granted |= dict(connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number)).tuples().all())
+    return granted
+
+
+_RENEWED = ("attempts", "term", "expires_at")
 
 
 def give_back(connection: Connection, breakdowns: Mapping[int, int]) -> None:

@@ -115,7 +115,9 @@ def plans(connection: Connection, use: Callable[[Connection], Any]) -> str:
     explained: list[str] = []
 
     def explain(one: Connection, _: Any, statement: str, parameters: Any, __: Any, executemany: bool) -> None:
-        if not statement.startswith("EXPLAIN") and re.match(r"(WITH|SELECT|UPDATE|DELETE)\b", statement):
+        if not statement.startswith("EXPLAIN") and re.match(
+            r"(WITH|SELECT|UPDATE|DELETE|INSERT.*\sSELECT)\b", statement, re.DOTALL
+        ):
             values = parameters[0] if executemany else parameters
             prefix = "EXPLAIN QUERY PLAN " if one.dialect.name == "sqlite" else "EXPLAIN (FORMAT JSON) "
             rows = one.exec_driver_sql(prefix + statement, values).all()

@@ -6,12 +6,12 @@ from itertools import repeat
 from statistics import fmean
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, case, func, select, text
+from sqlalchemy import ColumnElement, Connection, case, func, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage.engine.bulk import insert, rows_among
+from drivecal.storage.engine.bulk import execute_rows, insert, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, parameter_sets, ratings, runs, setups
 from drivecal.storage.engine.types import finite, now
 from drivecal.storage.references.metrics import Stored
@@ -200,14 +200,11 @@ def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
     created_at = now()
     statement = insert(connection, runs).on_conflict_do_nothing(index_elements=["setup_id", "parameter_set_id"])
     packed = pack_metrics(connection, [result.metrics for result in results])
-    inserted = connection.execute(
-        statement.returning(runs.c.setup_id, runs.c.parameter_set_id, runs.c.id),
-        [_row(result, stored, created_at) for result, stored in zip(results, packed, strict=True)],
-    )
-    firsts: dict[tuple[int, int], NewRun] = {}
-    for result in results:
-        firsts.setdefault(_key(result), result)
-    return {(setup, parameter_set): (run, firsts[setup, parameter_set]) for setup, parameter_set, run in inserted}
+    ids = numbers(connection, runs.c.id, len(results))
+    rows = zip(ids, results, packed, strict=True)
+    execute_rows(connection, statement, [_row(number, result, stored, created_at) for number, result, stored in rows])
+    new = {row.id for row in rows_among(connection, select(runs.c.id), runs.c.id, ids)}
+    return {_key(result): (number, result) for number, result in zip(ids, results, strict=True) if number in new}
 
 
 def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRun]:
@@ -226,7 +223,7 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
             late.setdefault((run.id, result.evaluator), result)
     standing = _ratings(connection, sorted({run.id for run in stored}))
     missing = {key: result for key, result in late.items() if key not in standing}
-    _insert_ratings(connection, missing, _numbers(connection, len(missing)))
+    _insert_ratings(connection, missing, numbers(connection, runs.c.id, len(missing)))
     standing |= {key: (result.score, result.rating) for key, result in missing.items()}
     return [
         StoredRun(
@@ -243,9 +240,10 @@ def _key(run: NewRun) -> tuple[int, int]:
     return run.setup_id, run.parameter_set_id
 
 
-def _row(run: NewRun, packed: Stored, created_at: Any) -> dict[str, Any]:
+def _row(number: int, run: NewRun, packed: Stored, created_at: Any) -> dict[str, Any]:
     as_it_is = ("setup_id", "parameter_set_id", "failure", "worker", "evaluation_id", "campaign_sequence", "stage")
     return {name: getattr(run, name) for name in as_it_is} | {
+        "id": number,
         "metrics": packed,
         "milliseconds": float(run.milliseconds),
         "wall_milliseconds": run.wall_milliseconds,
@@ -261,20 +259,7 @@ def _insert_ratings(connection: Connection, new: Mapping[tuple[int, str], NewRun
         {"run_id": run, "evaluator": evaluator, "score": result.score, "rating": float(result.rating), "since": number}
         for ((run, evaluator), result), number in zip(new.items(), since, strict=False)
     ]
-    if rows:
-        connection.execute(insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
-
-
-def _numbers(connection: Connection, count: int) -> Sequence[int]:
-    """The next numbers of the sequence that numbers runs: no run will have them."""
-    if count == 0:
-        return ()
-    if connection.dialect.name == "postgresql":
-        query = text("SELECT nextval(pg_get_serial_sequence('runs', 'id')) FROM generate_series(1, :count)")
-        return sorted(connection.scalars(query, {"count": count}))
-    connection.execute(text("UPDATE sqlite_sequence SET seq = seq + :count WHERE name = 'runs'"), {"count": count})
-    last: int = connection.execute(text("SELECT seq FROM sqlite_sequence WHERE name = 'runs'")).scalar_one()
-    return range(last - count + 1, last + 1)
+    execute_rows(connection, insert(connection, ratings).on_conflict_do_nothing(index_elements=["run_id", "evaluator"]), rows)
 
 
 def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], Any]:
