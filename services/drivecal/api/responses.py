@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from operator import attrgetter
 from typing import Any, get_args
 
 from drivecal.api.live.dispatcher_health import degraded
@@ -22,6 +23,8 @@ SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
 TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust", "review")
 """Links of a campaign besides `events`; a comparison has its own tables instead."""
+_FIELDS = tuple(EvaluationRow.model_fields)
+_place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])
 
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
@@ -124,10 +127,10 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
 
 def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     """Returns a row of the table `evaluations`."""
-    names = list(EvaluationRow.model_fields)
-    row: dict[str, Any] = {name: getattr(stored, name) for name in names[:PLACE]}
+    row: dict[str, Any] = dict(zip(_FIELDS[:PLACE], _place(stored), strict=True))
     row |= {parameter_column(name): value for name, value in stored.parameters.floats.items()}
-    return row | {name: getattr(stored, name) for name in names[PLACE:]}
+    row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
+    return row
 
 
 def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:

@@ -15,7 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
+from drivecal.api.http.queries import TableQuery
 from drivecal.api.tables.files import download
+from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, slices, table_answer
 from drivecal.contracts.tables import (
     Column,
     EvaluationRow,
@@ -152,3 +154,20 @@ def test_a_measure_that_a_row_has_not_is_null_as_documented() -> None:
     """A cell without a run has no measures, whose columns are there all the same."""
     extra = EvaluationRow.model_json_schema(mode="serialization")["additionalProperties"]
     assert {"type": "null"} in extra["anyOf"]
+
+
+def test_the_first_rows_of_a_long_csv_come_before_most_of_them_are_read() -> None:
+    asked: list[tuple[int, int]] = []
+
+    def rows(start: int, stop: int) -> list[dict[str, Any]]:
+        asked.append((start, stop))
+        return [{"id": number} for number in range(start, stop)]
+
+    pages = slices(rows, 10 * ROWS_AT_A_TIME)
+    answer = table_answer("table", TableQuery(format="csv"), "*/*", lambda: COLUMNS[:1], pages)
+
+    async def first() -> str:
+        return bytes(await anext(aiter(answer.body_iterator))).decode()  # type: ignore[attr-defined]  # it streams
+
+    assert len(asyncio.run(first()).splitlines()) == 1 + ROWS_AT_FIRST
+    assert asked[0] == (0, ROWS_AT_FIRST)
