@@ -98,6 +98,9 @@ export function parameterColumn(name: string): string {
   return OTHERS.has(name) || PREFIXES.some((prefix) => name.startsWith(prefix)) ? `parameter_${name}` : name;
 }
 
+/** Path of all evaluations of a campaign. */
+export const evaluationsOf = (id: string): string => `/campaigns/${id}/evaluations?format=csv`;
+
 export type RowName = keyof typeof ROWS;
 
 /** The columns of a kind of rows: whether each holds numbers. */

@@ -1,12 +1,14 @@
 /** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
 import { parameterOf, type Ranged } from "../charts/axes";
-import { Refusal, ask } from "./api";
+import { askTable, taken } from "./ahead";
+import { Refusal, awaiting } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
 import { columnsOf, type RowName } from "./rows";
 
-/** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
-const FIRST_SHOWN = 3_000;
+/** Of a long table the first rows are shown at once, then as many as make a shape, then more each time that it has become so many times as long. */
+const FIRST_SHOWN = 200;
+const NEXT_SHOWN = 4_000;
 const TIMES_AS_LONG = 4;
 
 export class TableState {
@@ -44,10 +46,12 @@ export class TableState {
       return;
     }
     this.abort?.abort();
-    const abort = (this.abort = new AbortController());
+    const ahead = taken(path);
+    const abort = (this.abort = ahead?.abort ?? new AbortController());
     [this.path, this.again, this.reading] = [path, false, 0];
+    const seen = awaiting();
     try {
-      const answer = await ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
+      const answer = await (ahead?.answer ?? askTable(path, abort.signal));
       const reader = new CsvReader({ has: (name) => this.isText(name) });
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
       let worth = FIRST_SHOWN;
@@ -58,7 +62,8 @@ export class TableState {
         if (this.abort !== abort) return;
         this.reading = reader.length;
         if (reader.length < worth) continue;
-        worth = TIMES_AS_LONG * reader.length;
+        worth = Math.max(NEXT_SHOWN, TIMES_AS_LONG * reader.length);
+        seen();
         if (path === this.shown && reader.length <= this.table.length) continue;
         [this.table, this.shown, this.whole] = [reader.soFar(), path, false];
       }
@@ -67,6 +72,8 @@ export class TableState {
     } catch (error) {
       if (abort.signal.aborted) return;
       this.problem = error instanceof Refusal ? error.message : `The table broke off: ${String(error)}`;
+    } finally {
+      seen();
     }
     [this.abort, this.reading] = [null, null];
     if (this.again) void this.load(path);
