@@ -46,10 +46,10 @@ test("what was refused ahead is asked for again by who reads it, and what nobody
   expect([signals[2]?.aborted, taken("/evaluations")]).toEqual([true, null]);
 });
 
-test("while the first rows of a table are awaited, the page is not quiet", async () => {
+test("the first rows of a long table are shown at once, and while they are awaited the page is not quiet", async () => {
   let stream: ReadableStreamDefaultController<Uint8Array> | undefined;
   server(async () => new Response(new ReadableStream({ start: (opened) => void (stream = opened) })));
-  const rows = new TableState("EvaluationRow");
+  const rows = new TableState("EvaluationRow", () => [], () => 12_000);
   const read = rows.load("/evaluations");
   await new Promise((done) => setTimeout(done, 20));
   expect(quietFor()).toBe(0);

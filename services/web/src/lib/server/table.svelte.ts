@@ -6,10 +6,11 @@ import { Refusal, awaiting } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
 import { columnsOf, type RowName } from "./rows";
 
-/** Of a long table the first rows are shown at once, then as many as make a shape, then more each time that it has become so many times as long. */
-const FIRST_SHOWN = 200;
-const NEXT_SHOWN = 4_000;
+/** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
+const FIRST_SHOWN = 3_000;
 const TIMES_AS_LONG = 4;
+/** Of one that is known to be long, the first rows are shown before: the others take many times as long. */
+const FIRST_OF_MANY = 200;
 
 export class TableState {
   table = $state.raw<Table>(EMPTY);
@@ -28,8 +29,8 @@ export class TableState {
   /** Asked for again while it is being read. */
   private again = false;
 
-  /** `parameters`: those with choices hold words, which may look like numbers. */
-  constructor(row: RowName, private readonly parameters: () => readonly Ranged[] = () => []) {
+  /** `parameters`: those with choices hold words, which may look like numbers. `expected`: about so many rows, if that is known. */
+  constructor(row: RowName, private readonly parameters: () => readonly Ranged[] = () => [], private readonly expected: () => number = () => 0) {
     this.columns = columnsOf(row);
   }
 
@@ -54,7 +55,7 @@ export class TableState {
       const answer = await (ahead?.answer ?? askTable(path, abort.signal));
       const reader = new CsvReader({ has: (name) => this.isText(name) });
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
-      let worth = FIRST_SHOWN;
+      let worth = this.expected() > FIRST_SHOWN ? FIRST_OF_MANY : FIRST_SHOWN;
       for (;;) {
         const piece = await stream?.read();
         if (piece === undefined || piece.done) break;
@@ -62,7 +63,7 @@ export class TableState {
         if (this.abort !== abort) return;
         this.reading = reader.length;
         if (reader.length < worth) continue;
-        worth = Math.max(NEXT_SHOWN, TIMES_AS_LONG * reader.length);
+        worth = Math.max(FIRST_SHOWN, TIMES_AS_LONG * reader.length);
         seen();
         if (path === this.shown && reader.length <= this.table.length) continue;
         [this.table, this.shown, this.whole] = [reader.soFar(), path, false];
