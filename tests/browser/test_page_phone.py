@@ -136,6 +136,15 @@ def test_rows_keep_their_names_when_a_table_is_scrolled_sideways(shown: Shown, o
     assert too_wide(page) == []
 
 
+def test_names_of_rows_stay_whole_words(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at("overview"), phone=True)
+    for table, head in (("Scores by scenario", "scenario"), ("Parameters of the set", "parameter")):
+        box = page.get_by_role("region", name=table).get_by_role("columnheader", name=head).bounding_box()
+        assert box is not None
+        assert box["width"] > box["height"]  # a letter in each line before
+    assert too_wide(page) == []
+
+
 def test_what_a_button_opens_comes_into_sight(shown: Shown, touched: Page) -> None:
     touched.goto(shown.at("overview"))
     touched.get_by_role("button", name="Replay in S2").tap()
