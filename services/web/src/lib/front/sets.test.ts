@@ -84,6 +84,8 @@ test("labels lie beside their points and hide neither each other nor another poi
   expect(first?.anchor).toBe("start");
   expect([second?.x, second?.y]).not.toEqual([115, 108]);
   expect(placed([{ x: 290, y: 100, text: "best comfort" }], frame)[0]?.anchor).toBe("end");
+  const crowd = placed([{ x: 60, y: 40, text: "set 1, best discomfort" }, { x: 66, y: 36, text: "set 23, wins, knee" }, { x: 120, y: 25, text: "" }], { left: 54, right: 230, top: 2, bottom: 200 });
+  expect(Math.abs((crowd[0]?.y ?? 0) - (crowd[1]?.y ?? 0))).toBeGreaterThan(13);
 });
 
 test("the growth of a front is counted from 1, what was stored before from 0", () => {

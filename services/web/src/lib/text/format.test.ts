@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { ago, duration, measured, number, percent, scored, tolerated } from "./format";
+import { ago, capital, duration, measured, number, percent, rounded, scored, spaced, tolerated, yesNo } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
   expect(percent(0)).toBe("0.0 %");
@@ -13,6 +13,8 @@ test("a part is never rounded to nothing, nor to the whole", () => {
 test("a measure's unit is apart from its name, declared or at its end", () => {
   expect(measured("peak_lateral_jerk_mps3")).toEqual({ words: "peak lateral jerk", unit: "m/s³" });
   expect(measured("energy_kwh", "kWh")).toEqual({ words: "energy kwh", unit: "kWh" });
+  expect(measured("min_gap_m", "m")).toEqual({ words: "min gap", unit: "m" });
+  expect(measured("motion_mps15")).toEqual({ words: "motion", unit: "m/s¹·⁵" });
   expect(measured("heave", "1")).toEqual({ words: "heave", unit: "" });
   expect([measured("s"), measured("lane_changes")]).toEqual([{ words: "s", unit: "" }, { words: "lane changes", unit: "" }]);
 });
@@ -47,4 +49,13 @@ test("what is no error is told in the unit of the score", () => {
   expect(tolerated({ tolerance: 1, unit: "points" })).toBe("1 point");
   expect(tolerated({ tolerance: 2, unit: "1" })).toBe("2");
   expect(tolerated({ tolerance: 0.5, unit: "kWh" })).toBe("0.5 kWh");
+});
+
+test("what is nearly nothing is rounded to it, where decimals are fixed", () => {
+  expect([rounded(-5e-8, 2), rounded(0.0049, 2), rounded(1.239, 2)]).toEqual(["0", "0", "1.24"]);
+});
+
+test("names and truth values of the API are words for readers, and its messages sentences", () => {
+  expect(["true", "false", "belt"].map(yesNo)).toEqual(["yes", "no", "belt"]);
+  expect([spaced("task_missed"), capital("there is no campaign")]).toEqual(["task missed", "There is no campaign"]);
 });

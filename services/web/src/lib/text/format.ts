@@ -18,6 +18,26 @@ export function number(value: number | string | null | undefined, digits = 3): s
   return String(Number(small ? value.toPrecision(Math.max(1, digits - 1)) : value.toFixed(digits)));
 }
 
+/** A message of the API as a sentence. */
+export function capital(text: string): string {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+/** A number without more decimals, whose traces become 0. */
+export function rounded(value: number, digits: number): string {
+  return number(Number(value.toFixed(digits)), digits);
+}
+
+/** A name of the API for readers. */
+export function spaced(name: string): string {
+  return name.replaceAll("_", " ");
+}
+
+/** A truth value of the API for readers. */
+export function yesNo(word: string): string {
+  return word === "true" ? "yes" : word === "false" ? "no" : word;
+}
+
 /** A share as a percentage that never rounds something to nothing, or a part to all. */
 export function percent(share: number | null | undefined, digits = 1): string {
   if (share === null || share === undefined || Number.isNaN(share)) return "–";
@@ -56,13 +76,14 @@ export function unitText(unit: unknown): string {
 }
 
 /** Units at the end of names, as the built-in problem writes them. */
-const SUFFIXES: Readonly<Record<string, string>> = { m: "m", s: "s", mps: "m/s", mps2: "m/s²", mps3: "m/s³", rad: "rad", radps: "rad/s", deg: "°" };
+const SUFFIXES: Readonly<Record<string, string>> = { m: "m", s: "s", mps: "m/s", mps2: "m/s²", mps3: "m/s³", mps15: "m/s¹·⁵", rad: "rad", radps: "rad/s", deg: "°" };
 
 /** The words of a measure's name, and its unit: the declared one, else the one that its name ends with. */
 export function measured(name: string, declared?: unknown): { words: string; unit: string } {
   const parts = name.split("_");
   const suffix = parts.length > 1 ? SUFFIXES[parts.at(-1) ?? ""] : undefined;
-  if (unitText(declared) !== "" || suffix === undefined) return { words: parts.join(" "), unit: unitText(declared) };
+  const unit = unitText(declared);
+  if (suffix === undefined || (unit !== "" && unit !== suffix)) return { words: parts.join(" "), unit };
   return { words: parts.slice(0, -1).join(" "), unit: suffix };
 }
 
