@@ -51,6 +51,12 @@ test("two documents are compared leaf by leaf", () => {
     { path: "e", values: [null, "null"] },
   ]);
   expect(differences({ a: 1 }, { a: 1 }, { a: 2 })).toEqual([{ path: "a", values: ["1", "1", "2"] }]);
+  const goals = [{ score: "comfort", measure: null, weights: {}, failed: null }, { score: "safety", at_most: 2 }];
+  expect(differences({ goals, on: true, sets: [] }, { goals: ["a", "b"], on: false, sets: [1] })).toEqual([
+    { path: "goals", values: ["score comfort; score safety, at most 2", "a, b"] },
+    { path: "on", values: ["yes", "no"] },
+    { path: "sets", values: ["none", "1"] },
+  ]);
 });
 
 test("lists are written with commas, and as JSON where they hold more than words and numbers", () => {

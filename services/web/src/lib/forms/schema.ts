@@ -120,7 +120,17 @@ function leaves(value: unknown, path = ""): Record<string, string> {
   if (value !== null && typeof value === "object" && !Array.isArray(value)) {
     return Object.assign({}, ...Object.entries(value).map(([name, inner]) => leaves(inner, path === "" ? name : `${path}.${name}`))) as Record<string, string>;
   }
-  return { [path]: typeof value === "string" ? value : JSON.stringify(value) };
+  return { [path]: told(value) };
+}
+
+/** A value in words: `score comfort; score safety`. Of an object in a list what is empty or null is left out. */
+function told(value: unknown): string {
+  if (typeof value === "string") return value;
+  if (typeof value === "boolean") return value ? "yes" : "no";
+  if (Array.isArray(value)) return value.length === 0 ? "none" : value.map(told).join(value.some((entry) => typeof entry === "object") ? "; " : ", ");
+  if (value === null || typeof value !== "object") return JSON.stringify(value);
+  const chosen = Object.entries(value).filter(([, inner]) => inner !== null && !(typeof inner === "object" && Object.keys(inner as object).length === 0));
+  return chosen.map(([name, inner]) => `${name.replaceAll("_", " ")} ${told(inner)}`).join(", ");
 }
 
 /** The paths at which documents differ, with the value of each; null if one has none. */

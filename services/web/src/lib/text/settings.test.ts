@@ -15,7 +15,7 @@ test("what was asked for is told with all settings that were chosen, and nothing
     ["Evaluator", "learned"],
     ["Optimizer", "genetic: population 200, iterations 15, start lhs, seed 1, mutation 0.2"],
     ["Sensitivity", "the stored influence map 01234567"],
-    ["Reduction", "influence: 2.0 % audited, a wrong answer expected in at most 2.0 % of those in lots, not narrow, certified, the best confirmed by simulation, at most 20 sets"],
+    ["Reduction", "influence: 2.0 % audited, at most 2.0 % of the answers in lots expected to be released and wrong, best set confirmed by simulation, at most 20 sets"],
   ]);
 });
 
@@ -33,4 +33,14 @@ test("a comparison is told by its optimizers, and a specification that is not kn
     ["Optimizers", "genetic: mutation 0.2; swarm"], ["Populations", "50, 100"], ["Seeds", "1, 2, 3"], ["Reductions", "off; exact: audit 0.02"],
   ]);
   expect(asked({ kind: "calibration", spec: {} }, null)).toEqual([]);
+});
+
+test("a comparison on a problem of one's own names no scenarios or scores of the built-in one", () => {
+  const spec = { problem: "0123456789abcdef", catalogue: "highway", evaluator: "reference", optimizers: [{ kind: "swarm", label: null }] };
+  expect(asked({ kind: "comparison", spec }, null)).toEqual([["Scenarios", "all"], ["Problem", "0123456789abcdef"], ["Optimizers", "swarm"]]);
+});
+
+test("what departs from the usual reduction is told", () => {
+  const reduction = { mode: "exact", audit: 0.02, max_error: 0.02, narrow: true, certified: false };
+  expect(asked({ kind: "calibration", spec: { optimizer: { kind: "genetic" }, reduction } }, null).at(-1)).toEqual(["Reduction", "exact: influenced ranges alone searched, provable repeats simulated"]);
 });

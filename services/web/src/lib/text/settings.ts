@@ -41,19 +41,19 @@ function goalText(goal: Settings): string {
 export function asked(campaign: Asked, setup: CampaignSetup | null): [string, string][] {
   const { spec } = campaign;
   const rows: [string, string | null][] = [];
+  const own = typeof spec["problem"] === "string" && spec["problem"] !== "highway"; // a simulator of the user's own drives no vehicle of ours
   const vehicle = spec["vehicle"];
   const function_ = setup?.scenarios.find((scenario) => scenario.driving_function)?.driving_function ?? spec["driving_function"];
   const model = setup?.scenarios.find((scenario) => scenario.vehicle)?.vehicle ?? (isSettings(vehicle) ? vehicle["model"] : undefined);
   if (setup === null) {
-    rows.push(["Scenarios", spec["catalogue"] === undefined ? null : text(spec["catalogue"])]);
+    rows.push(["Scenarios", spec["catalogue"] === undefined ? null : own && spec["catalogue"] === "highway" ? "all" : text(spec["catalogue"])]);
     rows.push(["Weights", isSettings(spec.weights) && Object.keys(spec.weights).length > 0 ? list(spec.weights) : null]);
   }
-  const own = typeof spec["problem"] === "string" && spec["problem"] !== "highway"; // a simulator of the user's own drives no vehicle of ours
   rows.push(["Problem", own ? String(spec["problem"]) : null]);
   rows.push(["Simulator", own ? (setup?.scenarios.find((scenario) => scenario.simulator)?.simulator ?? null) : null]);
   rows.push(["Driving function", own || function_ === undefined ? null : String(function_)]);
   rows.push(["Vehicle", own ? null : model === undefined ? null : named(model, isSettings(vehicle) && isSettings(vehicle["parameters"]) ? list(vehicle["parameters"]) : "")]);
-  rows.push(["Evaluator", setup?.evaluator.replace(/\b([0-9a-f]{8})[0-9a-f]{16,}\b/, "$1") ?? (spec["evaluator"] === undefined ? null : String(spec["evaluator"]))]);
+  rows.push(["Evaluator", setup?.evaluator.replace(/\b([0-9a-f]{8})[0-9a-f]{16,}\b/, "$1") ?? (spec["evaluator"] === undefined || (own && spec["evaluator"] === "reference") ? null : String(spec["evaluator"]))]);
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
   rows.push(["Baseline", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
   if (Array.isArray(spec["optimizers"])) {
@@ -70,10 +70,10 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   if (isSettings(spec.reduction) && spec.optimizer !== null) {
     const { mode, audit, max_error: most, confirm, tolerance, limit } = spec.reduction;
     const reuses = mode === "influence" || mode === "both";
-    const lots = mode === "predicted" || mode === "both" ? `predictions right within ${tolerance === undefined || tolerance === null ? "the score's tolerance (0 if it has steps)" : number(Number(tolerance))}, an error expected in at most ${percent(Number(limit))} of those released` : "";
-    const audits = reuses ? `${percent(Number(audit))} audited, ${Number(most) < 1 ? `a wrong answer expected in at most ${percent(Number(most))} of those in lots` : "no lots"}` : "";
-    const confirmed = reuses && confirm ? `the best confirmed by simulation, at most ${String(confirm)} sets` : "";
-    rows.push(["Reduction", named(mode, [audits, lots, list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit"]), confirmed].filter(Boolean).join(", "))]);
+    const lots = mode === "predicted" || mode === "both" ? `predictions within ${tolerance === undefined || tolerance === null ? "the score's tolerance (0 if it has steps)" : number(Number(tolerance))}, at most ${percent(Number(limit))} of them expected to be released and wrong` : "";
+    const audits = reuses ? `${percent(Number(audit))} audited, ${Number(most) < 1 ? `at most ${percent(Number(most))} of the answers in lots expected to be released and wrong` : "no lots"}` : "";
+    const confirmed = reuses && confirm ? `best set confirmed by simulation, at most ${String(confirm)} sets` : "";
+    rows.push(["Reduction", named(mode, [audits, lots, (spec.reduction as Settings)["narrow"] === true ? "influenced ranges alone searched" : "", spec.reduction["certified"] === false ? "provable repeats simulated" : "", list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit", "narrow", "certified"]), confirmed].filter(Boolean).join(", "))]);
   }
   for (const stage of studiesOf(campaign)) rows.push([stage === "robustness" ? "Robustness" : "Validation", settingsText(stage, spec[stage] ?? {})]);
   return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");
