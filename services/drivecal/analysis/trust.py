@@ -226,7 +226,7 @@ def _seen(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
     """Yields the share of the space that the search saw."""
     if search is None or not search.grid or campaign.best is None:
         return
-    grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}"
+    grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}".replace("e+", " · 10^")
     asked = f"{'' if search.is_exact else 'at most '}{search.requested:,}"
     text = f"The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside."
     yield Reason(light="green", about="search", text=text)
@@ -356,7 +356,8 @@ def _cut(campaign: Campaign) -> Iterator[Reason]:
     share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
     light: Light = "amber" if at_end or share > FEW else "green"
     where = f", as the best set does in {', '.join(at_end)}" if at_end else ""
-    text = f"{cut:,} scores ({share:.1%} of the cells) are worse than {failed:g} and count as it{where}: {REMEDY}."
+    scores, are, count = ("score", "is", "counts") if cut == 1 else ("scores", "are", "count")
+    text = f"{cut:,} {scores} ({share:.1%} of the cells) {are} worse than {failed:g} and {count} as it{where}: {REMEDY}."
     yield Reason(light=light, about="cut", text=text)
 
 

@@ -154,6 +154,7 @@ def test_scores_that_were_cut_off_are_told_if_they_matter() -> None:
     worst = BEST.model_copy(update={"scores": {"S1": COST.failed, "S2": 3.0}})
     [reason] = [reason for reason in trust(campaign(cells={"cut": 1}, best=worst, scale=COST)).reasons if reason.about == "cut"]
     assert (reason.light, "S1" in reason.text, "`failed`" in reason.text) == ("amber", True, True)
+    assert reason.text.startswith("1 score (")
 
 
 @pytest.mark.parametrize(("objective", "light"), [(4.0, "green"), (6.0, "amber"), (7.0, "amber")])

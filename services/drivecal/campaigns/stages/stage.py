@@ -115,11 +115,25 @@ class Stage(Job):
     def _score_notes(self) -> list[str]:
         """Returns notes on scores without a value and on those that were cut off."""
         endings = {
-            "unscored": "have no value and count as failed runs: see the causes of failures",
-            "cut": f"are worse than the worth of a failed run and count as it: {REMEDY}",
+            "unscored": (
+                "has no value and counts as a failed run",
+                "have no value and count as failed runs",
+                "see the causes of failures",
+            ),
+            "cut": (
+                "is worse than the worth of a failed run and counts as it",
+                "are worse than the worth of a failed run and count as it",
+                REMEDY,
+            ),
         }
         counts = self._tracker.counts
-        return [f"{counts[name]:,} scores of the {self.name} {ending}" for name, ending in endings.items() if counts.get(name)]
+        return [
+            f"1 score of the {self.name} {single}: {advice}"
+            if counts[name] == 1
+            else f"{counts[name]:,} scores of the {self.name} {several}: {advice}"
+            for name, (single, several, advice) in endings.items()
+            if counts.get(name)
+        ]
 
     def _progress(self, requested: int, proposed: int) -> Progress:
         return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
