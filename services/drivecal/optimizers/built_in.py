@@ -21,26 +21,29 @@ Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class GeneticSettings(OptimizerSpecification):
-    """Selection, recombination and mutation: the probabilities p_s, p_r and p_m (Table 4; p_m as in Section IV-C)."""
+    """Genetic algorithm: the best sets have children, which mix the values of their parents; some of them change at random.
+
+    Selection, recombination and mutation: the probabilities p_s, p_r and p_m of Table 4; p_m as in Section IV-C.
+    """
 
     model_config = ConfigDict(extra="forbid")
 
     kind: Literal["genetic"] = "genetic"
-    selection: Share = 0.8
-    recombination: Share = 0.7
-    mutation: Annotated[float, Field(ge=0, le=1)] = 0.5
+    selection: Annotated[Share, Field(description="Share of the population that may have children.")] = 0.8
+    recombination: Annotated[Share, Field(description="Share of those that have some.")] = 0.7
+    mutation: Annotated[float, Field(ge=0, le=1, description="Share of the children in which one bit is flipped.")] = 0.5
 
 
 class RandomSettings(OptimizerSpecification):
-    """`renewal` is the share of the population redrawn in each iteration after the first.
+    """Random search: a part of the population is drawn again in each iteration after the first.
 
-    Its default is what the genetic algorithm renews with its own defaults, so that both request equally many cells.
+    The default of `renewal` is what the genetic algorithm renews with its own defaults, so that both request equally many cells.
     """
 
     model_config = ConfigDict(extra="forbid")
 
     kind: Literal["random"] = "random"
-    renewal: Share = 0.28
+    renewal: Annotated[Share, Field(description="Share of the population that each iteration draws again.")] = 0.28
 
     @property
     def renewed(self) -> int:
@@ -49,14 +52,17 @@ class RandomSettings(OptimizerSpecification):
 
 
 class SwarmSettings(OptimizerSpecification):
-    """Pulls c1 to a particle's own best set and c2 to that of the swarm (Table 4), and the inertia factor, which Eq. 4 leaves blank."""
+    """Particle swarm: each set moves on, and is pulled to the best that it found and to the best of all.
+
+    Pulls c1 to a particle's own best set and c2 to that of the swarm (Table 4), and the inertia factor, which Eq. 4 leaves blank.
+    """
 
     model_config = ConfigDict(extra="forbid")
 
     kind: Literal["swarm"] = "swarm"
-    c1: Annotated[float, Field(ge=0, le=1)] = 0.5
-    c2: Annotated[float, Field(ge=0, le=1)] = 0.5
-    inertia: Annotated[float, Field(ge=0, le=1)] = 1.0
+    c1: Annotated[float, Field(ge=0, le=1, description="Pull to the set's own best.")] = 0.5
+    c2: Annotated[float, Field(ge=0, le=1, description="Pull to the best of all sets.")] = 0.5
+    inertia: Annotated[float, Field(ge=0, le=1, description="Share of the last step that is kept.")] = 1.0
 
 
 Chosen = TypeVar("Chosen", bound=OptimizerSpecification)

@@ -80,7 +80,7 @@ class SeparateThresholds(Model):
 
 
 class SensitivitySpecification(Model):
-    """Sensitivity analysis: a complexity reduction by elementary effects (Section II-A).
+    """Finds by elementary effects where each parameter can change the score of a scenario, before the search (Section II-A).
 
     `threshold` on s_rel, on |mu| and sigma separately, or `auto`. `sequential`: the design `lines` leaves out the runs that cannot change a
     bound; intervals between influential ones then have no figures.
@@ -195,7 +195,7 @@ class GoalSpecification(Model):
     @model_validator(mode="after")
     def _names_a_value(self) -> Self:
         if (self.score is None) == (self.measure is None):
-            raise ValueError("it names no score or measure, or both; give one of them")
+            raise ValueError(f"it names {'no score or' if self.score is None else 'a score and a'} measure; give one of them")
         if self.score is not None and self.failed is not None:
             raise ValueError("a score has a worth of failed runs already; leave `failed` out")
         return self

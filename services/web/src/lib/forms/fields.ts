@@ -24,8 +24,8 @@ export function choicesAt(choices: Choices, path: string): readonly string[] {
   return choices[path.replace(/\[\d+\]/g, "[]")] ?? [];
 }
 
-/** Smaller and larger numbers than these are no limit that anybody reaches. */
-const BEYOND = 1e7;
+/** From these numbers on a limit is one that few fields reach. */
+const BEYOND = 1e6;
 
 /** The first paragraph of a description, without references to a paper that few readers have at hand. */
 export function aboutSection(description: string): string {
