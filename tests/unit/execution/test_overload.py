@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from tests.support.plant import Plant, cells
+from tests.support.plant import TARGET, Plant, cells
 
 MANY = 2_500
 """Cells of the large campaign for each worker that wait at a time."""
 SMALL = 100
 """Cells of a small campaign for each worker: ten times the work that workers hold when it comes."""
 COST = {"S1": 0.05, "S2": 0.05}
+GENERATIONS, POPULATION = 4, 12
+WAIT = 2 * TARGET
+"""Seconds that the cells of a generation wait at most for their first turn: for the running batch of a worker and the one behind it."""
 
 
 def time_alone(workers: int, scenario: str, count: int, cost: dict[str, float]) -> float:
@@ -49,6 +52,27 @@ def test_each_of_ten_small_campaigns_ends_in_three_times_its_time_alone_beside_a
         tag = f"small {number}"
         plant.add(tag, "S2", cells(SMALL * workers, first=500_001 + 1_000 * number))
         assert seconds_until_done(plant, tag) <= 3 * alone
+    assert plant.scheduler.held("large") > 0
+
+
+def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
+    """Seconds of a campaign that asks for its next generation once it has the answers of the last one."""
+    began = plant.now
+    for number in range(GENERATIONS):
+        plant.add(tag, "S2", cells(POPULATION, first=first + POPULATION * number))
+        seconds_until_done(plant, tag)
+    return plant.now - began
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_a_second_for_each(workers: int) -> None:
+    alone = seconds_of_generations(warm(workers, COST), "small", 500_001)
+    plant = warm(workers, COST)
+    plant.add("large", "S1", cells(MANY * workers))
+    plant.run(until=plant.now + 10.0)
+    for number in range(10):
+        took = seconds_of_generations(plant, f"small {number}", 500_001 + 1_000 * number)
+        assert took <= 3 * alone + GENERATIONS * WAIT
     assert plant.scheduler.held("large") > 0
 
 
