@@ -30,6 +30,7 @@ test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: who
 	@$(WHOLE_FILES) -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests: kill, stop and starve everything, every case, random examples (hours)
+	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@failed=0; export DRIVECAL_LONG=1; \
 	$(BIN)/pytest tests/faults -m faults --numprocesses 2 --dist load || failed=1; \

@@ -17,7 +17,7 @@ from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coor
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
-from tests.support.faults.report import NOTES, Note
+from tests.support.faults.report import Note, noted
 from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
 from tests.support.serve import alive
 
@@ -249,9 +249,9 @@ def live(
 ) -> Life:
     """Gives a server its work, the `documents` or the suite's campaigns, and does all of the plan to it; then the campaigns have to end as
     they do without faults, and the server has to leave nothing behind."""
-    life = Life(coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()))
-    life.note.database = coordinator.database_url.partition(":")[0].partition("+")[0]
-    NOTES.append(life.note)
+    life = Life(
+        coordinator, sum(len(one.tables["evaluations"]) for one in expected.values()), note=noted(coordinator.database_url)
+    )
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)

@@ -65,7 +65,7 @@ class KillablePostgres:
         return [*postmaster.children(recursive=True), postmaster]
 
     def kill_in_a_commit(self, seconds: float = 20.0) -> bool:
-        """Kills it while a connection of drivecal's commits; gives whether one did. AssertionError where none does for `seconds`."""
+        """Kills it while a connection of drivecal's commits, or after `seconds` in which none did. Returns whether one did."""
         committing = (
             "SELECT count(*) FROM pg_stat_activity"
             " WHERE application_name LIKE 'drivecal%' AND state = 'active' AND upper(query) LIKE 'COMMIT%'"

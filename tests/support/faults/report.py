@@ -32,6 +32,12 @@ NOTES: list[Note] = []
 """Of the test that runs."""
 
 
+def noted(database_url: str) -> Note:
+    """Returns the note of a life that begins now, as the test's report carries it."""
+    NOTES.append(Note(database_url.partition(":")[0].partition("+")[0]))
+    return NOTES[-1]
+
+
 CARRIED = TypeAdapter(list[Note])
 """Notes as a report of pytest carries them from one process to another."""
 

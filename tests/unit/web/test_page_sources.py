@@ -10,7 +10,6 @@ from tests.support.tree import PROJECT
 from tests.support.web import WEB, hook
 
 
-@pytest.mark.slow
 def test_the_pure_parts_of_the_page_do_what_their_tests_say() -> None:
     if not (WEB / "node_modules" / "vitest").is_dir():
         pytest.skip("vitest is not there: `make test` could not fetch it")
