@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import random
 from collections.abc import Sequence
 from typing import TypeVar
 
 Case = TypeVar("Case")
 LONG = bool(os.environ.get("DRIVECAL_LONG"))
+SEED = int(os.environ.get("DRIVECAL_FUZZ_SEED") or (random.randrange(1, 10**9) if LONG else 0))
+"""Of all mutations: 0 in `make test`, another one at each long run unless DRIVECAL_FUZZ_SEED repeats it."""
 
 
 def tries(everyday: int, long: int) -> int:
@@ -25,3 +28,11 @@ def sample(cases: Sequence[Case], everyday: int) -> list[Case]:
     if LONG or len(cases) <= everyday:
         return list(cases)
     return [cases[number * (len(cases) - 1) // (everyday - 1)] for number in range(everyday)]
+
+
+def chance(subject: str | bytes) -> random.Random:
+    """Returns the random mutations of a subject; a long run prints how to repeat them."""
+    if not SEED:
+        return random.Random(subject)
+    print(f"DRIVECAL_FUZZ_SEED={SEED}")
+    return random.Random(f"{SEED} {subject!r}")

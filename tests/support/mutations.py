@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import random
 import re
+import signal
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from drivecal.domain.errors import InvalidInputError, Problem
 
+SECONDS = 20
+"""Time after which a single mutation counts as a hang; each takes milliseconds."""
 STRANGE = (
     "", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0x10", "١", "1_0", "99999999999999999999", "a" * 300, "\u202e", "before",
     "before_0", ":b_0", "0,0", "0,0 0,0", "0,0 1e9,1e9", "0,0 1,1,1 2,2", "-0.0,5 5,-0.0", " ", "true", "internal", "driving", "0.1 0.2",
@@ -66,10 +70,26 @@ def cut(content: bytes, chance: random.Random) -> bytes:
     return content[: chance.randrange(max(1, len(content)))] if chance.random() < 0.2 else content
 
 
+@contextmanager
+def soon() -> Iterator[None]:
+    """Fails after `SECONDS`; only in the main thread."""
+
+    def late(*_: object) -> None:
+        raise AssertionError("it hangs")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
 def outcome(attempt: Callable[[], object]) -> bool:
-    """Whether the attempt succeeds; any exception but InvalidInputError fails the test."""
+    """Whether the attempt succeeds; any exception but InvalidInputError, and a hang, fails the test."""
     problems: tuple[Problem, ...] = ()
-    with warnings.catch_warnings():
+    with soon(), warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
             attempt()

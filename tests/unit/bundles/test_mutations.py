@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import math
 import random
-import signal
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
 from io import BytesIO
 from pathlib import Path
 
 import pytest
+from tests.support import effort
 from tests.support.effort import tries
+from tests.support.mutations import soon
 
 from drivecal.bundles.archives import executables, files_of, manifest_text, pack, remove, unpack
 from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
@@ -24,8 +25,6 @@ from drivecal.client.problems import read_manifest
 from drivecal.domain.errors import InvalidInputError
 
 MUTATIONS = tries(200, 10_000)
-SECONDS = 20
-"""Time after which a single mutation counts as a hang; each takes milliseconds."""
 LARGEST = 1 << 20
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples" / "problems"
 STRANGE = [
@@ -81,22 +80,6 @@ def rewritten(content: bytes, chance: random.Random) -> bytes:
     return written.getvalue()
 
 
-@contextmanager
-def soon() -> Iterator[None]:
-    """Fails after a while."""
-
-    def late(*_: object) -> None:
-        raise AssertionError("it hangs")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(SECONDS)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
-
-
 def taken(attempt: Callable[[], object]) -> bool:
     """Whether something is taken; otherwise the refusal names what is wrong."""
     refusal = None
@@ -122,7 +105,7 @@ def archives() -> Iterator[bytes]:
 
 
 def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_path: Path) -> None:
-    chance, subjects, results = random.Random("archives"), list(archives()), []
+    chance, subjects, results = effort.chance("archives"), list(archives()), []
     target, outside = tmp_path / "inside" / "target", tmp_path / "outside"
     outside.write_text("content")
     target.parent.mkdir()
@@ -149,7 +132,7 @@ def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_pat
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/problem.yaml")))
 def test_mutated_manifests_are_read_or_refused(name: str) -> None:
-    content, chance, results = (EXAMPLES / name / "problem.yaml").read_bytes(), random.Random(name), []
+    content, chance, results = (EXAMPLES / name / "problem.yaml").read_bytes(), effort.chance(name), []
     programs = executables(files_of(pack(EXAMPLES / name), 1 << 26))
     for _ in range(MUTATIONS // 5):
         damaged = mutated(content, chance)
@@ -159,7 +142,7 @@ def test_mutated_manifests_are_read_or_refused(name: str) -> None:
 
 @pytest.mark.parametrize("text", FORMULAS)
 def test_mutated_formulas_are_refused_or_have_a_finite_value(text: bytes) -> None:
-    chance, results = random.Random(text), []
+    chance, results = effort.chance(text), []
     for _ in range(MUTATIONS // len(FORMULAS)):
         damaged = mutated(text, chance).decode(errors="replace")
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 
 import pytest
+from tests.support import effort
 from tests.support.effort import tries
 from tests.support.mutations import mutated, outcome
 from tests.support.scenario_files import FILES, ROUTES, STEP, maps, of_file, refused, with_routes
@@ -23,7 +23,7 @@ SUBJECTS: dict[str, tuple[bytes, Callable[[bytes], Description]]] = {
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_damaged_files_give_a_scenario_or_a_named_refusal(subject: str) -> None:
     content, described = SUBJECTS[subject]
-    chance = random.Random(subject)
+    chance = effort.chance(subject)
     maps()
     results = []
     for _ in range(MUTATIONS):
