@@ -68,6 +68,14 @@ def flood(_data: Data) -> None:
     time.sleep(600)
 
 
+def fills_the_disk_with_small_files(_data: Data) -> None:
+    folder = Path("small")
+    folder.mkdir(exist_ok=True)
+    for number in range(12_000):
+        (folder / str(number)).write_bytes(bytes(1))
+    time.sleep(600)
+
+
 def answers_for_others(_data: Data) -> None:
     for descriptor in range(3, 64):
         for number in range(100):
