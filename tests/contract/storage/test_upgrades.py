@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,15 +15,17 @@ from tests.support.computed import ComputedBackend
 from tests.support.revisions import load
 from tests.support.runs import dispatcher, finish, run, submit
 from tests.support.storage import PROCESSES, migrate
+from typer.testing import CliRunner
 
 from drivecal.campaigns.results.verification import verify
+from drivecal.cli.main import app
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DatabaseError
 from drivecal.domain.scenarios import Scenario
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine import schema
+from drivecal.storage.engine import locks, schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import reference_keys, runs, setups
 
@@ -273,6 +276,53 @@ def test_two_processes_may_upgrade_an_old_database_at_once(empty_url: str) -> No
     with PROCESSES.Pool(2) as pool:
         pool.map(migrate, [empty_url] * 2)
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+    database.dispose()
+
+
+def test_an_upgrade_is_refused_while_a_server_holds_the_database(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    load.create(database, "0001")
+    arguments = ["db", "upgrade", "--database-url", empty_url]
+    with locks.hold(empty_url):
+        refused = CliRunner().invoke(app, arguments)
+        assert refused.exit_code == 1
+        assert "another drivecal server" in refused.output
+        with database.read() as connection:
+            assert schema.revision_of(connection) == "0001"
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    database.check()
+    database.dispose()
+
+
+def test_a_reader_during_an_upgrade_sees_the_old_revision_or_the_new_one(empty_url: str) -> None:
+    database = Database.open(empty_url)
+    load.create(database, "0001")
+
+    def seen() -> tuple[str | None, int, bool]:
+        """The revision, the rows and the shape of one moment."""
+        with database.read() as connection:
+            rows = sum(
+                connection.execute(text(f"SELECT count(*) FROM {table}")).scalar_one() for table in ("campaigns", "runs")
+            )
+            return schema.revision_of(connection), rows, "leases" in columns_of(connection)
+
+    before, ended, moments = seen(), threading.Event(), []
+
+    def upgrade() -> None:
+        try:
+            database.upgrade()
+        finally:
+            ended.set()
+
+    writer = threading.Thread(target=upgrade)
+    writer.start()
+    while not ended.is_set():
+        moments.append(seen())
+    writer.join()
+    after = seen()
+    assert (before[0], before[2], after[0], after[2]) == ("0001", False, REVISIONS[-1], True)
+    assert after[1] == before[1]
+    assert set(moments) <= {before, after}
     database.dispose()
 
 
