@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import socket
 import stat
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from html import unescape
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -25,8 +27,12 @@ from drivecal.client import Client
 NAMES = {
     "formula": '=HYPERLINK("http://elsewhere","x")',
     "script": "<script>alert(1)</script><img src=x onerror=alert(1)>",
-    "direction": "abc\u202egnp.exe\u2066",
+}
+REFUSED = {
+    "right to left": "abc\u202egnp.exe",
+    "isolated": "\u2066abc\u2069",
     "terminal": "\x9b2J\x9b31m",
+    "10 kB": "x" * 10_000,
 }
 SPEC = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 1}, "catalogue": ["S1"]}
 CROWD = 300
@@ -68,18 +74,36 @@ def test_a_foreign_page_gets_no_live_connection(server: Server) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, name: str) -> None:
+def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, tmp_path: Path, name: str) -> None:
     with Client(server.url) as client:
         posted = httpx.post(f"{server.url}/api/v1/campaigns", json=SPEC | {"name": NAMES[name]}, timeout=60)
         assert posted.status_code == 202
-        shown = client.campaign(posted.json()["id"]).name
-        assert not any(0x7F <= ord(character) < 0xA0 or character in "\u202e\u2066" for character in shown)
-        client.act(posted.json()["id"], "cancel")
+        campaign = client.wait(posted.json()["id"])
+        assert (campaign.state, campaign.name) == ("succeeded", NAMES[name])
+        written = subprocess.run(
+            [sys.executable, "-m", "drivecal.cli", "report", campaign.id, "-o", str(tmp_path), "--url", server.url],
+            env=environment(tmp_path),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=120,
+        )
+    assert written.returncode == 0, written.stderr
+    page = (tmp_path / "index.html").read_text()
+    assert NAMES[name] in unescape(page)
+    assert "<script>alert" not in page
+    tables = list(tmp_path.rglob("*.csv"))
+    assert tables
+    for table in tables:
+        with table.open(newline="") as file:
+            assert not [cell for row in csv.reader(file) for cell in row if cell.startswith("=")], table.name
 
 
-def test_a_name_of_ten_thousand_letters_is_refused(server: Server) -> None:
-    answer = httpx.post(f"{server.url}/api/v1/campaigns", json=SPEC | {"name": "x" * 10_000}, timeout=60)
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_name_that_hides_what_it_says_is_refused_at_its_field(server: Server, name: str) -> None:
+    answer = httpx.post(f"{server.url}/api/v1/campaigns", json=SPEC | {"name": REFUSED[name]}, timeout=60)
     assert answer.status_code == 422
+    assert [problem["field"] for problem in answer.json()["errors"]] == ["name"]
 
 
 def test_other_users_may_write_to_no_file_and_read_no_secret(server: Server) -> None:

@@ -52,7 +52,7 @@ def read(model: type[BaseModel], content: bytes, database: Database) -> BaseMode
     """Returns a JSON body as a `model`. Raises InvalidInputError with every fault."""
     document = strict_json.loads(content)
     try:
-        return validated(model, document)
+        return validated(model, document, from_outside=True)
     except InvalidInputError as error:
         own = error.problems
     raise InvalidInputError(*own, *_further(model, document, database))

@@ -6,25 +6,23 @@ under each seed with each reduction, and every such run is an ordinary campaign 
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
     Identifier,
-    Name,
     ProblemSpecification,
     ReductionMode,
     ReductionSpecification,
 )
+from drivecal.contracts.texts import Label, Name
 
 AnyReduction = ReductionMode | ReductionSpecification
 EXACT_ALONE: list[AnyReduction] = ["exact"]
 LARGEST_RUNS = 1_000
 """Runs of one comparison."""
-
-Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f]+$")]
 
 
 class ComparedOptimizer(BaseModel):

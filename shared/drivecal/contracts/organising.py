@@ -3,18 +3,14 @@
 from datetime import datetime
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
-from drivecal.contracts.specification import Model, Name
+from drivecal.contracts.specification import Model
+from drivecal.contracts.texts import Address, Comment, Name, Tag
 
 Archived = Literal["without", "with", "only"]
-Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]
-"""A word without spaces and commas."""
 Tags = Annotated[list[Tag], Field(max_length=20)]
-Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$")]
-Address = Annotated[str, StringConstraints(min_length=2, max_length=4_000, pattern=r"^#/[^\x00-\x1f\x7f]*$")]
-"""A view of the page: the part of its URL from `#/` on."""
 
 
 class CampaignChanges(Model):

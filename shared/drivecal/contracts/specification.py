@@ -20,6 +20,7 @@ from pydantic import (
     model_validator,
 )
 
+from drivecal.contracts.texts import Choice, Name
 from drivecal.domain.scales import Scale
 
 HIGHWAY = "highway"
@@ -28,13 +29,10 @@ LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
 
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
-"""Text that names a choice."""
 Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
 """A value per parameter: a number, or the text of a choice."""
 

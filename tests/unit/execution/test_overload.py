@@ -65,7 +65,9 @@ def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
 
 
 @pytest.mark.parametrize("workers", [1, 2, 8])
-def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_a_second_for_each(workers: int) -> None:
+def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_a_second_for_each(
+    workers: int,
+) -> None:
     alone = seconds_of_generations(warm(workers, COST), "small", 500_001)
     plant = warm(workers, COST)
     plant.add("large", "S1", cells(MANY * workers))

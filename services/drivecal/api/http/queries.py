@@ -5,7 +5,8 @@ from typing import Annotated, Literal
 from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
-from drivecal.contracts.organising import Archived, Tag
+from drivecal.contracts.organising import Archived
+from drivecal.contracts.texts import Tag
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
 

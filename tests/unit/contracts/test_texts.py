@@ -1,0 +1,82 @@
+"""Texts of users: what may not come in from outside, and stays readable if an earlier release stored it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+from drivecal.bundles.manifest import Manifest
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.organising import CampaignChanges, SavedViewChanges, SavedViewSpecification
+from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
+from drivecal.domain.errors import InvalidInputError
+
+STEERING = ["\x7f", "\x80", "\x9b", "\x9f", "\u202a", "\u202e", "\u2066", "\u2069"]
+CHOICES = {"parameters": [{"name": "x", "choices": ["one", "two *"]}]}
+PROBLEM = {
+    "problem": "p",
+    "simulator": {"kind": "python", "file": "p.py"},
+    "parameters": {"x": {"choices": ["one", "two *"]}},
+    "scenarios": {"s": {}},
+    "measures": {"y": "m"},
+    "scores": {"c": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
+}
+DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
+    (CampaignSpecification, {"name": "a * b"}, "name"),
+    (CampaignSpecification, CHOICES, "parameters[0].choices[1]"),
+    (CampaignSpecification, {"fixed": {"x": "*"}}, "fixed.x"),
+    (CampaignSpecification, {"baseline": {"x": "a*"}}, "baseline.x"),
+    (
+        ComparisonSpecification,
+        {"optimizers": [{"kind": "random", "label": "*"}], "populations": [4], "seeds": [1, 2, 3]},
+        "optimizers[0].label",
+    ),
+    (InfluenceMapSpecification, {"name": "*", "scenarios": {"S1": {}}}, "name"),
+    (RerunSpecification, {"name": "*", "weights": {}}, "name"),
+    (CampaignChanges, {"name": "*"}, "name"),
+    (CampaignChanges, {"tags": ["a", "b*"]}, "tags[1]"),
+    (CampaignChanges, {"add_tags": ["*"]}, "add_tags[0]"),
+    (CampaignChanges, {"comment": "two\nlines*"}, "comment"),
+    (SavedViewSpecification, {"name": "view", "address": "#/campaigns?q=*"}, "address"),
+    (SavedViewChanges, {"name": "*"}, "name"),
+    (Manifest, PROBLEM, "parameters.x.choices[1]"),
+]
+
+
+def with_character(value: Any, character: str) -> Any:
+    """The document with a character in place of each asterisk."""
+    if isinstance(value, dict):
+        return {key: with_character(inner, character) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [with_character(inner, character) for inner in value]
+    return value.replace("*", character) if isinstance(value, str) else value
+
+
+@pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
+def test_what_steers_a_terminal_or_reverses_text_is_refused_at_its_field(
+    model: type[BaseModel], document: dict[str, Any], field: str
+) -> None:
+    for character in STEERING:
+        with pytest.raises(InvalidInputError) as caught:
+            validated(model, with_character(document, character), from_outside=True)
+        assert [problem.field for problem in caught.value.problems] == [field]
+        assert all(str(problem).isprintable() for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
+def test_letters_of_any_script_are_taken(model: type[BaseModel], document: dict[str, Any], field: str) -> None:
+    for character in ("ä", "ש", "ع", "\u200d", "🚗", "'"):
+        assert validated(model, with_character(document, character), from_outside=True), field
+
+
+@pytest.mark.parametrize(("model", "document", "field"), DOCUMENTS)
+def test_what_earlier_releases_stored_stays_readable(model: type[BaseModel], document: dict[str, Any], field: str) -> None:
+    for character in STEERING[1:]:
+        assert validated(model, with_character(document, character)), field
+
+
+def test_the_schema_shows_what_is_refused() -> None:
+    assert r"\u202a-\u202e" in CampaignSpecification.model_json_schema()["properties"]["name"]["pattern"]
