@@ -4,9 +4,11 @@ import os
 import re
 import sqlite3
 import stat
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
+from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
@@ -86,6 +88,39 @@ def test_writers_in_many_threads_wait_for_each_other(database: Database) -> None
         list(pool.map(write, range(64)))
     with database.read() as connection:
         assert len(campaigns.active(connection)) == 64
+
+
+def test_a_request_gets_its_turn_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
+    url = database.url.render_as_string(hide_password=False)
+    begun, ends = PROCESSES.Event(), PROCESSES.Event()
+    writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 0.5, begun, ends))
+    writer.start()
+    try:
+        assert begun.wait(60)
+        prompt = Database.open(url, PROMPT)
+        waited = []
+        for number in range(4):
+            start = time.monotonic()
+            with prompt.transaction() as connection:
+                campaign(connection, f"{number}")
+            waited.append(time.monotonic() - start)
+        prompt.dispose()
+        assert max(waited) < PROMPT.lock
+    finally:
+        ends.set()
+        writer.join()
+    with database.read() as connection:
+        assert len(campaigns.active(connection)) == 4
+
+
+def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) -> None:
+    """Holds one transaction after the other, each for so many seconds."""
+    database = Database.open(url)
+    while not ends.is_set():
+        with database.transaction():
+            begun.set()
+            time.sleep(seconds)
+    database.dispose()
 
 
 def test_json_columns_hold_null_in_place_of_numbers_that_json_does_not_know(database: Database) -> None:
@@ -175,7 +210,8 @@ def test_a_new_database_belongs_to_its_user_alone_whatever_the_umask(tmp_path: P
     finally:
         os.umask(before)
         database.dispose()
-    assert modes == {"home": 0o700, "drivecal.db": 0o600, "drivecal.db-wal": 0o600, "drivecal.db-shm": 0o600}
+    assert modes.pop("home") == 0o700
+    assert modes == dict.fromkeys(("drivecal.db", "drivecal.db-wal", "drivecal.db-shm", "drivecal.db.queue"), 0o600)
 
 
 def test_a_folder_in_place_of_the_file_is_refused(tmp_path: Path) -> None:

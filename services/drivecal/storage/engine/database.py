@@ -6,15 +6,16 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
-from drivecal.storage.engine import schema, urls
+from drivecal.storage.engine import locks, schema, urls
 from drivecal.storage.engine.failures import translated
 from drivecal.storage.engine.liveness import ServerLiveness, mind_absence
 from drivecal.storage.engine.types import to_json
@@ -41,28 +42,44 @@ PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
 """Limits for background work: it waits for an outage to end, and a statement may take long."""
 PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
 """Limits for requests, for which a client waits."""
+QUEUE_SECONDS = 0.003
+"""Pause between two looks whether another process has begun to write."""
 
 
 class Turns:
-    """Turns of the threads that write to a SQLite file.
+    """Turns of drivecal's threads and processes that write to a SQLite file.
 
-    SQLite itself lets writers try again after growing pauses, so that one of many may try in vain until its time is up.
+    SQLite itself lets writers try again after growing pauses, so that one of many, or one beside a process that writes without a pause,
+    may try in vain until its time is up.
     """
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, file: Path, seconds: float) -> None:
+        self._queue = file.with_name(f"{file.name}.queue")
+        """A process that begins to write locks this file: others that want to write begin after it."""
         self._seconds = seconds
         self._lock = threading.Lock()
 
     @contextmanager
     def take(self) -> Iterator[float]:
-        """Yields how many seconds are left for the lock of other processes. Raises UnavailableError if the others take too long."""
+        """Yields the time of `time.monotonic` until which to wait for other processes. Raises UnavailableError if threads take too long."""
         deadline = time.monotonic() + self._seconds
         if not self._lock.acquire(timeout=self._seconds):
             raise UnavailableError("the database is busy with other changes; try again")
         try:
-            yield max(deadline - time.monotonic(), 0.0)
+            yield deadline
         finally:
             self._lock.release()
+
+    @contextmanager
+    def begin(self, deadline: float) -> Iterator[float]:
+        """Yields how many seconds are left for SQLite's lock. Until the block ends, no other process of drivecal begins to write."""
+        with ExitStack() as stack:
+            with suppress(OSError):  # a folder that cannot be written: SQLite says so
+                self._queue.touch(mode=0o600)
+                file = stack.enter_context(self._queue.open("r+b"))
+                while not locks.try_lock(file) and time.monotonic() < deadline:
+                    time.sleep(QUEUE_SECONDS)
+            yield max(deadline - time.monotonic(), 0.0)
 
 
 class Database:
@@ -85,7 +102,8 @@ class Database:
         if parsed.get_backend_name() == "sqlite" and sqlite3.sqlite_version_info < OLDEST_SQLITE:
             needed = ".".join(map(str, OLDEST_SQLITE))
             raise DatabaseError(f"SQLite {sqlite3.sqlite_version} is too old; drivecal needs {needed} or PostgreSQL")
-        turns = Turns(patience.lock) if parsed.get_backend_name() == "sqlite" else None
+        file = urls.sqlite_file(parsed)
+        turns = None if file is None else Turns(file, patience.lock)
         return cls(parsed, make_engine(parsed, patience), turns=turns)
 
     def fenced(self, fence: Callable[[Connection], None]) -> Database:
@@ -108,13 +126,14 @@ class Database:
     def transaction(self) -> Iterator[Connection]:
         """Yields a connection whose writes are committed together at the end, or not at all if the body raises.
 
-        On SQLite it has the write lock from its start, and threads of this process get it one after the other. After UnavailableError
+        On SQLite it has the write lock from its start, which threads and processes get one after the other. After UnavailableError
         the writes may have been committed all the same (the answer to the commit may be what got lost): read again before writing
         once more.
         """
-        with translated(self.name), self._turn() as left, self._engine.connect() as connection:
-            connection = connection.execution_options(drivecal_writes=True, drivecal_seconds=left)
-            with connection.begin():
+        with translated(self.name), self._turn() as deadline, self._engine.connect() as connection:
+            with nullcontext(0.0) if self._turns is None else self._turns.begin(deadline) as left:
+                begun = connection.execution_options(drivecal_writes=True, drivecal_seconds=left).begin()
+            with begun:
                 if self._fence is not None:
                     self._fence(connection)
                 yield connection

@@ -5,7 +5,7 @@ import socket
 import sys
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Protocol, Self
+from typing import IO, Any, Protocol, Self
 
 from sqlalchemy import URL, Connection, create_engine, event, text
 from sqlalchemy.exc import DBAPIError
@@ -71,7 +71,7 @@ class _FileLock(_Releasing):
             self._file: IO[str] = path.open("a+", encoding="ascii")
         except OSError as error:
             raise DatabaseError(f"{path} cannot be written: {error.strerror}; name a database in another folder") from error
-        if not _try_lock(self._file):
+        if not try_lock(self._file):
             self._file.seek(0)
             holder = self._file.read().strip() or "unknown"
             self._file.close()
@@ -90,7 +90,8 @@ class _FileLock(_Releasing):
         self._file.close()
 
 
-def _try_lock(file: IO[str]) -> bool:
+def try_lock(file: IO[Any]) -> bool:
+    """Locks an open file if no other process has it locked. Returns whether it did; closing the file releases it."""
     try:
         if sys.platform == "win32":
             import msvcrt
