@@ -103,6 +103,25 @@ def test_a_local_ray_listens_on_loopback_only() -> None:
     assert {one.laddr.ip.removeprefix("::ffff:") for one in sockets if one.laddr} == {"127.0.0.1"}
 
 
+JOIN = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False); print(ray.nodes())"
+
+
+@pytest.mark.usefixtures("ray_backend")
+@pytest.mark.slow("other")
+@pytest.mark.parametrize("token", ["", "0" * 64], ids=["none", "other"])
+def test_a_process_without_the_token_cannot_join_a_local_ray(token: str) -> None:
+    import ray
+
+    address = ray.get_runtime_context().gcs_address
+    given = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH_")}
+    given |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": token} if token else {"RAY_AUTH_MODE": "disabled"}
+    command = [sys.executable, "-c", JOIN, address]
+    ended = subprocess.run(command, env=given, capture_output=True, text=True, check=False, timeout=120)
+    assert ended.returncode != 0
+    assert ended.stdout == ""
+    assert "token" in ended.stderr.lower(), ended.stderr
+
+
 @pytest.mark.usefixtures("ray_backend")
 def test_a_local_ray_starts_nothing_that_nobody_uses() -> None:
     lines = []
