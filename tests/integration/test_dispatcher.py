@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import random
+from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
+from typing import Self
 
 import pytest
 from sqlalchemy import func, select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, nothing_matters, post_map, request, submit
+from tests.support.runs import dispatcher, everything, finish, nothing_matters, post_map, request, step_until, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -139,6 +141,33 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
             kills += 1
         assert kills > (5 if database is killed else 0)
         found.append((everything(database, campaign), _get(database, campaign).baseline))
+        database.dispose()
+    assert found[0] == found[1]
+
+
+class _Clock(datetime):
+    """The system's clock, set to another time by `offset`."""
+
+    offset = timedelta()
+
+    @classmethod
+    def now(cls, tz: tzinfo | None = None) -> Self:
+        return super().now(tz) + cls.offset
+
+
+def test_a_clock_that_jumps_in_the_middle_changes_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivecal.storage.engine.types.datetime", _Clock)
+    found = []
+    for name, jumps in (("calm", ()), ("jumping", (3, -3))):
+        database = migrated(f"sqlite:///{tmp_path / name}.db")
+        campaign = submit(database, stored_map=post_map(database, TRUE_MAP), reduction={"audit": 0.2})
+        working = dispatcher(database, ComputedBackend(5))
+        for iteration, hours in enumerate(jumps, start=2):
+            step_until(database, campaign, iteration, working)
+            monkeypatch.setattr(_Clock, "offset", timedelta(hours=hours))
+            working.step()
+        assert finish(database, campaign, working).state is CampaignState.SUCCEEDED
+        found.append(everything(database, campaign))
         database.dispose()
     assert found[0] == found[1]
 

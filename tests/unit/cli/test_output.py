@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import re
+import time
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -25,6 +27,7 @@ from drivecal.cli.views.output import (
     print_solutions,
     saved,
     self_check_text,
+    when,
 )
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.cli.views.savings import print_trust
@@ -231,3 +234,16 @@ def test_the_bar_colours_outcomes_and_shows_reasons_as_they_are() -> None:
     shown = console.file.getvalue()
     assert "no worker [/opt/sim] agrees" in shown
     assert re.search(r"38;2;230;159;0msimulated 40\b", shown)
+
+
+def test_a_moment_names_its_offset_because_an_hour_comes_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    try:
+        first = datetime(2026, 10, 25, 0, 30, tzinfo=UTC)
+        assert when(first) == "2026-10-25 02:30:00+02:00"
+        assert when(first + timedelta(hours=1)) == "2026-10-25 02:30:00+01:00"
+        assert when(None) == ""
+    finally:
+        monkeypatch.undo()
+        time.tzset()

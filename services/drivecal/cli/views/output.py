@@ -221,8 +221,8 @@ def duration(seconds: float) -> str:
 
 
 def when(moment: datetime | None) -> str:
-    """Returns a moment in the reader's time zone."""
-    return "" if moment is None else moment.astimezone().strftime("%Y-%m-%d %H:%M:%S")
+    """Returns a moment in the reader's time zone, with its offset: an hour comes twice when daylight saving time ends."""
+    return "" if moment is None else moment.astimezone().isoformat(sep=" ", timespec="seconds")
 
 
 def _set_text(shown: Best | Baseline) -> str:
