@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +14,7 @@ from tests.support.faults.lives import (
     Moment,
     and_ready_again,
     asleep,
+    asleep_for,
     dispatcher_asleep,
     kill_api,
     kill_dispatcher,
@@ -45,16 +45,28 @@ SMALL: dict[str, dict[str, Any]] = {
 MakeServer = Callable[..., Coordinator]
 
 
+@pytest.fixture(scope="module")
+def small_without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
+    return carried_out(tmp_path_factory.mktemp("small"), SMALL)
+
+
 @pytest.mark.timeout(1200)
-def test_a_small_campaign_outlives_all_processes_of_its_server(server_on: MakeServer, tmp_path: Path) -> None:
-    """The short form of what follows: one kill, and a worker without Ray."""
-    expected = carried_out(tmp_path, SMALL)
-    live(
-        server_on("sqlite", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1"),
-        [(Moment(0.4, 0.0), kill_everything)],
-        expected,
-        SMALL,
-    )
+def test_a_small_campaign_outlives_all_processes_of_its_server(
+    server_on: MakeServer, small_without_faults: dict[str, Found]
+) -> None:
+    """The short form of what follows: all processes asleep for a second, then killed, and a worker without Ray."""
+    plan: list[tuple[Moment, Fault]] = [(Moment(0.2, 0.0), asleep_for(1.0)), (Moment(0.5, 0.0), kill_everything)]
+    server = server_on("sqlite", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1")
+    live(server, plan, small_without_faults, SMALL)
+
+
+@pytest.mark.timeout(1200)
+def test_a_small_campaign_outlives_its_database(
+    server_on: MakeServer, small_without_faults: dict[str, Found], postgres: KillablePostgres
+) -> None:
+    """The short form: PostgreSQL is killed and away for a second."""
+    server = server_on("postgresql", DRIVECAL_BACKEND="processes", DRIVECAL_WORKERS="1")
+    live(server, [(Moment(0.4, 0.0), outage(postgres, 1.0))], small_without_faults, SMALL)
 
 
 @pytest.mark.slow

@@ -90,6 +90,17 @@ def test_a_server_with_tokens_gets_ready_and_keeps_them_to_itself(server: Server
     assert not [token for token in (TOKEN, READER, MINE) if token in log]
 
 
+def test_no_token_is_in_the_database(server: Server) -> None:
+    bearer = {"Authorization": f"Bearer {TOKEN}", "Idempotency-Key": "key-of-the-test"}
+    document = {"parameters": MIDDLE, "scenario": "S1"}
+    posted = httpx.post(f"{server.url}/api/v1/evaluations", json=document, headers=bearer, timeout=60)
+    assert posted.status_code == 202
+    files = {path.name: path.read_bytes() for path in (server.folder / "home").glob("drivecal.db*")}
+    assert any(posted.json()["id"].encode() in content for content in files.values())
+    tokens = [token.encode() for token in (TOKEN, READER, MINE)]
+    assert [name for name, content in files.items() for token in tokens if token in content] == []
+
+
 def test_a_port_in_use_is_refused(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

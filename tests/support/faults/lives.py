@@ -133,10 +133,17 @@ def assert_said(coordinator: Coordinator, word: str) -> None:
     print(f"         said after {took}: {answers[0].json()['problems']}", flush=True)
 
 
-def asleep(coordinator: Coordinator) -> None:
-    """SIGSTOP to all its processes, and SIGCONT after a while: a laptop that sleeps."""
-    with suspended(coordinator.family()):
-        time.sleep(ASLEEP_SECONDS)
+def asleep_for(seconds: float) -> Fault:
+    """SIGSTOP to all its processes, and SIGCONT after so many seconds: a laptop that sleeps."""
+
+    def asleep(coordinator: Coordinator) -> None:
+        with suspended(coordinator.family()):
+            time.sleep(seconds)
+
+    return asleep
+
+
+asleep = asleep_for(ASLEEP_SECONDS)
 
 
 def dispatcher_asleep(coordinator: Coordinator) -> None:
