@@ -46,6 +46,7 @@ CAUSES = {
     "unprintable_error": "exit code 1",
     "pushes_a_problem": "HTTP Error 403",
     "overwrites_the_database": "PermissionError",
+    "holds_up_the_database": "PermissionError",
     "reads_the_secret": "PermissionError",
     "reads_the_environment": "PermissionError",
     "writes_to_the_cache": "PermissionError",
@@ -57,6 +58,7 @@ UNNOTICED = {"daemon", "ends_with_a_crash", "crashes_when_collected", "listens"}
 """Attacks that answer first, and gain nothing."""
 LANDLOCK = {
     "overwrites_the_database": 1,
+    "holds_up_the_database": 1,
     "reads_the_secret": 1,
     "reads_the_environment": 1,
     "writes_to_the_cache": 1,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import ctypes
+import fcntl
 import mmap
 import os
 import signal
@@ -121,6 +122,12 @@ def unprintable_error(_data: Data) -> None:
 def overwrites_the_database(data: Data) -> None:
     with Path(data["home"], "drivecal.db").open("r+b") as file:
         file.write(bytes(4096))
+
+
+def holds_up_the_database(data: Data) -> None:
+    with Path(data["home"], "drivecal.db.queue").open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        time.sleep(600)
 
 
 def reads_the_secret(data: Data) -> None:

@@ -90,27 +90,47 @@ def test_writers_in_many_threads_wait_for_each_other(database: Database) -> None
         assert len(campaigns.active(connection)) == 64
 
 
-def test_a_request_gets_its_turn_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
+def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_pause(database: Database) -> None:
     url = database.url.render_as_string(hide_password=False)
     begun, ends = PROCESSES.Event(), PROCESSES.Event()
-    writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 0.5, begun, ends))
+    writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 1.0, begun, ends))
     writer.start()
+    prompt = Database.open(url, PROMPT)
+
+    def write(number: int) -> None:
+        with prompt.transaction() as connection:
+            campaign(connection, f"{number}")
+
     try:
         assert begun.wait(60)
-        prompt = Database.open(url, PROMPT)
-        waited = []
-        for number in range(4):
-            start = time.monotonic()
-            with prompt.transaction() as connection:
-                campaign(connection, f"{number}")
-            waited.append(time.monotonic() - start)
-        prompt.dispose()
-        assert max(waited) < PROMPT.lock
+        with ThreadPoolExecutor(50) as pool:
+            list(pool.map(write, range(50)))
     finally:
         ends.set()
         writer.join()
+        prompt.dispose()
     with database.read() as connection:
-        assert len(campaigns.active(connection)) == 4
+        assert len(campaigns.active(connection)) == 50
+
+
+def test_processes_with_many_writers_keep_none_from_writing(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'drivecal.db'}"
+    databases = [Database.open(url) for _ in range(2)]  # they share nothing, as in two processes
+    databases[0].upgrade()
+    written, end = [0, 0], time.monotonic() + 2.5
+
+    def write(number: int) -> None:
+        while time.monotonic() < end:
+            with databases[number].transaction():
+                written[number] += 1
+
+    with ThreadPoolExecutor(9) as pool:
+        list(pool.map(write, [0] * 8 + [1]))
+    assert min(written) >= 2
+    for database in databases:
+        assert database._turns is not None
+        assert database._turns._locked is None, "the queue is left"
+        database.dispose()
 
 
 def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) -> None:

@@ -106,7 +106,7 @@ class Scratch:
         paths.extend(Path(os.environ[name]) for name in _SECRETS if os.environ.get(name))
         scheme, _, file = os.environ.get("DRIVECAL_DATABASE_URL", "").partition(":///")
         if scheme.startswith("sqlite") and file:
-            paths.extend(Path(file + ending) for ending in ("", "-wal", "-shm"))
+            paths.extend(Path(file + ending) for ending in ("", "-wal", "-shm", ".lock", ".queue"))
         if _DIGEST.fullmatch(self._bundle.name):
             paths.append(self._bundle.parent)  # the cache, with others' bundles
         return paths

@@ -6,11 +6,11 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event
 
@@ -44,6 +44,8 @@ PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
 """Limits for requests, for which a client waits."""
 QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
+QUEUE_KEPT_SECONDS = 0.5
+"""Time in which waiting threads of a process write one after the other, before another process does."""
 
 
 class Turns:
@@ -55,31 +57,69 @@ class Turns:
 
     def __init__(self, file: Path, seconds: float) -> None:
         self._queue = file.with_name(f"{file.name}.queue")
-        """A process that begins to write locks this file: others that want to write begin after it."""
+        """A process locks this file while it begins to write, so that others begin after it, and while more of its threads wait."""
         self._seconds = seconds
         self._lock = threading.Lock()
+        self._counting = threading.Lock()
+        self._waiting = 0
+        self._locked: tuple[IO[bytes], float] | None = None
+        """The locked file, and the time of `time.monotonic` since when."""
 
     @contextmanager
     def take(self) -> Iterator[float]:
         """Yields the time of `time.monotonic` until which to wait for other processes. Raises UnavailableError if threads take too long."""
         deadline = time.monotonic() + self._seconds
-        if not self._lock.acquire(timeout=self._seconds):
-            raise UnavailableError("the database is busy with other changes; try again")
+        self._count(1)
+        taken = self._lock.acquire(timeout=self._seconds)
+        self._count(-1)
         try:
+            if not taken:
+                raise UnavailableError("the database is busy with other changes; try again")
             yield deadline
         finally:
-            self._lock.release()
+            if taken:
+                self._lock.release()
+            self._leave_queue()
 
     @contextmanager
     def begin(self, deadline: float) -> Iterator[float]:
-        """Yields how many seconds are left for SQLite's lock. Until the block ends, no other process of drivecal begins to write."""
-        with ExitStack() as stack:
+        """Yields how many seconds are left for SQLite's lock. Until the block ends, no other process of drivecal begins to write.
+
+        The caller has taken its turn.
+        """
+        if self._locked is not None and time.monotonic() > self._locked[1] + QUEUE_KEPT_SECONDS:
+            self._unlock()
+            time.sleep(2 * QUEUE_SECONDS)  # others look meanwhile
+        if self._locked is None:
             with suppress(OSError):  # a folder that cannot be written: SQLite says so
                 self._queue.touch(mode=0o600)
-                file = stack.enter_context(self._queue.open("r+b"))
-                while not locks.try_lock(file) and time.monotonic() < deadline:
+                file = self._queue.open("r+b")
+                while not (is_locked := locks.try_lock(file)) and time.monotonic() < deadline:
                     time.sleep(QUEUE_SECONDS)
+                if is_locked:
+                    self._locked = file, time.monotonic()
+                else:
+                    file.close()
+        try:
             yield max(deadline - time.monotonic(), 0.0)
+        finally:
+            if not self._waiting:
+                self._unlock()
+
+    def _leave_queue(self) -> None:
+        """Unlocks the file unless a thread has its turn or waits for it: these do so themselves."""
+        if self._locked is not None and not self._waiting and self._lock.acquire(blocking=False):
+            self._unlock()
+            self._lock.release()
+
+    def _unlock(self) -> None:
+        if self._locked is not None:
+            file, self._locked = self._locked[0], None
+            file.close()
+
+    def _count(self, change: int) -> None:
+        with self._counting:
+            self._waiting += change
 
 
 class Database:
