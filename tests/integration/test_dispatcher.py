@@ -145,6 +145,14 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
     assert found[0] == found[1]
 
 
+def test_a_campaign_with_a_name_that_an_earlier_release_took_is_carried_out(database: Database) -> None:
+    submitted = submit(
+        database, name="old \u202e\x9b", optimizer={"kind": "genetic", "population": 10, "iterations": 1, "seed": 1}
+    )
+    assert submitted.spec["name"] == "old \u202e\x9b"
+    assert finish(database, submitted, dispatcher(database)).state is CampaignState.SUCCEEDED
+
+
 class _Clock(datetime):
     """The system's clock, set to another time by `offset`."""
 
