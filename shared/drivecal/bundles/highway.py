@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, model_validat
 from drivecal.bundles.highway_actions import Action, Lane, Position, Seconds, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Identifier, Model, Number
-from drivecal.contracts.texts import Choice
+from drivecal.contracts.strict_json import Choice
 
 CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]

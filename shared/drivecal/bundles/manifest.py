@@ -11,7 +11,7 @@ from pydantic import Field, StringConstraints
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Identifier, Model, Number
-from drivecal.contracts.texts import Choice
+from drivecal.contracts.strict_json import Choice
 from drivecal.domain.scales import Direction, Scale
 
 

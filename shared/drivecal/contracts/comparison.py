@@ -17,7 +17,7 @@ from drivecal.contracts.specification import (
     ReductionMode,
     ReductionSpecification,
 )
-from drivecal.contracts.texts import Label, Name
+from drivecal.contracts.strict_json import Label, Name
 
 AnyReduction = ReductionMode | ReductionSpecification
 EXACT_ALONE: list[AnyReduction] = ["exact"]

@@ -8,8 +8,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from drivecal.contracts.strict_json import field_name, shown
-from drivecal.contracts.texts import FROM_OUTSIDE, ONE_LINE
+from drivecal.contracts.strict_json import FROM_OUTSIDE, ONE_LINE, field_name, shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Specification = TypeVar("Specification", bound=BaseModel)

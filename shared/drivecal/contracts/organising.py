@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import Model
-from drivecal.contracts.texts import Address, Comment, Name, Tag
+from drivecal.contracts.strict_json import Address, Comment, Name, Tag
 
 Archived = Literal["without", "with", "only"]
 Tags = Annotated[list[Tag], Field(max_length=20)]

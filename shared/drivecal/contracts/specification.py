@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from drivecal.contracts.texts import Choice, Name
+from drivecal.contracts.strict_json import Choice, Name
 from drivecal.domain.scales import Scale
 
 HIGHWAY = "highway"

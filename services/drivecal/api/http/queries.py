@@ -6,7 +6,7 @@ from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from drivecal.contracts.organising import Archived
-from drivecal.contracts.texts import Tag
+from drivecal.contracts.strict_json import Tag
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
 
