@@ -55,13 +55,17 @@ def test_a_predictor_is_trained_if_it_saves_more_than_it_costs(
     ("again", "expected"),
     [
         ([], True),
-        ([lot(26, seconds=0.1)], True),
-        ([lot(25, seconds=0.1)], False),
-        ([lot(0, 0, seconds=0.1), lot(36, seconds=0.1)], True),
+        ([lot(0, 0, seconds=0.1)], True),
+        ([lot(216, seconds=0.1, errors=2), lot(0, 0, seconds=0.1)], True),
+        ([lot(0, 0, seconds=0.1)] * 2 + [lot(47, seconds=0.1)], True),
+        ([lot(0, 0, seconds=0.1)] * 2 + [lot(45, seconds=0.1)], False),
+        ([lot(0, 0, seconds=0.1)] * 3 + [lot(56, seconds=0.1)], True),
         ([lot(36, seconds=0.1), lot(0, 0, seconds=0.1), lot(0, 0, seconds=0.1)], False),
     ],
 )
-def test_a_trained_predictor_is_asked_again_if_its_predictions_alone_pay(again: list[StoredLot], expected: bool) -> None:
+def test_a_trained_predictor_is_asked_again_a_few_times_and_then_if_its_predictions_alone_pay(
+    again: list[StoredLot], expected: bool
+) -> None:
     """Training costs ten times as much as its first lot saved: that is spent, and predicting costs little."""
     trained = lot(26, seconds=1.0)
     assert pays([trained, *again], 1099, 100, 0.01) is expected

@@ -51,6 +51,9 @@ from drivecal.storage.references import runs
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
 """Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
 little would be known for a prediction, and the workers would have waited for its last cell in vain."""
+PATIENCE = 3
+"""Batches after a training in which a predictor is asked whatever it saves: a single lot may be empty or rejected, and asking costs no more
+than a few cells."""
 GROWTH = 1.25
 """Growth of the known answers after which a predictor without an accepted lot is tried again."""
 LIKELY = 0.25
@@ -324,14 +327,16 @@ def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds:
     """Whether a scenario's predictor can save more than it costs in a batch of so many cells.
 
     Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
-    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on as long as those alone pay.
+    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on for `PATIENCE` batches, and then as long
+    as those alone pay.
     """
     if not lots_so_far:
         return True
     trained_on = lots_so_far[-1].known
     served = [lot for lot in lots_so_far if lot.known == trained_on]
     if known < REFIT * trained_on:
-        return _paid(served[1:], cell_seconds)
+        asked = served[1:]
+        return len(asked) < PATIENCE or _paid(asked, cell_seconds)
     grown = known >= GROWTH * trained_on and max(lot.seconds for lot in served) <= LIKELY * cells * cell_seconds
     return grown or _paid(served, cell_seconds)
 
