@@ -130,7 +130,7 @@ class PretendedBackend:
 
         def make(request: DriveRequest) -> Any:
             runner: Any = make_runner(request, session)
-            runner.episode.run = partial(replayed, self._runs, request.scenario, runner.episode.run)
+            runner.run = partial(replayed, self._runs, request.scenario, runner.run)
             return runner
 
         return Worker(name, make)
