@@ -167,6 +167,8 @@ class ScenarioLearner:
         """Number of them when the predictor is, or was, trained: known by the batches alone, so that it is the same after a crash."""
         self._training: list[tuple[Floats, Floats, Floats]] = []
         self._trained: Predictor | None = None
+        self._left_out: tuple[Floats, Bools] | None = None
+        """Its `known_errors`."""
 
     def newest(self) -> tuple[float, float]:
         """Returns mean and variance of the scores of the newest batch; zeros without one."""
@@ -183,7 +185,8 @@ class ScenarioLearner:
             while sum(len(batch[1]) for batch in self._known) - len(self._known[0][1]) >= MOST_KNOWN:
                 self._known.popleft()
         if self.known >= max(FEWEST_KNOWN, REFIT * self.trained_on):
-            self._training, self.trained_on, self._trained = list(self._known), self.known, None
+            self._training, self.trained_on = list(self._known), self.known
+            self._trained = self._left_out = None
 
     def observe(self, predicted: Floats, confidence: Floats, scores: Floats, weight: Floats | float = 1.0) -> None:
         """Compares predicted scores with simulated ones, each of shape (n,); a prediction stands for `weight` ones."""
@@ -208,7 +211,9 @@ class ScenarioLearner:
         if predictor is None:
             return None
         predictions = predictor.predict(features)
-        return predictions, self._record.error_rates(predictions.confidence, predictor.known_errors())
+        if self._left_out is None:
+            self._left_out = predictor.known_errors()
+        return predictions, self._record.error_rates(predictions.confidence, self._left_out)
 
 
 @dataclass(frozen=True, slots=True)

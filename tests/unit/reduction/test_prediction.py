@@ -17,9 +17,11 @@ from drivecal.reduction.lots import MOST_ACCEPTED, outgoing_errors, smallest_pla
 from drivecal.reduction.prediction import (
     FINENESS,
     ROOM,
+    Bools,
     ConfidenceRecord,
     FeatureSpace,
     Floats,
+    ScenarioLearner,
     choose_lot,
     lot_sizes,
 )
@@ -119,6 +121,34 @@ def test_left_out_errors_predict_the_errors_of_new_sets() -> None:
     _, left_out = forest.known_errors()
     told = forest.predict(SETS[400:])
     assert left_out.mean() == pytest.approx((told.scores != SCORES[400:]).mean(), abs=0.08)
+
+
+def test_left_out_errors_are_computed_once_for_each_training() -> None:
+    trained: list[Forest] = []
+    asked: list[Forest] = []
+
+    class Counted(Forest):
+        def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
+            trained.append(self)
+            super().fit(features, scores, ratings)
+
+        def known_errors(self) -> tuple[Floats, Bools]:
+            asked.append(self)
+            return super().known_errors()
+
+    learner = ScenarioLearner(lambda: Counted(0.0), 0.0)
+    for known in (slice(0, 200), slice(200, 210), slice(210, 400)):
+        learner.learn(SETS[known], SCORES[known], RATINGS[known])
+        for _ in range(2):
+            assert learner.predict(SETS[400:]) is not None
+    assert len(trained) == 2
+    assert asked == trained
+    fresh = ScenarioLearner(lambda: Forest(0.0), 0.0)
+    fresh.learn(SETS[:400], SCORES[:400], RATINGS[:400])
+    predicted, same = learner.predict(SETS[400:]), fresh.predict(SETS[400:])
+    assert predicted is not None
+    assert same is not None
+    assert predicted[1].tobytes() == same[1].tobytes()
 
 
 def test_predicted_ratings_follow_the_ratings_of_near_sets() -> None:
