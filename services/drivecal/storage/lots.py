@@ -131,6 +131,16 @@ def errors_so_far(connection: Connection, campaign_sequence: int, lot_ids: Seque
     return dict(connection.execute(query).all()) if lot_ids else {}
 
 
+def release_predictions(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> None:
+    """Answers the waiting cells of a campaign's lots with their predictions. Nothing was sent to a worker, so that no cell has a lease."""
+    cell = evaluations.c
+    waiting = cell.outcome.is_(None), cell.plan == Outcome.PREDICTED
+    answer = {"outcome": Outcome.PREDICTED, "score": cell.predicted_score, "rating": cell.predicted_rating}
+    if lot_ids:
+        mine = cell.campaign_sequence == campaign_sequence, cell.lot.in_(list(lot_ids))
+        connection.execute(update(evaluations).where(*mine, *waiting).values(answer))
+
+
 def conclude(connection: Connection, verdicts: Mapping[int, tuple[LotVerdict, int]]) -> None:
     """Stores verdicts and errors of lots, by id."""
     for number, (verdict, errors) in verdicts.items():

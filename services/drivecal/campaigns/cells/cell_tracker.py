@@ -170,7 +170,8 @@ class CellTracker:
         released, rejected = self._inspection.conclude(connection, self._pending.keys())
         for cell, answer in released:
             self._close(cell, answer.outcome)
-        evaluations.answer(connection, [replace(answer, proven_by=self._proofs.get(cell.id)) for cell, answer in released])
+        reused = [(cell, answer) for cell, answer in released if answer.outcome is not Outcome.PREDICTED]
+        evaluations.answer(connection, [replace(answer, proven_by=self._proofs.get(cell.id)) for cell, answer in reused])
         for cell in rejected:
             self._pending[cell.id] = replace(cell, plan=Outcome.SIMULATED, reference=None)
         return [self._pending[cell.id] for cell in rejected]

@@ -93,7 +93,8 @@ class Inspection:
     def conclude(
         self, connection: Connection, pending: Collection[int]
     ) -> tuple[list[tuple[StoredEvaluation, AnsweredCell]], list[StoredEvaluation]]:
-        """Stores the verdicts of lots with a complete sample, and returns the cells to release, with their answers, and those to simulate.
+        """Stores the verdicts of lots with a complete sample, and returns the released cells, with their answers, and those to simulate.
+        The answers of predicted cells are stored, those of reused ones are not.
 
         All answers so far must be stored; `pending` cells have none. A verdict waits for the whole sample even if it cannot change any
         more, so that it does not depend on the workers' timing, and for the references of all cells. A member whose very set was drawn as
@@ -117,6 +118,8 @@ class Inspection:
             for lot in complete
         }
         lots.conclude(connection, verdicts)
+        predicted = {cell.lot for cell, answer in released if answer.outcome is Outcome.PREDICTED}
+        lots.release_predictions(connection, self._campaign, sorted(number for number in predicted if number is not None))
         return released, simulated
 
     def _compare_references(self, connection: Connection, complete: Iterable[_OpenLot]) -> None:

@@ -54,7 +54,10 @@ def form_lots_of_references(
 def check_reuse(
     connection: Connection, view: View, iteration: int, scenarios: Sequence[str], before: Mapping[str, ErrorRate]
 ) -> dict[str, ErrorRate]:
-    """Evaluates the audits of this and all earlier iterations of the calibration, and results that contradict each other."""
+    """Evaluates the audits of this and all earlier iterations of the calibration, and results that contradict each other. Without an
+    influence map, nothing was reused."""
+    if view.influence_map is None:
+        return error_rates((), before, scenarios)
     campaign, bench = view.campaign, view.bench
     rater, scale = bench.evaluator_id, bench.scale
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
