@@ -4,7 +4,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from sqlalchemy import Column, ColumnElement, Connection, SmallInteger, and_, bindparam, case, func, select, type_coerce, update
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    ColumnElement,
+    Connection,
+    SmallInteger,
+    and_,
+    bindparam,
+    case,
+    cast,
+    func,
+    select,
+    type_coerce,
+    update,
+)
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome, OutcomeCosts
@@ -147,14 +161,17 @@ def draw_sample(connection: Connection, evaluation_ids: Sequence[int], kind: Out
         connection.execute(statement.values(plan=Outcome.SIMULATED, **drawn), rows)
 
 
-def mean_seconds(connection: Connection, campaign_sequence: int) -> dict[str, float]:
-    """Returns the mean time for which the runs that answered a campaign's cells occupied their workers, by scenario."""
+def occupied(connection: Connection, campaign_sequence: int, after: int) -> tuple[dict[str, tuple[int, int]], int]:
+    """Returns the number of a campaign's cells that runs answered, of those stored `after` a cell's id, and the sum of the times for which
+    these runs occupied their workers, by scenario; and the newest id. Whole microseconds, so that sums do not depend on their parts."""
+    cell, microseconds = evaluations.c, cast(func.round(occupying() * 1000.0), BigInteger)
     query = (
-        select(evaluations.c.scenario, func.avg(occupying()) / 1000.0)
-        .join(runs, runs.c.id == evaluations.c.run_id)
-        .where(evaluations.c.campaign_sequence == campaign_sequence, runs.c.milliseconds.is_not(None))
+        select(cell.scenario, func.count(), func.sum(microseconds), func.max(cell.id))
+        .join(runs, runs.c.id == cell.run_id)
+        .where(cell.campaign_sequence == campaign_sequence, cell.id > after, runs.c.milliseconds.is_not(None))
     )
-    return dict(connection.execute(query.group_by(evaluations.c.scenario)).all())
+    rows = connection.execute(query.group_by(cell.scenario)).all()
+    return {name: (cells, int(sum_of)) for name, cells, sum_of, _ in rows}, max((row[3] for row in rows), default=after)
 
 
 def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> None:

@@ -130,10 +130,15 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}
         assert (cells[drawn.id].plan, cells[drawn.id].sampled) == (Outcome.SIMULATED, True)
-        answers = [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, own.id, milliseconds=8.0, agrees=False)]
+        evaluations.answer(
+            connection, [AnsweredCell(drawn.id, Outcome.SIMULATED, 3, 3.1, own.id, milliseconds=8.0, agrees=False)]
+        )
         rest = [number for number in cells if number != drawn.id]
-        answers += [AnsweredCell(cell, Outcome.PREDICTED, 4, 4.2, run_id=None) for cell in rest]
-        evaluations.answer(connection, answers)
+        lots.release_predictions(connection, sequence + 1, [number])
+        lots.release_predictions(connection, sequence, [])
+        assert results.pending(connection, sequence) != []
+        lots.release_predictions(connection, sequence, [number])
+        assert results.pending(connection, sequence) == []
         assert lots.errors_so_far(connection, sequence, [number]) == {number: 1}
         assert lots.errors_so_far(connection, sequence, []) == {}
         lots.conclude(connection, {number: (LotVerdict.RELEASED, 1)})
@@ -141,12 +146,13 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         known, newest = known_answers.known(connection, sequence, [setup], after=0)
         assert known_answers.known(connection, sequence, [setup], after=newest) == ([], newest)
         released = results.released(connection, sequence)
-        seconds = evaluations.mean_seconds(connection, sequence)
+        occupied, last = evaluations.occupied(connection, sequence, after=0)
+        assert evaluations.occupied(connection, sequence, last) == ({}, last)
+        assert evaluations.occupied(connection, sequence, last - 1)[0]["S1"][0] == 1
     assert [(answer.individual, answer.score, answer.stands_for) for answer in known] == [(1, 3, 3.0), (3, 5, 1.0)]
     assert [(answer.predicted_score, answer.confidence) for answer in known] == [(4, 0.9), (None, None)]
-    assert [(cell.id, cell.score) for cell in released] == [(cell, 4) for cell in sorted(rest)]
-    assert set(seconds) == {"S1"}
-    assert seconds["S1"] > 0.0
+    assert [(cell.id, cell.score, cell.rating) for cell in released] == [(cell, 4, 4.2) for cell in sorted(rest)]
+    assert occupied == {"S1": (2, 14_000)}
 
 
 @pytest.mark.parametrize("outcome", [Outcome.PREDICTED, Outcome.REUSED])

@@ -14,16 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.campaigns.cells import predicting
-from drivecal.campaigns.cells.predicting import LotPlanner, batch_of, pays, released_by_scenario, skipped_text, slice_size
+from drivecal.campaigns.cells.past_lots import pays, released_by_scenario, skipped_text
+from drivecal.campaigns.cells.predicting import LotPlanner, batch_of, slice_size
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT
+from drivecal.reduction.lots import cost_of_an_error
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
 from drivecal.storage import lots
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
+
+NOTHING: Any = None
 
 
 def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000, errors: int | None = 0) -> StoredLot:
@@ -173,9 +177,36 @@ def test_seconds_of_a_forecast_without_a_cell_to_predict_are_those_of_the_next_l
     predictions = Predictions(*(np.array([5.0, 5.0]) for _ in fields(Predictions)))
     planner._rows = {0: 0, 1: 1}
     planner._forecasts = {"S1": predicting._Forecast(predictions, np.array([0.0, 0.0]), 500, 3.0)}
-    connection: Any = None
-    assert planner.plan(connection, repeated, None, ()) == repeated
+    assert planner.plan(NOTHING, repeated, None, ()) == repeated
     assert stored == []
     new = [replace(cell, plan=Outcome.SIMULATED, donor=None) for cell in repeated]
-    planner.plan(connection, new, 7.0, ())
+    planner.plan(NOTHING, new, 7.0, ())
     assert [lot.seconds for lot in stored] == [6.0]
+
+
+def test_bounds_of_new_lots_are_prepared_while_the_workers_simulate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
+    space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
+    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
+    weights = {"S1": 0.5, "S2": 0.5}
+    planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
+    cells = [
+        NewEvaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
+        for place in range(97)
+        for scenario in weights
+    ]
+    predictions = Predictions(*(np.full(97, 5.0) for _ in fields(Predictions)))
+    planner._rows = {place: place for place in range(97)}
+    planner._forecasts = {
+        name: predicting._Forecast(predictions, (np.arange(97) >= right).astype(np.float64), 500, 3.0)
+        for name, right in (("S1", 97), ("S2", 60))
+    }
+    planned = planner.plan(NOTHING, cells, 7.0, ())
+    plans = {cell.lot: cell.scenario for cell in planned if cell.plan is Outcome.PREDICTED}
+    assert len(plans) == 2
+    cost_of_an_error.cache_clear()
+    weighed = []
+    for _ in range(3):
+        planner.weigh()
+        weighed.append(cost_of_an_error.cache_info().currsize)
+    assert 0 < weighed[0] < weighed[1] == weighed[2]

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +20,7 @@ from itertools import groupby
 import numpy as np
 from sqlalchemy import Connection
 
+from drivecal.campaigns.cells.past_lots import pays, released_by_scenario
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
@@ -27,11 +28,10 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
-from drivecal.reduction.lots import SamplingPlan, most_released
+from drivecal.reduction.lots import SamplingPlan, weigh
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
     MOST_KNOWN,
-    REFIT,
     ROUNDING,
     FeatureSpace,
     Floats,
@@ -45,19 +45,12 @@ from drivecal.storage import evaluations, known_answers, lots
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.known_answers import KnownAnswer
-from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
+from drivecal.storage.lots import NewLot, StoredLot
 from drivecal.storage.references import runs
 
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
 """Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
 little would be known for a prediction, and the workers would have waited for its last cell in vain."""
-PATIENCE = 3
-"""Batches after a training in which a predictor is asked whatever it saves: a single lot may be empty or rejected, and asking costs no more
-than a few cells."""
-GROWTH = 1.25
-"""Growth of the known answers after which a predictor without an accepted lot is tried again."""
-LIKELY = 0.25
-"""Share of a batch that a predictor is expected to save if it has saved nothing yet."""
 REACH = 0.5
 """Standard deviations on the better side of its believed objective at which a set is within reach of the best one."""
 
@@ -121,7 +114,12 @@ class LotPlanner:
         kind = partial(_predictor, view.bench.scale, self._tolerance)
         self._learners = {scenario: ScenarioLearner(kind, self._tolerance) for scenario in weights}
         self._lots_so_far: Sequence[StoredLot] = ()
-        self._cell_seconds: Mapping[str, float] = {}
+        self._occupied: dict[str, tuple[int, int]] = {}
+        """Cells that runs answered, and the microseconds for which these runs occupied workers, by scenario."""
+        self._counted = 0
+        """Id of the newest of these cells."""
+        self._unweighed: list[SamplingPlan] = []
+        """Plans of the newest lots, for `weigh`."""
         self._newest: int | None = None
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
@@ -131,7 +129,10 @@ class LotPlanner:
     def learn(self, connection: Connection) -> None:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
         self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
-        self._cell_seconds = evaluations.mean_seconds(connection, self._view.campaign)
+        occupied, self._counted = evaluations.occupied(connection, self._view.campaign, self._counted)
+        for scenario, (cells, microseconds) in occupied.items():
+            before = self._occupied.get(scenario, (0, 0))
+            self._occupied[scenario] = before[0] + cells, before[1] + microseconds
         setups = ensure_setups(connection, self._view.bench)
         if self._newest is None:
             self._newest = 0
@@ -152,6 +153,11 @@ class LotPlanner:
         for scenario, listed in by_scenario.items():
             for _, batch in groupby(listed, key=self._batch):
                 self._take(self._learners[scenario], list(batch))
+
+    def _cell_seconds(self, scenario: str) -> float:
+        """Returns the mean time for which the runs that answered a scenario's cells occupied their workers; 0 before the first."""
+        cells, microseconds = self._occupied.get(scenario, (1, 0))
+        return microseconds / cells / 1e6
 
     def _batch(self, answer: KnownAnswer) -> Batch:
         return batch_of(answer.stage, answer.iteration, answer.individual, self._slice)
@@ -182,7 +188,7 @@ class LotPlanner:
                 [lot for lot in self._lots_so_far if lot.scenario == scenario],
                 learner.known,
                 len(sets),
-                self._cell_seconds.get(scenario, 0.0),
+                self._cell_seconds(scenario),
             )
         ]
 
@@ -195,6 +201,12 @@ class LotPlanner:
         with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             forecasts = dict(zip(asked, pool.map(forecast, asked), strict=True))
         self._forecasts = {scenario: each for scenario, each in forecasts.items() if each is not None}
+
+    def weigh(self) -> None:
+        """Computes what the limit of `released` takes from the plan of one lot, if any is left: while the workers simulate, so that nothing
+        waits for it after the last answer."""
+        if self._unweighed:
+            weigh(self._unweighed.pop())
 
     def released(self, connection: Connection, iteration: int) -> dict[str, Released]:
         """Sums up the lots with a verdict, by scenario, after the last batch of an iteration."""
@@ -256,6 +268,7 @@ class LotPlanner:
             accepted[scenario] = lot
             members[scenario] = [] if lot is None else [candidates[position] for position in lot.members]
         stored = lots.insert(connection, self._view.campaign, [self._new(cells[0], *pair) for pair in accepted.items()])
+        self._unweighed = [lot.plan for lot in accepted.values() if lot is not None]
         for places, number in zip(members.values(), stored, strict=True):
             for place in places:
                 planned[place] = replace(planned[place], plan=Outcome.PREDICTED, lot=number)
@@ -321,70 +334,3 @@ class LotPlanner:
                 cell.parameter_set_id, cell.scenario, value, value, own=False, iteration=0, individual=cell.individual
             )
         return {individual for individual, scores in hoped.items() if reaches(scores)}
-
-
-def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs in a batch of so many cells.
-
-    Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
-    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on for `PATIENCE` batches, and then as long
-    as those alone pay.
-    """
-    if not lots_so_far:
-        return True
-    trained_on = lots_so_far[-1].known
-    served = [lot for lot in lots_so_far if lot.known == trained_on]
-    if known < REFIT * trained_on:
-        asked = served[1:]
-        return len(asked) < PATIENCE or _paid(asked, cell_seconds)
-    grown = known >= GROWTH * trained_on and max(lot.seconds for lot in served) <= LIKELY * cells * cell_seconds
-    return grown or _paid(served, cell_seconds)
-
-
-def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
-    return sum(lot.seconds for lot in served) <= sum(lot.released for lot in served) * cell_seconds
-
-
-def released_by_scenario(
-    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int, number: Callable[[StoredLot], int]
-) -> dict[str, Released]:
-    """Sums up lots with a verdict, after so many batches. `number`: of a lot's batch, from 0."""
-    of = {name: [lot for lot in stored if lot.scenario == name] for name in scenarios}
-    return {name: _released(lots, limit, batches, number(lots[0]) if lots else batches) for name, lots in of.items()}
-
-
-def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: int) -> Released:
-    inspected = [lot for lot in stored if lot.verdict is not None]
-    released = sum(lot.released for lot in inspected)
-    plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
-    return Released(
-        batches=batches,
-        asked=len(stored),
-        early=early,
-        inspected=sum(lot.size for lot in inspected),
-        lots=len(inspected),
-        rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
-        predicted=released,
-        sampled=sum(lot.sample for lot in inspected),
-        different=sum(lot.errors or 0 for lot in inspected),
-        limit=limit,
-        upper_95=most_released(plans) / released if released else None,
-        seconds=sum(lot.seconds for lot in stored),
-    )
-
-
-def skipped_text(released: Mapping[str, Released]) -> str | None:
-    """Returns a note on scenarios whose predictor made no lot in some batches; None if there is none."""
-    early = {name: each.early for name, each in released.items()}
-    late = {name: each.batches - each.asked - each.early for name, each in released.items()}
-    unsure = {name: each.asked - each.lots for name, each in released.items()}
-    parts = [
-        f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
-        for reason, counts in (
-            ("because too little was known yet, or every answer was known", early),
-            ("because predicting would have cost more than it saves, or every answer was known", late),
-            ("because no prediction was sure enough", unsure),
-        )
-        if any(counts.values())
-    ]
-    return f"batches without predictions, {'; '.join(parts)}" if parts else None

@@ -12,8 +12,9 @@ from sqlalchemy import Connection
 from drivecal.analysis.confirmation import Confirmation, front_verdict, verdict_in
 from drivecal.analysis.goals import EQUAL
 from drivecal.analysis.solutions import EvaluatedSet
+from drivecal.campaigns.cells.past_lots import skipped_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
+from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.population import PopulationAnswers
@@ -73,8 +74,8 @@ class Calibration(CampaignStage):
         """Individuals of the current generation that have not been requested."""
         self._planner: LotPlanner | None = None
         if self._policy().predicts:
-            population = self._optimization.population
-            self._planner = LotPlanner(view, problem.space, problem.specification.reduction, problem.weights, population)
+            reduction, population = problem.specification.reduction, problem.optimization.population
+            self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirmation: Confirmation | None = None
         self._withdrawn = 0
@@ -100,6 +101,10 @@ class Calibration(CampaignStage):
                 self._refuse_nothing()
             return asked
         return self._propose()
+
+    def _prepare(self) -> None:
+        if self._planner is not None:
+            self._planner.weigh()
 
     def _tell(self, asked: Round) -> None:
         if asked.number < self._optimization.iterations and not self._batches:
@@ -233,9 +238,8 @@ class Calibration(CampaignStage):
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
         with self._database.read() as connection:
-            if (
-                withdrawn := results.withdrawn(connection, sequence)
-            ) != self._withdrawn:  # others may contradict their certificates
+            withdrawn = results.withdrawn(connection, sequence)
+            if withdrawn != self._withdrawn:  # others may contradict their certificates
                 self._ranking, self._withdrawn = self._answers.rank_again(connection, sequence), withdrawn
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
@@ -267,7 +271,8 @@ class Calibration(CampaignStage):
         """Stores the verdict of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
         if confirmation.tried and best is not None:
-            self._check_reuse(connection, self._optimization.iterations - 1)
+            last, scenarios = self._optimization.iterations - 1, self._problem.scenarios
+            self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
             if self._verdict is None:
                 goals = self._problem.goals
                 is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirmation.tried)
@@ -287,7 +292,7 @@ class Calibration(CampaignStage):
         with self._database.transaction() as connection:
             self._answers.take_in(connection, self._campaign.sequence, [self._iteration])
             objectives = self._answers.objectives()
-            self._check_reuse(connection, self._iteration)
+            self._error_rate = check_reuse(connection, self._view, self._iteration, self._problem.scenarios, self._error_rate)
             if self._planner is not None:
                 self._released = self._planner.released(connection, self._iteration)
             self._describe_best(connection)
@@ -300,10 +305,6 @@ class Calibration(CampaignStage):
         self._answers.inform(self._optimizer)
         self._evaluated = None if self._proposal is None else self._proposal.population
         self._proposal = None
-
-    def _check_reuse(self, connection: Connection, iteration: int) -> None:
-        """Evaluates the audits of this and all earlier iterations, and results that contradict each other."""
-        self._error_rate = check_reuse(connection, self._view, iteration, self._problem.scenarios, self._error_rate)
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
         now = CellCounts(**self._tracker.counts)

@@ -84,6 +84,9 @@ class Stage(Job):
     def _store(self, connection: Connection, asked: Round) -> None:  # a hook
         """Stores the data of a new round besides its cells."""
 
+    def _prepare(self) -> None:  # a hook
+        """Computes something for later while the workers simulate: a few milliseconds after each transaction with results."""
+
     def _conclude(self) -> None:  # a hook
         """Stores the outcome of the stage."""
 
@@ -164,6 +167,7 @@ class Stage(Job):
             work = self._tracker.record(connection, completed)
             self._save(connection)
         self._tracker.raise_if_refuted()
+        self._prepare()
         return work
 
     def _request(self, asked: Round) -> list[Work]:
