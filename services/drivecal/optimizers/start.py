@@ -14,18 +14,18 @@ def start_population(
 ) -> Indices:
     """The first population, shape (size, n_searched): the rows of `given`, then points of the design.
 
-    `lhs` draws from `generator`: each parameter's range is cut into as many equal strata as there are points, and each stratum has one.
+    The design has `size` points, and its first ones are taken, so that a search with other given sets begins with the same points, whose
+    results are stored. `lhs` draws from `generator`: each parameter's range is cut into `size` equal strata with a point in each.
     `halton` is the plain sequence without its first point, the corner of the space; it is the same for every seed (Section IV-B starts
     both optimizers from one such population per size). Raises ValueError if `given` has more rows than fit.
     """
     from scipy.stats import qmc  # takes more than a second, which commands that only look things up need not pay
 
     expert = np.empty((0, len(n_values)), dtype=np.int64) if given is None else given
-    count = size - len(expert)
-    if count < 0:
+    if len(expert) > size:
         raise ValueError(f"{len(expert)} given sets do not fit into a population of {size}")
     if design == "lhs":
-        points = qmc.LatinHypercube(len(n_values), rng=generator).random(count)
+        points = qmc.LatinHypercube(len(n_values), rng=generator).random(size)
     else:
-        points = qmc.Halton(len(n_values), scramble=False).fast_forward(1).random(count)
-    return np.concatenate([expert, np.floor(points * n_values).astype(np.int64)])
+        points = qmc.Halton(len(n_values), scramble=False).fast_forward(1).random(size)
+    return np.concatenate([expert, np.floor(points[: size - len(expert)] * n_values).astype(np.int64)])

@@ -155,6 +155,18 @@ def test_expert_sets_are_in_the_start_population(design: Design) -> None:
     assert np.array_equal(filled, given_sets)
 
 
+@pytest.mark.parametrize("design", ["lhs", "halton"])
+def test_the_other_points_and_the_search_are_those_without_expert_sets(design: Design) -> None:
+    """A rerun from the best set asks for the points of the first campaign, whose results are stored."""
+    n_values, given_sets = np.array([50, 60]), np.array([[1, 2], [3, 4]])
+    generators = [np.random.default_rng(1), np.random.default_rng(1), np.random.default_rng(1)]
+    without = start_population(design, 30, n_values, generators[0])
+    for count, generator in enumerate(generators[1:], start=1):
+        found = start_population(design, 30, n_values, generator, given_sets[:count])
+        assert np.array_equal(found[count:], without[: 30 - count])
+        assert generator.bit_generator.state == generators[0].bit_generator.state
+
+
 def test_more_expert_sets_than_individuals_are_refused() -> None:
     with pytest.raises(ValueError, match=r"\b3\b.*\b2\b"):
         start_population("lhs", 2, np.array([9, 9]), np.random.default_rng(1), np.zeros((3, 2), dtype=np.int64))
