@@ -35,7 +35,6 @@ from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling import scheduler
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.highway.certification.recording import DecisionRecord
 from drivecal.plugins import registry
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.runners import make_runner
@@ -80,8 +79,10 @@ class Tally:
     """Virtual."""
 
 
-Runs = dict[tuple[str, tuple[float, ...]], tuple[RunResult, DecisionRecord]]
-"""Simulated runs of this process."""
+RECORDED = ("_parameters", "_states", "_decisions", "_infeasible")
+"""What a `RecordingPlanner` notes of a run."""
+Runs = dict[tuple[str, tuple[float, ...]], tuple[RunResult, Mapping[str, Any]]]
+"""Simulated runs of this process, with what was recorded of them."""
 
 
 def replayed(
@@ -90,8 +91,10 @@ def replayed(
     """Implements `EpisodeRunner.run`, but simulates no set of a scenario twice in this process."""
     place = scenario, tuple(parameters)
     if place not in runs:
-        runs[place] = simulate(parameters, planner), planner.recording
-    result, planner.recording = runs[place]
+        runs[place] = simulate(parameters, planner), {name: getattr(planner, name) for name in RECORDED}
+    result, recorded = runs[place]
+    for name, value in recorded.items():
+        setattr(planner, name, value)
     return result
 
 
