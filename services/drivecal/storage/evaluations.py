@@ -94,6 +94,15 @@ def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tu
     return table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration == iteration
 
 
+def stored_after(campaign_sequence: int, after: int) -> tuple[ColumnElement[bool], ...]:
+    """Returns the conditions on evaluations that select a campaign's cells stored after a cell's id, or all for id 0.
+
+    The sum keeps SQLite from an index by campaign, by which it would read all the campaign's cells for the newest hundreds.
+    """
+    mine = evaluations.c.campaign_sequence
+    return (mine + 0 == campaign_sequence, evaluations.c.id > after) if after else (mine == campaign_sequence,)
+
+
 def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
     """Stores a population's cells and returns their ids, in order."""
     if not cells:
@@ -168,7 +177,7 @@ def occupied(connection: Connection, campaign_sequence: int, after: int) -> tupl
     query = (
         select(cell.scenario, func.count(), func.sum(microseconds), func.max(cell.id))
         .join(runs, runs.c.id == cell.run_id)
-        .where(cell.campaign_sequence == campaign_sequence, cell.id > after, runs.c.milliseconds.is_not(None))
+        .where(*stored_after(campaign_sequence, after), runs.c.milliseconds.is_not(None))
     )
     rows = connection.execute(query.group_by(cell.scenario)).all()
     return {name: (cells, int(sum_of)) for name, cells, sum_of, _ in rows}, max((row[3] for row in rows), default=after)

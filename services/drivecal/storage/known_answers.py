@@ -9,6 +9,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.tables import evaluations, lots, parameter_sets
+from drivecal.storage.evaluations import stored_after
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.results import parsed
 
@@ -55,8 +56,7 @@ def known(
         .join(parameter_sets)
         .outerjoin(lots, lots.c.id == cell.lot)
         .where(
-            cell.campaign_sequence == campaign_sequence,
-            cell.id > after,
+            *stored_after(campaign_sequence, after),
             cell.setup_id.in_(list(setup_ids)),
             cell.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
             cell.run_id.is_not(None),  # not withdrawn

@@ -25,7 +25,18 @@ from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.storage import audits, campaigns, evaluations, events, leases, processes, results, revision_queries
+from drivecal.storage import (
+    audits,
+    campaigns,
+    evaluations,
+    events,
+    known_answers,
+    leases,
+    lots,
+    processes,
+    results,
+    revision_queries,
+)
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -37,8 +48,8 @@ from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.reference_candidates import Integers
 
 ROWS = 4_000
-SMALL = {"reference_indexes", "leases", "processes", "traces"}
-"""One row per map, setup and evaluator, one per cell at a worker, and some traces: PostgreSQL rightly reads all of them."""
+SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}
+"""One row per map, setup and evaluator, one per cell at a worker, some traces, and no lot: PostgreSQL rightly reads all of them."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
@@ -174,6 +185,15 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         lambda connection: evaluations.answer(connection, [AnsweredCell(100, Outcome.FAILED, None, None, None)]),
         "pk_evaluations|INTEGER PRIMARY KEY",
     ),
+    "times of the newest answers": (
+        lambda connection: evaluations.occupied(connection, 2, 2 * ROWS - 10),
+        "pk_evaluations|evaluations USING INTEGER PRIMARY KEY",
+    ),
+    "the newest answers": (
+        lambda connection: known_answers.known(connection, 2, [1], 2 * ROWS - 10),
+        "pk_evaluations|evaluations USING INTEGER PRIMARY KEY",
+    ),
+    "released predictions": (lambda connection: lots.release_predictions(connection, 1, [7]), "ix_evaluations_pending"),
     "a page in the middle": (
         lambda connection: results.page(connection, 1, limit=50, cursor=results.page(connection, 1, limit=50)[1]),
         "uq_evaluations_|sqlite_autoindex_evaluations_1",
