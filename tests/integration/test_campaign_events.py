@@ -39,7 +39,8 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     for kind, data in told(database, campaign):
         by_kind.setdefault(kind, []).append(data)
     assert kinds[:3] == ["queued", "running", "stage"]
-    assert kinds[-2:] == ["generation", "succeeded"]
+    after = kinds[len(kinds) - kinds[::-1].index("generation") :]
+    assert [kind for kind in after if kind != "note"] == ["succeeded"], "the best set may have been confirmed"
     assert [one["stage"] for one in by_kind["stage"]] == ["sensitivity", "calibration"]
     assert kinds.index("phase") < kinds.index("influence_map") < len(kinds) - 1 - kinds[::-1].index("stage")
     assert [one["phase"] for one in by_kind["phase"]] == list(range(len(by_kind["phase"])))
