@@ -15,7 +15,7 @@ def start_population(
     """The first population, shape (size, n_searched): the rows of `given`, then points of the design.
 
     The design has `size` points, and its first ones are taken, so that a search with other given sets begins with the same points, whose
-    results are stored. `lhs` draws from `generator`: each parameter's range is cut into `size` equal strata with a point in each.
+    results are stored. `lhs` draws from `generator`: each parameter's range is cut into `size` equal strata, each with its point.
     `halton` is the plain sequence without its first point, the corner of the space; it is the same for every seed (Section IV-B starts
     both optimizers from one such population per size). Raises ValueError if `given` has more rows than fit.
     """
