@@ -99,8 +99,9 @@ def test_each_set_of_a_sheet_is_compared_with_the_baseline_in_every_objective(en
     for name, amount in before.items():
         assert row(result, name, 2)[1] == f"{amount:.6g}"
     assert "The best set" not in page
-    gains = [[sign * (each.objectives[name] - before[name]) for sign, name in zip(signs, before, strict=True)] for each in rows]
-    beaten = [each for each in gains if min(each) > -EQUAL and max(each) > EQUAL]
+    pairs = list(zip(signs, before, strict=True))
+    of_sets = [[sign * (each.objectives[name] - before[name]) for sign, name in pairs] for each in rows]
+    beaten = [each for each in of_sets if min(each) > -EQUAL and max(each) > EQUAL]
     [light] = [reason for reason in trust.reasons if reason.about == "baseline"]
     assert light.light == ("green" if beaten else "amber")
     assert light.text.startswith(f"{len(beaten)} of {len(rows)} sets" if beaten else "No set")
