@@ -9,8 +9,8 @@ from importlib import resources
 from pathlib import Path
 
 from drivecal.bundles.checks import checked
+from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, read_fmu
 from drivecal.client.documents import located_yaml
-from drivecal.client.fmu_description import FmuDescription, FmuVariable, read_fmu
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import text
@@ -150,4 +150,5 @@ def _plain(value: float) -> str:
 
 
 def _quoted_unit(variable: FmuVariable) -> str:
-    return json.dumps(shown(variable.unit or "1", 32), ensure_ascii=False)
+    """Returns the unit as the FMU writes it, which the check compares; 1 if it does not fit into a manifest."""
+    return json.dumps(variable.unit if shown(variable.unit, 32) == variable.unit else "1", ensure_ascii=False)

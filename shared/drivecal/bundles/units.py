@@ -7,6 +7,8 @@ _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _FACTOR = re.compile(r"([/.*·]?)([^\W\d_]+|[%°]\w*|1)(?:(?:\^|\*\*)?(?:\((-?\d{1,2})\)|(-?\d{1,2})))?")
 _GROUP = re.compile(r"/\(([^()/]+)\)")
 WITHOUT = frozenset({"", "-", "1"})
+_BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Base units of FMI."""
 
 
 def powers(unit: str) -> Mapping[str, int] | None:
@@ -30,3 +32,16 @@ def same(unit: str, other: str) -> bool:
     """Returns whether two texts are the same unit."""
     counted = powers(unit), powers(other)
     return unit == other if None in counted else counted[0] == counted[1]
+
+
+def spellings(stated: str | None, base: Mapping[str, float] | None) -> tuple[str, ...]:
+    """Returns the unit that an FMU states, also as a product of base units; nothing if it states none, or 1, as some tools do of every
+    variable.
+
+    `base`: powers of the base units, with `factor` and `offset`, as the FMU defines the unit.
+    """
+    if not stated or stated in WITHOUT:
+        return ()
+    if base is None or base.get("factor", 1.0) != 1.0 or base.get("offset", 0.0) != 0.0:
+        return (stated,)
+    return (stated, ".".join(f"{symbol}{int(base.get(symbol, 0))}" for symbol in _BASE))

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.bundles.expressions import Formula
+from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, parse_description, read_fmu
 from drivecal.bundles.manifest import CommandSimulator, FmuSimulator, Manifest, ProcessSimulator
-from drivecal.client.fmu_description import FmuDescription, FmuVariable, parse_description, read_fmu
 from drivecal.client.problem_templates import fmu_manifest, write_problem
 from drivecal.client.problems import read_bundle, read_manifest
 from drivecal.domain.errors import InvalidInputError

@@ -1,0 +1,219 @@
+"""Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units, and the default experiment."""
+
+import math
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+from xml.parsers import expat  # DTDs and entities, which make XML dangerous, are refused below
+
+from drivecal.bundles import units
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError, Problem
+
+LARGEST_DESCRIPTION = 32 << 20
+MOST_VARIABLES = 100_000
+NUMBERS = frozenset({"Real", "Float32", "Float64"})
+INTEGERS: Mapping[str, tuple[int, int]] = {
+    "Integer": (-(2**31), 2**31 - 1),
+    **{f"Int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f"UInt{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+}
+"""Smallest and largest value of each type of integers."""
+_WHOLE = {*INTEGERS, "Enumeration", "Boolean"}
+_TYPES = NUMBERS | _WHOLE | {"String", "Binary", "Clock"}
+_FAULTS = (zipfile.BadZipFile, zlib.error, KeyError, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
+
+
+@dataclass(frozen=True, slots=True)
+class FmuVariable:
+    """A variable of an FMU. Numbers are None if the FMU does not give them.
+
+    `kind`: its type, as the FMU's version of FMI calls it; `items`: names of an enumeration's values. `unit`: as stated by the variable or
+    its type, 1 if by none; `spellings`: ways to write it, none if it says nothing.
+    """
+
+    name: str
+    causality: str
+    whole: bool
+    """Whether only whole numbers fit: integers, enumerations, and 0 or 1 of a Boolean."""
+    start: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    unit: str = "1"
+    description: str = ""
+    kind: str = "Real"
+    items: tuple[str, ...] = ()
+    spellings: tuple[str, ...] = ()
+    is_array: bool = False
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it holds one number."""
+        return not self.is_array and self.kind in NUMBERS | _WHOLE
+
+
+@dataclass(slots=True)
+class FmuDescription:
+    """Content of a modelDescription.xml. `duration` and `step` in seconds, None if there is no default experiment."""
+
+    fmi: str = ""
+    co_simulation: bool = False
+    duration: float | None = None
+    step: float | None = None
+    variables: list[FmuVariable] = field(default_factory=list)
+
+    @property
+    def parameters(self) -> list[FmuVariable]:
+        """Variables that a run may set to a number."""
+        return [
+            variable
+            for variable in self.variables
+            if variable.is_number and variable.causality in {"parameter", "structuralParameter"}
+        ]
+
+    @property
+    def outputs(self) -> list[FmuVariable]:
+        """Numbers that a run computes for others."""
+        return [variable for variable in self.variables if variable.is_number and variable.causality == "output"]
+
+
+def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescription:
+    """Returns the description of an FMU. `name`: for messages, by default the path.
+
+    Raises InvalidInputError if the file is not an FMU or cannot be calibrated.
+    """
+    name = str(file) if name is None else name
+    try:
+        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as stream:
+            content = stream.read(LARGEST_DESCRIPTION + 1)
+    except _FAULTS as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
+        raise _refused(name, f"it cannot be read as an FMU: {shown(reason, 200)}", "give an .fmu file") from error
+    if len(content) > LARGEST_DESCRIPTION:
+        raise _refused(name, f"its description has more than {LARGEST_DESCRIPTION >> 20} MB", "give a smaller FMU")
+    description = parse_description(content, name)
+    if description.fmi.split(".")[0] not in {"2", "3"}:
+        raise _refused(name, f"it is of FMI version {shown(description.fmi) or 'unknown'}", "export it as FMI 2.0 or 3.0")
+    if not description.co_simulation:
+        raise _refused(name, "it has no co-simulation", "export it for co-simulation")
+    return description
+
+
+def parse_description(content: bytes, name: str = "modelDescription.xml") -> FmuDescription:
+    """Returns the content of a modelDescription.xml. Raises InvalidInputError for XML that is damaged or has a DTD."""
+    reader = _Reader()
+    try:
+        reader.parser.Parse(content, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise _refused(name, f"its description cannot be read: {shown(str(error), 200)}", "export the FMU again") from error
+    return reader.description
+
+
+class _Reader:
+    """Collects a description from the events of expat."""
+
+    def __init__(self) -> None:
+        self._description = FmuDescription()
+        self.parser = expat.ParserCreate()
+        self.parser.StartDoctypeDeclHandler = self._refuse
+        self.parser.EntityDeclHandler = self._refuse
+        self.parser.StartElementHandler = self._start
+        self._scalar: Mapping[str, str] | None = None
+        """Attributes of the ScalarVariable (FMI 2) whose type comes next."""
+        self._variables: list[tuple[str, dict[str, str]]] = []
+        """Type and attributes of each variable."""
+        self._arrays: set[int] = set()
+        self._type, self._unit = "", ""
+        """Names of the type and the unit that are being defined."""
+        self._type_units: dict[str, str] = {}
+        self._items: dict[str, list[str]] = {}
+        self._base_units: dict[str, dict[str, float]] = {}
+
+    @property
+    def description(self) -> FmuDescription:
+        """The whole, once everything is read."""
+        self._description.variables = [
+            self._variable(kind, attributes, is_array=index in self._arrays)
+            for index, (kind, attributes) in enumerate(self._variables)
+        ]
+        return self._description
+
+    def _refuse(self, *_: object) -> None:
+        raise ValueError("DTDs and entities are not supported")
+
+    def _start(self, tag: str, attributes: Mapping[str, str]) -> None:
+        if tag == "fmiModelDescription":
+            self._description.fmi = attributes.get("fmiVersion", "")
+        elif tag == "CoSimulation":
+            self._description.co_simulation = True
+        elif tag == "DefaultExperiment":
+            start = number(attributes.get("startTime")) or 0.0
+            stop, self._description.step = number(attributes.get("stopTime")), number(attributes.get("stepSize"))
+            self._description.duration = None if stop is None or stop <= start else stop - start
+        elif tag == "ScalarVariable":
+            self._scalar = attributes
+        elif tag in _TYPES and self._scalar is not None:
+            self._add(tag, {**attributes, **self._scalar})
+            self._scalar = None
+        elif tag in _TYPES and "valueReference" in attributes:
+            self._add(tag, dict(attributes))
+        elif tag == "Dimension" and self._variables:
+            self._arrays.add(len(self._variables) - 1)
+        else:
+            self._define(tag, attributes)
+
+    def _define(self, tag: str, attributes: Mapping[str, str]) -> None:
+        """Reads definitions of types and units."""
+        if tag == "SimpleType" or (tag.endswith("Type") and tag[:-4] in _TYPES):
+            self._type = attributes.get("name", "")
+        if "unit" in attributes:
+            self._type_units[self._type] = attributes["unit"]
+        elif tag == "Item":
+            self._items.setdefault(self._type, []).append(attributes.get("name", ""))
+        elif tag == "Unit":
+            self._unit = attributes.get("name", "")
+        elif tag == "BaseUnit":
+            base = {name: number(text) for name, text in attributes.items()}
+            self._base_units[self._unit] = {name: value for name, value in base.items() if value is not None}
+
+    def _add(self, kind: str, attributes: dict[str, str]) -> None:
+        if len(self._variables) >= MOST_VARIABLES:
+            raise ValueError(f"it has more than {MOST_VARIABLES:,} variables")
+        self._variables.append((kind, attributes))
+
+    def _variable(self, kind: str, attributes: Mapping[str, str], *, is_array: bool) -> FmuVariable:
+        lower, upper = ("0", "1") if kind == "Boolean" else (attributes.get("min"), attributes.get("max"))
+        declared = attributes.get("declaredType", "")
+        unit = attributes.get("unit") or self._type_units.get(declared) or "1"
+        return FmuVariable(
+            attributes.get("name", ""),
+            attributes.get("causality", "local"),
+            kind in _WHOLE,
+            number(attributes.get("start")),
+            number(lower),
+            number(upper),
+            unit,
+            attributes.get("description", ""),
+            kind=kind,
+            items=tuple(self._items.get(declared, ())) if kind == "Enumeration" else (),
+            spellings=units.spellings(unit, self._base_units.get(unit)),
+            is_array=is_array,
+        )
+
+
+def number(text: str | None) -> float | None:
+    """Returns a finite number, 1 or 0 of a Boolean; None if there is none, or an array of several."""
+    if text in {"true", "false"}:
+        return float(text == "true")
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _refused(name: str, message: str, remedy: str) -> InvalidInputError:
+    return InvalidInputError(Problem(shown(name, 200), message, remedy))
