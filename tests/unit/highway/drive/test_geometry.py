@@ -155,6 +155,25 @@ def test_gaps_are_between_bumpers_and_per_lane() -> None:
     assert (signals["right_gap"], signals["right_leader_speed"]) == (1000, 20)
 
 
+def test_a_leader_exists_and_has_a_relative_speed() -> None:
+    for ahead, gap in ((160.0, 52.5), (104.0, -3.5)):
+        signals = observed([[ahead, 0.0, 22.0, -1.0, 10.0, 2.0]])
+        assert (signals["gap"], signals["leader_exists"], signals["relative_speed"]) == pytest.approx((gap, 1, 2))
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        [],
+        [[70.0, 0.0, 25.0, 0.0, 5.0, 2.0], [150.0, 3.5, 25.0, 0.0, 5.0, 2.0]],  # behind, and in the next lane
+        [[math.nan, math.nan, 25.0, 0.0, 5.0, 2.0]],  # on another level
+    ],
+)
+def test_without_a_leader_the_relative_speed_is_0(others: list[list[float]]) -> None:
+    signals = observed(others)
+    assert (signals["gap"], signals["leader_exists"], signals["relative_speed"]) == (1000, 0, 0)
+
+
 def test_speeds_of_others_are_metres_of_their_own_way_and_places_move_along_the_line() -> None:
     d, stretch = -7.0, 1.0 + 0.004 * 7.0  # on the outer side of a curve of 250 m
     lanes = lanes_of(d)

@@ -32,7 +32,9 @@ FAR = 1000.0
 """Gap without a vehicle; `highway_catalogue.FAR`."""
 OWN, BESIDE = 20, 7
 """Number of signals of the vehicle itself, and of each lane beside its own; the own lane has one less. Order: see `observe`."""
-SIGNALS = OWN + 3 * BESIDE - 1
+OF_LEADER = OWN + 3 * BESIDE - 1
+"""First of the two signals made of those of the leader in the own lane."""
+SIGNALS = OF_LEADER + 2
 RECORDED = 17
 """Columns of a record, see `record`."""
 S, D, TRACK, OFFSET, HEADING_ERROR, STRETCH, LIMIT, WIDTH, ALONG = range(9)
@@ -283,6 +285,8 @@ def observe(
         signals[first] = 0.0 if side < 0 else 1.0
         _neighbours(line, lanes, others, side, motion, half, speed, lead, signals[first + 1 : first + BESIDE])
         first += BESIDE
+    signals[OF_LEADER] = 1.0 if signals[OWN] < FAR else 0.0
+    signals[OF_LEADER + 1] = signals[OWN + 1] - speed
 
 
 @compiled

@@ -40,8 +40,12 @@ NAMES: tuple[str, ...] = (
             "follower_acceleration",
         )
     ),
+    "leader_exists",
+    "relative_speed",
 )
 """Names of `geometry.observe`'s signals."""
+FRAMED = 40
+"""Signals, from the first on, in the binary frames of a program that names none: programs may have been compiled for that many."""
 SPEED, LIMIT_AHEAD, GAP, LEADER_SPEED = (NAMES.index(name) for name in ("speed", "limit_ahead", "gap", "leader_speed"))
 
 TIME_HEADWAY, STANDSTILL_GAP, ACCELERATION, DECELERATION = 1.5, 2.0, 1.5, 2.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.domain.errors import DrivecalError
-from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.observation import FRAMED, NAMES
 
 LONGEST_LINE = 1 << 16
 """Largest answer in bytes."""
@@ -42,9 +42,9 @@ class ProgramController:
         self._role = role
         self._command, self._work, self._scenario, self._period = section["command"], work, scenario, period
         self._output = list(section["output"])
-        self._signals = list(section.get("signals") or names)
-        self._indices = [list(names).index(name) for name in self._signals]
         self._is_binary = section.get("frames") == "binary"
+        self._signals = list(section.get("signals") or (names[:FRAMED] if self._is_binary else names))
+        self._indices = [list(names).index(name) for name in self._signals]
         self._frame = struct.Struct(f"={len(self._signals)}d")
         self._points = section.get("points")
         self._answer = struct.Struct(f"={len(self._output) if self._points is None else 3 * self._points}d")
