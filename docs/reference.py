@@ -55,6 +55,8 @@ PROBLEM = (
     manifest.CommandSimulator,
     manifest.FmuSimulator,
     highway.HighwaySimulator,
+    highway.FmuController,
+    highway.FmuVehicle,
     highway.HighwayScenario,
     highway.OpenScenario,
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import (
     CONTROLLERS,
+    FMU,
     NETWORK,
     PARAMETERS,
     compile_fmu,
@@ -331,6 +332,19 @@ def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
         driven(folder, drive(), CONTROLLERS["fmu"] | {"signals": {"gap": "u9", "acceleration": "y"}}),
     ):
         pass
+
+
+@pytest.mark.slow
+def test_an_fmu_without_a_reset_has_a_process_for_each_run(tmp_path: Path) -> None:
+    bundle, reset = motorway(tmp_path / "bundle"), "fmi2Reset(fmi2Component c) { return "
+    assert reset in FMU
+    compile_fmu(bundle, FMU.replace(f"{reset}defaults(); }}", f"{reset}fmi2Error; }}"))
+    with driven(bundle, drive(duration=1.0), CONTROLLERS["fmu"]) as session:
+        expected = session.evaluate(PARAMETERS)
+        lost(session, PARAMETERS, Breakdown.ERROR)
+    with driven(bundle, drive(duration=1.0), CONTROLLERS["fmu"] | {"reset": False}) as session:
+        for _ in range(2):
+            assert session.evaluate(PARAMETERS) == expected
 
 
 @pytest.mark.slow("change0-e9", "change1-e2", "change2-lane 5", "change4-e9")

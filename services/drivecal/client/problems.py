@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 from drivecal.bundles.archives import MANIFEST, BundleFile, executables, files_of, manifest_text, pack, with_files
 from drivecal.bundles.checks import checked, script_problems
+from drivecal.bundles.fmus.bundles import check_fmus
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
 from drivecal.client.documents import LARGEST_FILE, located, located_yaml
@@ -29,16 +30,16 @@ def read_bundle(folder: str | Path) -> tuple[Manifest, bytes]:
 
 
 def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[str, ...]]:
-    """Returns manifest and archive as `read_bundle` does, and notes on assumptions of road conversions."""
+    """Returns manifest and archive as `read_bundle` does, and notes on units of FMUs and assumptions of road conversions."""
     path = Path(folder)
     if not (path / MANIFEST).is_file():
         remedy = "drivecal problem init KIND NAME writes one" if path.is_dir() else "give the folder of a problem"
         raise InvalidInputError(Problem(shown(str(path / MANIFEST), 200), "there is no such file", remedy))
     archive = pack(path)
     files = files_of(archive)
-    manifest = _read(manifest_text(files), lambda document: _whole(document, files))
+    manifest, fmu_notes = _read(manifest_text(files), lambda document: _whole_with_fmus(document, files))
     if not isinstance(manifest.simulator, HighwaySimulator):
-        return manifest, archive, ()
+        return manifest, archive, fmu_notes
     from drivecal.bundles.highway_roads import conversions  # with scipy, for this kind only
 
     try:
@@ -50,7 +51,7 @@ def read_bundle_with_notes(folder: str | Path) -> tuple[Manifest, bytes, tuple[s
         ) from error
     archive = with_files(archive, networks) if networks else archive
     manifest, road_notes = _read_archived(files_of(archive))
-    return manifest, archive, (*notes, *road_notes)
+    return manifest, archive, (*fmu_notes, *notes, *road_notes)
 
 
 def read_archived(files: Mapping[str, BundleFile]) -> Manifest:
@@ -86,6 +87,11 @@ def _whole(document: Any, files: Mapping[str, BundleFile]) -> Manifest:
     if problems:
         raise InvalidInputError(*problems)
     return manifest
+
+
+def _whole_with_fmus(document: Any, files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str, ...]]:
+    manifest = _whole(document, files)
+    return manifest, check_fmus(manifest, files)
 
 
 def _read(content: bytes, check: Callable[[Any], _Checked]) -> _Checked:

@@ -162,7 +162,10 @@ def _checked(
 
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.measures, **manifest.series}
-    declared = Declared(manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units)
+    parameter_units = {name: entry.unit for name, entry in manifest.parameters.items()}
+    declared = Declared(
+        manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units, parameter_units
+    )
 
     def opened() -> SimulatorSession:
         with _signs(f"{scenario}: the start", start, tell):
@@ -214,9 +217,7 @@ def _checked(
 
 def _may_keep_state(manifest: Manifest) -> bool:
     """Returns whether a simulator claims equal measures of equal inputs while one process of it does several runs."""
-    section = manifest.simulator
-    is_renewed = section.kind == "command" or (section.kind == "fmu" and not section.reset)
-    return section.deterministic and not is_renewed
+    return manifest.simulator.deterministic and not manifest.simulator.renews
 
 
 def _tried(

@@ -21,8 +21,9 @@ def setup_document(manifest: Manifest, scenario: str, files: str, tools: str | N
     variables, whose values on workers are not known here.
     """
     section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
-    if section.get("reset") is True:
-        del section["reset"]  # as before there was this field
+    for part in (section, section.get("controller"), section.get("vehicle")):
+        if isinstance(part, dict) and part.get("reset") is True:
+            del part["reset"]  # as before there was this field
     return {
         "simulator": section,
         "adapter": VERSIONS[manifest.simulator.kind],

@@ -21,6 +21,9 @@ Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"
 Route = Annotated[list[Edge], Field(min_length=1, max_length=10_000)]
 Duration = Annotated[float, Field(gt=0, le=3600)]
 Metres = Annotated[float, Field(gt=0, le=50)]
+Variable = Annotated[str, StringConstraints(min_length=1, max_length=255)]
+"""Name of a variable of an FMU."""
+Constants = Annotated[dict[Variable, Number | bool | Choice], Field(max_length=200)]
 ParameterName = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 CLASSES: Mapping[str, tuple[float, float, float]] = {
@@ -65,11 +68,17 @@ class ProcessController(ControllerEntry):
 
 
 class FmuController(ControllerEntry):
-    """An FMI 2 or 3 co-simulation FMU. `signals`: its variable for each observed signal and each command; parameters have its own names."""
+    """An FMI 2 or 3 co-simulation FMU. Each of its inputs needs a signal, a parameter of the same name, or a constant."""
 
     kind: Literal["fmu"]
     file: File
-    signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=200)]
+    """The FMU."""
+    signals: Annotated[dict[SignalName, Variable], Field(max_length=200)]
+    """Its variable for each observed signal and each command."""
+    constants: Constants | None = None
+    """Values of further inputs and parameters, for all runs."""
+    reset: bool = True
+    """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
 
 class PlannerController(ControllerEntry):
@@ -146,11 +155,17 @@ class ProcessVehicle(UserVehicleEntry):
 
 
 class FmuVehicle(UserVehicleEntry):
-    """An FMI 2 or 3 co-simulation FMU. `signals`: its variable for steering, acceleration, each state, and the parameter `start_speed`."""
+    """An FMI 2 or 3 co-simulation FMU. Each of its inputs needs a signal, a parameter of the same name, or a constant."""
 
     kind: Literal["fmu"]
     file: File
-    signals: Annotated[dict[SignalName, Annotated[str, StringConstraints(min_length=1, max_length=255)]], Field(max_length=20)]
+    """The FMU."""
+    signals: Annotated[dict[SignalName, Variable], Field(max_length=20)]
+    """Its variable for steering, acceleration, each state, and the parameter `start_speed`."""
+    constants: Constants | None = None
+    """Values of further inputs and parameters, for all runs."""
+    reset: bool = True
+    """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
 
 
 UserVehicle = Annotated[PythonVehicle | ProcessVehicle | FmuVehicle, Field(discriminator="kind")]
@@ -174,6 +189,11 @@ class HighwaySimulator(SimulatorEntry):
         Discriminator(_form),
     ] = "single_track"
     step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
+
+    @property
+    def renews(self) -> bool:
+        """Whether each run has a new process."""
+        return not all(getattr(part, "reset", True) for part in (self.controller, self.vehicle))
 
 
 class Placed(Model):

@@ -52,6 +52,11 @@ class CommandSimulator(SimulatorEntry):
     command: Command
     """The program and its arguments."""
 
+    @property
+    def renews(self) -> bool:
+        """Whether each run has a new process."""
+        return True
+
 
 class PythonSimulator(SimulatorEntry):
     """A function `(parameters: dict, scenario: dict) -> dict of measures` in a file; `wheels`: folder with its packages."""
@@ -82,6 +87,11 @@ class FmuSimulator(SimulatorEntry):
     """By name, how each is computed from an output."""
     reset: bool = True
     """Between runs the FMU is reset; false: each run has a new process, for FMUs whose reset is missing or leaves something."""
+
+    @property
+    def renews(self) -> bool:
+        """Whether each run has a new process."""
+        return not self.reset
 
 
 AnySimulator = Annotated[

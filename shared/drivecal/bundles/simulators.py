@@ -34,3 +34,8 @@ class SimulatorEntry(Model):
     """A command that prints the version of tools outside of the folder."""
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
     """Names of further variables that the processes get from the worker."""
+
+    @property
+    def renews(self) -> bool:
+        """Whether each run has a new process."""
+        return False

@@ -75,6 +75,8 @@ class BundleRequest:
     tools: str | None = None
     """Answer of the manifest's `probe` to which the results belong: a worker with another one refuses. None without a probe, and in a
     batch without cells, which asks for it."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units of the parameters by name, if they are known."""
 
     @property
     def key(self) -> SetupKey:

@@ -49,7 +49,7 @@ class RunOutcome:
 class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
-    `units`: of measures and series by name, if they are known; they decide no result.
+    `units`: of measures and series by name, if they are known; they decide no result. `parameters`: units of the parameters by name.
     """
 
     problem: str
@@ -57,6 +57,7 @@ class Declared:
     failures: tuple[str, ...] = ()
     series: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict, compare=False)
+    parameters: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
 class NoMeasuresError(DrivecalError):

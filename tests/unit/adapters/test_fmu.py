@@ -157,6 +157,20 @@ def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> 
             pass
 
 
+def test_a_parameter_has_the_unit_of_its_variable(folder: Path, tmp_path: Path) -> None:
+    with_unit = SECOND_DESCRIPTION.replace('"tunable"><Real start="1"/>', '"tunable"><Real start="1" unit="km/h"/>')
+    assert with_unit != SECOND_DESCRIPTION
+    with zipfile.ZipFile(folder / "trial2.fmu") as whole:
+        library = Path(whole.extract("binaries/linux64/trial.so", tmp_path))
+    archive(tmp_path / "unit.fmu", with_unit, {"binaries/linux64/trial.so": library})
+    for unit in ("km/h", "1"):
+        with run(tmp_path, "unit.fmu", replace(DECLARED, parameters={"rate": unit})) as session:
+            assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
+    declared = replace(DECLARED, parameters={"rate": "m/s"})
+    with pytest.raises(UnavailableError, match=r"rate.*km/h.*m/s"), run(tmp_path, "unit.fmu", declared):
+        pass
+
+
 def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:
     with (
         pytest.raises(UnavailableError, match=r"\bgap\b"),

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from drivecal.bundles import highway_catalogue as catalogue
-from drivecal.bundles.highway import HighwayScenario, HighwaySimulator
+from drivecal.bundles.highway import FmuController, HighwayScenario, HighwaySimulator
 from drivecal.bundles.highway_checks import scenarios_problems, simulator_problems
 
 PAGE = Path(catalogue.__file__).with_name("highway.md")
@@ -33,6 +33,9 @@ def test_the_examples_of_the_page_are_valid() -> None:
     blocks: list[Any] = [yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)]
     simulator = HighwaySimulator.model_validate(blocks[0]["simulator"])
     assert list(simulator_problems(simulator)) == []
-    for block in blocks[1:3]:
+    fmu = HighwaySimulator.model_validate(blocks[0]["simulator"] | blocks[1])
+    assert isinstance(fmu.controller, FmuController)
+    assert list(simulator_problems(fmu)) == []
+    for block in blocks[2:4]:
         assert list(scenarios_problems(simulator.step, block["scenarios"])) == []
-    assert HighwayScenario.model_validate(blocks[1]["scenarios"]["merge"]).flows
+    assert HighwayScenario.model_validate(blocks[2]["scenarios"]["merge"]).flows

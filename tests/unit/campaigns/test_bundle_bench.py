@@ -223,6 +223,13 @@ def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:
     assert any("3.11" in note for note in old.notes)
 
 
+def test_workers_get_the_units_of_parameters() -> None:
+    request = resolved().bench.requests["wet"]
+    assert isinstance(request, BundleRequest)
+    assert request.units.keys() == set(request.parameters)
+    assert request.units["deceleration"] == "m/s²"
+
+
 def test_a_single_evaluation_names_its_problem() -> None:
     values = {"trigger_ttc": 1.61, "deceleration": 7.0, "jerk": 30.0, "confirmations": 2.0, "warning": "sound"}
     specification = EvaluationSpecification.model_validate(

@@ -32,4 +32,5 @@ def request_(archive: bytes) -> BundleRequest:
         failures=("collision",),
         series=("v",),
         run_fingerprint="fingerprint",
+        units={"x": "m/s"},
     )

@@ -51,7 +51,7 @@ class ScriptedSimulator:
     def open(
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> SimulatorSession:
-        assert (section["kind"], declared.measures) == ("process", ("a",))
+        assert (section["kind"], declared.measures, declared.parameters) == ("process", ("a",), {"x": "m/s"})
         if data.get("missing"):
             raise UnavailableError("there is no such program")
         assert (folder / "problem.yaml").is_file()

@@ -41,6 +41,7 @@ class FmuAdapter:
             "series": list(declared.series),
             "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
             "data": dict(data),
+            "parameters": dict(declared.parameters),
         }
         launch = Launch.of(driver_command("fmu_driver", settings), section)
         most_runs = MOST_RUNS if section.get("reset", True) else 1

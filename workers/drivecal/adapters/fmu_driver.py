@@ -11,25 +11,27 @@ import sys
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
 from drivecal.adapters.driver import Evaluate, described, serve
 from drivecal.bundles import units
+from drivecal.bundles.fmus.checks import section_problems, unit_problems
+from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, number
+from drivecal.domain.errors import Problem
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
 _MEASURE = re.compile(r"\s*(last|min|max|mean|integral)\s*\(\s*(.+?)\s*\)\s*")
-_INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 _ACCESS = {
     "Real": "Real",
-    "Integer": "Integer",
     "Boolean": "Boolean",
     "String": "String",
     "Float32": "Float32",
     "Float64": "Float64",
-} | {name: name for name in _INTEGERS}
+} | {name: name for name in INTEGERS}
 """Type of a variable and the end of the names of the functions that read and write it."""
 
 
@@ -121,7 +123,7 @@ class Fmu:
         `used`: names of variables and these units; `integrated`: these are units of integrals over time.
         """
         for name, unit in used:
-            spellings = self._units(name)
+            spellings = self._described[name].spellings
             suffix = ".s" if integrated else ""
             if spellings and not any(units.same(f"{spelling}{suffix}", unit) for spelling in spellings):
                 integral = "the integral of " if integrated else ""
@@ -130,18 +132,26 @@ class Fmu:
                     f"{integral}the variable {name} is in {stated} by its FMU, not in {unit}; convert it in the FMU"
                 )
 
-    def _units(self, name: str) -> list[str]:
-        """Returns the unit that a variable or its type states, also as a product of base units; an empty list if they state none, or 1, as
-        some tools do of every variable."""
-        variable = self.variables[name]
-        stated = variable.unit or (variable.declaredType.unit if variable.declaredType is not None else None)
-        if not stated or stated in units.WITHOUT:
-            return []
-        base = next((unit.baseUnit for unit in self.model.unitDefinitions if unit.name == stated), None)
-        if base is None or base.factor != 1.0 or base.offset != 0.0:
-            return [stated]
-        symbols = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-        return [stated, ".".join(f"{symbol}{getattr(base, symbol)}" for symbol in symbols)]
+    def check_section(self, field: str, section: Mapping[str, Any], parameters: Mapping[str, str]) -> None:
+        """Raises UnusableError if the FMU does not fit the section of a controller or vehicle, e.g. has an input that nothing gives.
+
+        `parameters`: units of the problem's parameters by name.
+        """
+        _refuse_first(section_problems(field, section, self._description, parameters))
+
+    def check_parameters(self, parameters: Mapping[str, str]) -> None:
+        """Raises UnusableError naming the first parameter with another unit than its variable states. `parameters`: units by name."""
+        _refuse_first(unit_problems(self._description, parameters))
+
+    @cached_property
+    def _description(self) -> FmuDescription:
+        """The FMU as the checks of bundles know it."""
+        bases = {unit.name: _powers(unit.baseUnit) for unit in self.model.unitDefinitions if unit.baseUnit is not None}
+        return FmuDescription(variables=[_described_variable(variable, bases) for variable in self.variables.values()])
+
+    @cached_property
+    def _described(self) -> Mapping[str, FmuVariable]:
+        return {variable.name: variable for variable in self._description.variables}
 
     def _access(self, name: str) -> str:
         kind = self.variables[name].type
@@ -185,6 +195,33 @@ class Fmu:
         )
         slave.instantiate()
         return slave
+
+
+def _powers(base: Any) -> dict[str, float]:
+    return {name: getattr(base, name) for name in ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")}
+
+
+def _described_variable(variable: Any, bases: Mapping[str, Mapping[str, float]]) -> FmuVariable:
+    """Returns FMPy's variable as the checks of bundles know it. `bases`: base units of the units that the FMU defines."""
+    declared = variable.declaredType
+    unit = variable.unit or (None if declared is None else declared.unit) or "1"
+    return FmuVariable(
+        variable.name,
+        variable.causality or "local",
+        whole=variable.type in INTEGERS or variable.type in {"Enumeration", "Boolean"},
+        start=number(variable.start),
+        unit=unit,
+        kind=variable.type,
+        items=() if declared is None else tuple(item.name for item in declared.items),
+        spellings=units.spellings(unit, bases.get(unit)),
+        is_array=bool(variable.dimensions),
+    )
+
+
+def _refuse_first(problems: Iterable[Problem]) -> None:
+    """Raises UnusableError for the first problem, if there is one."""
+    for problem in problems:
+        raise UnusableError(f"{problem.field}: {problem.message}; {problem.remedy}")
 
 
 class Reader:
@@ -259,6 +296,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
+    fmu.check_parameters(settings["parameters"])
     declared = settings["units"]
     for name, (key, output) in measures.items():
         if name in declared:

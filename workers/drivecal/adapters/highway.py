@@ -56,6 +56,7 @@ class HighwayAdapter:
             "changeable": None if confinement is None else confinement["writable"],
             "measures": list(declared.measures),
             "series": list(declared.series),
+            "parameters": dict(declared.parameters),
         }
         try:
             for entry in (controller, vehicle):
@@ -68,6 +69,8 @@ class HighwayAdapter:
         command = [sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)]
         launch = Launch.of(command, section, _compiled(os.environ.get("NUMBA_CACHE_DIR")))
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS
+        if not all(entry.get("reset", True) for entry in (controller, vehicle)):
+            most_runs = 1
         return ProcessSession(
             launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
         )

@@ -179,7 +179,8 @@ class BundleSessions:
     def _opened(self, setup: BundleRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
         chosen = self._simulators(setup.simulator["kind"])
-        declared = Declared(setup.problem, setup.measures, setup.failures, setup.series)
+        parameters = {name: setup.units.get(name, "1") for name in setup.parameters}
+        declared = Declared(setup.problem, setup.measures, setup.failures, setup.series, parameters=parameters)
         return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
 
     def _drop(self, key: tuple[str, ...]) -> None:

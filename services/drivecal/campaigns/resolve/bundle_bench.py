@@ -92,6 +92,7 @@ class BundleBench:
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
                 tools=self.bundle.tools,
+                units={parameter: entry.unit for parameter, entry in manifest.parameters.items()},
             )
             for name in self.scenarios
         }

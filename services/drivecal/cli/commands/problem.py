@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from drivecal.bundles.archives import content_digest, files_of
+from drivecal.bundles.fmus.bundles import fields_of_resets
 from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
 from drivecal.client.problem_templates import write_problem
@@ -23,8 +24,6 @@ app.add_typer(problems, name="problem")
 
 SHOWN = 12
 """Characters of a digest in a sentence."""
-
-_RESET = "the FMU's reset may be incomplete: set `reset: false` in `simulator`, so that each run has a new process"
 
 FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder with problem.yaml.")]
 
@@ -222,11 +221,18 @@ def _doubts_elsewhere(manifest: "Manifest", checked: Sequence["CheckedScenario"]
         undefined = {name: why for name, why in result.other.undefined.items() if name not in result.undefined}
         warnings += [f"{result.scenario}: {name} has no value for set 2: {why}" for name, why in undefined.items()]
         if result.other.alone is False:
-            cause = "the simulator keeps state between runs" + (f"; {_RESET}" if manifest.simulator.kind == "fmu" else "")
+            cause = "; ".join(["the simulator keeps state between runs", *_doubts_of_resets(manifest)])
             warnings.append(f"{result.scenario}: set 2 gives other measures in a new process: {cause}")
         if result.other.alone_error is not None:
             warnings.append(f"{result.scenario}: set 2 has no result in a new process: {result.other.alone_error}")
     return warnings
+
+
+def _doubts_of_resets(manifest: "Manifest") -> list[str]:
+    """Returns what to do if an FMU keeps something of its last run, if one is reset."""
+    where = " or ".join(f"`{field}`" for field in fields_of_resets(manifest))
+    remedy = f"the FMU's reset may be incomplete: set `reset: false` in {where}, so that each run has a new process"
+    return [remedy] if where else []
 
 
 def _sentence(manifest: "Manifest", result: "CheckedScenario") -> str:
@@ -234,9 +240,7 @@ def _sentence(manifest: "Manifest", result: "CheckedScenario") -> str:
         return f"no result: {result.error}"
     parts = [f"{max(result.seconds):.3f} s a run, ready after {result.start_seconds:.3f} s"]
     if not result.repeats:
-        remedy = "fix their seed, or set `deterministic: false`"
-        if manifest.simulator.kind == "fmu" and manifest.simulator.reset:
-            remedy = f"{_RESET}; or fix their seed, or set `deterministic: false`"
+        remedy = "; or ".join([*_doubts_of_resets(manifest), "fix their seed, or set `deterministic: false`"])
         parts.append(f"two runs of the same parameters gave different measures: {remedy}")
     parts += [f"{name}: {reason}" for name, reason in result.undefined.items()]
     return "; ".join(parts)

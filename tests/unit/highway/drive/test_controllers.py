@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.motorways import CONTROLLERS, FMU, compile_fmu
+from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
 
+from drivecal.adapters.fmu_driver import UnusableError
 from drivecal.highway.drive.controllers import Checked, ControllerError, FmuControl, FunctionController
 from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.programs import ProgramController, ProgramError
 
 SIGNALS = [float(number) for number in range(len(NAMES))]
 SCENARIO = {"data": {"list": [1]}}
@@ -119,7 +122,7 @@ def test_an_fmu_is_initialised_with_its_parameters_and_the_inputs_of_time_0(tmp_
     source = FMU.replace(end, f"{end}v[7] = v[0] * v[4]; ").replace("v[7] = law(v[0], v[1], v[2], v[3], v[4], v[5], v[6]);", "")
     compile_fmu(tmp_path, source)
     section = CONTROLLERS["fmu"]
-    control = FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", section["signals"], section["output"], 0.1)
+    control = FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
     speed = NAMES.index("speed")
     for factor, speeds in ((2.0, (30.0, 20.0)), (3.0, (10.0, 15.0))):
         control.begin({"T": factor})
@@ -129,3 +132,56 @@ def test_an_fmu_is_initialised_with_its_parameters_and_the_inputs_of_time_0(tmp_
             signals[speed] = value
             answers += control.step(signals)
         assert answers == [factor * speeds[0]] * 2
+
+
+def test_constants_give_inputs_and_parameters_of_an_fmu_in_every_run(tmp_path: Path) -> None:
+    """The speed of the leader is no signal here, and `c` no parameter of the problem."""
+    compile_fmu(tmp_path)
+    section = CONTROLLERS["fmu"]
+    whole = FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", section, 0.1)
+    signals = [0.0] * len(NAMES)
+    for name, value in (("speed", 30.0), ("gap", 40.0), ("leader_speed", 25.0)):
+        signals[NAMES.index(name)] = value
+    whole.begin(PARAMETERS)
+    expected = whole.step(signals)
+    rest = {name: variable for name, variable in section["signals"].items() if name != "leader_speed"}
+    given = section | {"signals": rest, "constants": {"u3": 25.0, "c": PARAMETERS["c"]}}
+    control = FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", given, 0.1)
+    for _ in range(2):
+        control.begin({name: value for name, value in PARAMETERS.items() if name != "c"})
+        assert control.step(signals) == expected
+    with pytest.raises(UnusableError, match="u3"):
+        FmuControl(tmp_path / "acc.fmu", tmp_path / "fmu", section | {"signals": rest}, 0.1)
+
+
+PROGRAM = """
+import json, struct, sys
+names = json.loads(sys.stdin.buffer.readline())["signals"]
+print('{"ready": true}', flush=True)
+sys.stdin.buffer.readline()
+print('{"ready": true}', flush=True)
+if sys.argv[1] == "binary":
+    values = struct.unpack(f"={len(names)}d", sys.stdin.buffer.read(8 * len(names)))
+    sys.stdout.buffer.write(struct.pack("=2d", len(values), values[-1]))
+else:
+    values = json.loads(sys.stdin.buffer.readline())
+    print(json.dumps({"acceleration": len(values), "curvature": values["relative_speed"]}))
+sys.stdout.flush()
+"""
+
+
+@pytest.mark.parametrize(
+    ("frames", "signals", "expected"),
+    [("json", None, [42, 41]), ("binary", None, [40, 39]), ("binary", ["leader_exists", "relative_speed"], [2, 41])],
+)
+def test_programs_get_new_signals_except_in_binary_frames_without_names(
+    tmp_path: Path, frames: str, signals: list[str] | None, expected: list[float]
+) -> None:
+    """A program that was compiled for the frames of earlier versions goes on."""
+    (tmp_path / "program.py").write_text(PROGRAM)
+    section = {"command": [sys.executable, "-S", "program.py", frames], "output": ["acceleration", "curvature"]}
+    program = ProgramController(section | {"frames": frames, "signals": signals}, tmp_path, {}, 0.1)
+    program.begin({})
+    assert list(program.step(SIGNALS)) == expected
+    with pytest.raises(ProgramError):
+        program.step(SIGNALS)  # ends and waits for it

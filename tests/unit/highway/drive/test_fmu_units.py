@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import fmpy
 import pytest
@@ -62,8 +63,9 @@ def described(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., P
     return write
 
 
-def controller(file: Path) -> FmuControl:
-    return FmuControl(file, file.parent, {"gap": "u1", "speed": "u2", "acceleration": "y"}, ["acceleration"], 0.1)
+def controller(file: Path, units: dict[str, str] | None = None, **section: Any) -> FmuControl:
+    given = {"signals": {"gap": "u1", "speed": "u2", "acceleration": "y"}, "output": ["acceleration"]} | section
+    return FmuControl(file, file.parent, given, 0.1, units)
 
 
 @pytest.mark.parametrize(
@@ -100,12 +102,49 @@ def test_a_variable_in_another_unit_is_refused_with_both_units(
         controller(file)
 
 
+@pytest.mark.parametrize("stated", ['unit="km/h"', 'declaredType="Typed"'])
+def test_a_parameter_in_another_unit_is_refused_with_both_units(described: Callable[..., Path], stated: str) -> None:
+    file = described("km/h", u1="", u2="", y="", v_set=stated)
+    for unit in ("km/h", "1"):
+        assert controller(file, {"v_set": unit})
+    with pytest.raises(UnusableError, match=r"parameters\.v_set\.unit: .*km/h.*m/s"):
+        controller(file, {"v_set": "m/s"})
+
+
+def test_an_input_that_nothing_gives_is_refused_when_a_session_opens(described: Callable[..., Path]) -> None:
+    file = described("m", u1="", u2="", y="", enable="")
+    text = file.read_text()
+    for written in ('<ScalarVariable name="enable"', '<Float64 name="enable"'):
+        text = text.replace(written, f'{written} causality="input"')
+    file.write_text(text)
+    with pytest.raises(UnusableError, match=r"simulator\.controller\.constants: .*enable"):
+        controller(file)
+    assert controller(file, constants={"enable": 1.0})
+    assert controller(file, {"enable": "1"})
+    with pytest.raises(UnusableError, match=r"simulator\.controller\.constants\.enabled: .*enable"):
+        controller(file, constants={"enable": 1.0, "enabled": 1.0})
+
+
+STATE = ["x", "y", "heading", "speed"]
 SIGNALS = {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")}
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_a_vehicle_s_inputs_states_and_start_speed_have_units(described: Callable[..., Path], name: str) -> None:
     variables = dict.fromkeys(SIGNALS, "")
-    assert FmuPlant(described(**variables), Path(), SIGNALS, ["x", "y", "heading", "speed"])
+    section = {"signals": SIGNALS, "state": STATE}
+    assert FmuPlant(described(**variables), Path(), section)
     with pytest.raises(UnusableError, match=rf"the variable {name} is in deg "):
-        FmuPlant(described(**(variables | {name: 'unit="deg"'})), Path(), SIGNALS, ["x", "y", "heading", "speed"])
+        FmuPlant(described(**(variables | {name: 'unit="deg"'})), Path(), section)
+
+
+def test_an_input_of_a_vehicle_that_nothing_gives_is_refused(described: Callable[..., Path]) -> None:
+    file = described(**(dict.fromkeys(SIGNALS, "") | {"grip": ""}))
+    text = file.read_text()
+    for written in ('<ScalarVariable name="grip"', '<Float64 name="grip"'):
+        text = text.replace(written, f'{written} causality="input"')
+    file.write_text(text)
+    section = {"signals": SIGNALS, "state": STATE}
+    with pytest.raises(UnusableError, match=r"simulator\.vehicle\.constants: .*grip"):
+        FmuPlant(file, Path(), section)
+    assert FmuPlant(file, Path(), section | {"constants": {"grip": 0.9}})

@@ -65,19 +65,24 @@ class FmuControl(Controller):
     It is initialised in the first step, when its inputs are known.
     """
 
-    def __init__(self, file: Path, unpacked: Path, signals: Mapping[str, str], output: Sequence[str], period: float) -> None:
-        """`signals`: variables of the FMU by names of signals and commands."""
+    def __init__(
+        self, file: Path, unpacked: Path, section: Mapping[str, Any], period: float, units: Mapping[str, str] | None = None
+    ) -> None:
+        """`section`: the manifest's; `units`: of the problem's parameters by name. Raises UnusableError."""
+        signals, output = section["signals"], section["output"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
         self._fmu.check_units(
             (variable, (COMMANDS if name in output else SIGNALS)[name].unit) for name, variable in signals.items()
         )
+        self._fmu.check_section("simulator.controller", section, units or {})
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
         self._reader = self._fmu.reader(dict.fromkeys(signals[name] for name in output))
         self._order = [self._reader.names.index(signals[name]) for name in output]
         self._period, self._count = period, 0
+        self._constants: Mapping[str, Any] = section.get("constants") or {}
         self._parameters: Mapping[str, Any] = {}
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
@@ -87,7 +92,7 @@ class FmuControl(Controller):
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
         inputs = [signals[index] for index in self._indices]
         if self._count == 0:
-            self._fmu.begin(self._parameters, None, lambda: self._writer.write(inputs))
+            self._fmu.begin({**self._constants, **self._parameters}, None, lambda: self._writer.write(inputs))
         self._writer.write(inputs)
         self._fmu.step(self._count * self._period, self._period)
         self._count += 1
@@ -153,9 +158,18 @@ def by_name(answer: Mapping[str, Any], output: Sequence[str], source: str) -> li
 
 
 def controller(
-    section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any], step: float
+    section: Mapping[str, Any],
+    folder: Path,
+    work: Path,
+    scratch: Path,
+    scenario: Mapping[str, Any],
+    step: float,
+    units: Mapping[str, str],
 ) -> Checked:
-    """Returns the controller of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs."""
+    """Returns the controller of a manifest's section. `units`: of the problem's parameters by name.
+
+    Raises any exception of the user's file, UnusableError of FMUs.
+    """
     output, period = section["output"], section.get("period", step)
     made: Controller
     if section["kind"] == "python":
@@ -163,7 +177,7 @@ def controller(
     elif section["kind"] == "process":
         made = ProgramController(section, work, scenario, period)
     else:
-        made = FmuControl(folder / section["file"], scratch / "fmu", section["signals"], output, period)
+        made = FmuControl(folder / section["file"], scratch / "fmu", section, period, units)
     return Checked(made, output)
 
 

@@ -55,13 +55,14 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             simulator.controller, scenario, road, (traffic.start_s, traffic.start_d)
         )
     else:
-        control = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
+        work, units = Path(settings["work"]), settings["parameters"]
+        control = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
         if simulator.controller.output == ["trajectory"]:
             control = ControllerTrajectories(control, road, section.get("period", simulator.step))
     if isinstance(simulator.vehicle, UserVehicleEntry):
         print("the vehicle starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
         entry = simulator.vehicle.model_dump(mode="json", exclude_none=True)
-        plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"])
+        plant = plant_of(entry, folder, Path(settings["work"]), scratch, settings["data"], settings["parameters"])
         vehicle = UserVehicleModel(plant, simulator.vehicle.state, parameters)
     loop = Loop(name, simulator, scenario, road, traffic, vehicle, control)
     loop.prepare()

@@ -78,11 +78,15 @@ class ProgramPlant(Plant):
 class FmuPlant(Plant):
     """An FMU for co-simulation, which is reset for each run. Its inputs hold for a step, at whose end its outputs are read."""
 
-    def __init__(self, file: Path, unpacked: Path, signals: Mapping[str, str], state: Sequence[str]) -> None:
+    def __init__(self, file: Path, unpacked: Path, section: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
+        """`section`: the manifest's; `units`: of the problem's parameters by name. Raises UnusableError."""
+        signals, state = section["signals"], section["state"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
         self._fmu.check_units((variable, UNITS[name]) for name, variable in signals.items())
+        self._fmu.check_section("simulator.vehicle", section, units or {})
         self._start = signals["start_speed"]
+        self._constants: Mapping[str, Any] = section.get("constants") or {}
         inputs = {signals[name]: index for index, name in enumerate(VEHICLE_INPUTS)}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
@@ -92,7 +96,7 @@ class FmuPlant(Plant):
 
     def begin(self, parameters: Mapping[str, Any], speed: float) -> None:
         known = {name: value for name, value in parameters.items() if name in self._fmu.variables}
-        self._fmu.begin(known | {self._start: speed}, None)
+        self._fmu.begin({**self._constants, **known, self._start: speed}, None)
         self._count = 0
 
     def step(self, steering: float, acceleration: float) -> Sequence[Any]:
@@ -205,10 +209,20 @@ def _check_begun(given: Mapping[str, float], speed: float) -> None:
         )
 
 
-def plant_of(section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any]) -> Plant:
-    """Returns the plant of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs."""
+def plant_of(
+    section: Mapping[str, Any],
+    folder: Path,
+    work: Path,
+    scratch: Path,
+    scenario: Mapping[str, Any],
+    units: Mapping[str, str],
+) -> Plant:
+    """Returns the plant of a manifest's section. `units`: of the problem's parameters by name.
+
+    Raises any exception of the user's file, UnusableError of FMUs.
+    """
     if section["kind"] == "python":
         return ClassPlant(function_of(section, folder, scratch / "vehicle"), section["state"], scenario)
     if section["kind"] == "process":
         return ProgramPlant(section, work, scenario)
-    return FmuPlant(folder / section["file"], scratch / "vehicle-fmu", section["signals"], section["state"])
+    return FmuPlant(folder / section["file"], scratch / "vehicle-fmu", section, units)

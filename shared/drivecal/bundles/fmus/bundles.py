@@ -1,0 +1,51 @@
+"""Checks of a whole bundle against the FMUs among its files."""
+
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+
+from drivecal.bundles.archives import BundleFile
+from drivecal.bundles.fmus.checks import section_problems, unit_notes, unit_problems
+from drivecal.bundles.fmus.description import read_fmu
+from drivecal.bundles.highway import FmuController, FmuVehicle, HighwaySimulator
+from drivecal.bundles.manifest import FmuSimulator, Manifest
+from drivecal.domain.errors import InvalidInputError, Problem
+
+
+def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
+    """Returns notes on the FMUs among the files of a bundle. Raises InvalidInputError with all that does not fit.
+
+    An FMU that cannot be read is left to the worker's FMPy, which says why, or reads it.
+    """
+    parameters = {name: entry.unit for name, entry in manifest.parameters.items()}
+    problems: list[Problem] = []
+    notes: list[str] = []
+    for field, section in fmu_sections(manifest):
+        try:
+            description = read_fmu(BytesIO(files[section.file].content), section.file)
+        except (InvalidInputError, KeyError):
+            continue
+        if isinstance(section, FmuSimulator):
+            problems += unit_problems(description, parameters)
+        else:
+            problems += section_problems(field, section.model_dump(), description, parameters)
+        notes += unit_notes(description, parameters)
+    if problems:
+        raise InvalidInputError(*dict.fromkeys(problems))
+    return tuple(dict.fromkeys(notes))
+
+
+def fields_of_resets(manifest: Manifest) -> list[str]:
+    """Returns the fields of the FMUs that are reset between runs; none if each run has a new process."""
+    return [] if manifest.simulator.renews else [field for field, _ in fmu_sections(manifest)]
+
+
+def fmu_sections(manifest: Manifest) -> Iterator[tuple[str, FmuSimulator | FmuController | FmuVehicle]]:
+    """Yields the parts of a problem that are FMUs, with their fields."""
+    simulator = manifest.simulator
+    if isinstance(simulator, FmuSimulator):
+        yield "simulator", simulator
+    elif isinstance(simulator, HighwaySimulator):
+        if isinstance(simulator.controller, FmuController):
+            yield "simulator.controller", simulator.controller
+        if isinstance(simulator.vehicle, FmuVehicle):
+            yield "simulator.vehicle", simulator.vehicle

@@ -1,0 +1,125 @@
+"""Checks of a problem's section against what an FMU says of its variables: inputs without a value, constants, units of parameters.
+
+The FMU's child imports this, at each start: it has no part in the models of manifests.
+"""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from drivecal.bundles import units
+from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuDescription, FmuVariable
+from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import Problem
+
+SETTABLE = frozenset({"input", "parameter"})
+"""Causalities of variables that constants may give."""
+COMPUTED = frozenset({"output", "calculatedParameter", "independent"})
+"""Causalities of variables that the FMU gives."""
+
+
+def section_problems(
+    field: str, section: Mapping[str, Any], description: FmuDescription, parameters: Mapping[str, str]
+) -> Iterator[Problem]:
+    """Yields what does not fit between an FMU and the `section` of a controller or vehicle.
+
+    `field`: of the section; `parameters`: units of the problem's parameters by name.
+    """
+    variables = {variable.name: variable for variable in description.variables}
+    yield from _signals(field, section, variables)
+    yield from _constants(field, section, variables, parameters)
+    yield from _inputs(field, section, variables, parameters)
+    yield from unit_problems(description, parameters)
+
+
+def unit_problems(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[Problem]:
+    """Yields the parameters whose unit is another one than their variables state. `parameters`: units by name."""
+    for name, unit, variable in _parameters(description, parameters):
+        if unit.strip() not in units.WITHOUT and not any(units.same(spelling, unit) for spelling in variable.spellings):
+            remedy = f"give the unit and the values in {shown(variable.unit)}, or convert in the FMU"
+            yield Problem(
+                f"parameters.{name}.unit", f"the FMU takes {name} in {shown(variable.unit)}, not {shown(unit)}", remedy
+            )
+
+
+def unit_notes(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[str]:
+    """Yields a note for each parameter without a unit that the FMU takes in one. `parameters`: units by name."""
+    for name, unit, variable in _parameters(description, parameters):
+        if unit.strip() in units.WITHOUT and not any(units.same(spelling, "1") for spelling in variable.spellings):
+            yield f"parameters.{name}: no unit is given; the FMU takes it in {shown(variable.unit)}"
+
+
+def _parameters(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[tuple[str, str, FmuVariable]]:
+    """Yields name, unit and variable of each parameter that an FMU has in a unit."""
+    for variable in description.variables:
+        if variable.name in parameters and variable.spellings:
+            yield variable.name, parameters[variable.name], variable
+
+
+def _signals(field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable]) -> Iterator[Problem]:
+    """Yields the signals whose variables have the wrong direction."""
+    read = section.get("output") or section["state"]
+    for name, variable in section["signals"].items():
+        if variable not in variables:
+            continue  # named by the check of all names
+        causality = variables[variable].causality
+        if name in read and causality in SETTABLE:
+            message = f"{shown(variable)} is an {causality} of the FMU, which computes no {name}"
+            yield Problem(f"{field}.signals.{name}", message, "name an output of the FMU")
+        elif name not in read and causality in COMPUTED:
+            message = f"{shown(variable)} is an {causality} of the FMU, which takes no {name} there"
+            yield Problem(f"{field}.signals.{name}", message, "name an input of the FMU")
+
+
+def _constants(
+    field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable], parameters: Mapping[str, str]
+) -> Iterator[Problem]:
+    signals = {variable: name for name, variable in section["signals"].items()}
+    for name, value in (section.get("constants") or {}).items():
+        at = f"{field}.constants.{shown(name)}"
+        if name not in variables:
+            settable = [variable.name for variable in variables.values() if variable.causality in SETTABLE]
+            similar = get_close_matches(name, settable, 3) or sorted(settable)[:5]
+            remedy = (
+                f"give inputs or parameters of the FMU, e.g. {', '.join(map(shown, similar))}" if similar else "leave it out"
+            )
+            yield Problem(at, f"the FMU has no variable {shown(name)}", remedy)
+        elif name in signals or name in parameters:
+            other = f"the signal {signals[name]}" if name in signals else "the parameter of this name"
+            yield Problem(at, f"{other} gives it already", "leave one of them out")
+        elif variables[name].causality not in SETTABLE:
+            message = f"{shown(name)} is neither an input nor a parameter of the FMU, but {variables[name].causality}"
+            yield Problem(at, message, "leave it out")
+        elif (wanted := _wanted(variables[name], value)) is not None:
+            yield Problem(at, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
+
+
+def _wanted(variable: FmuVariable, value: object) -> str | None:
+    """Returns what a variable takes instead of a value, None if it fits."""
+    if variable.is_array or not (variable.is_number or variable.kind == "String"):
+        return "such variables cannot be set; let the FMU fix its value"
+    if variable.kind == "String":
+        return None if isinstance(value, str) else "give a text"
+    if variable.kind == "Enumeration" and variable.items and isinstance(value, str):
+        return None if value in variable.items else f"give {', '.join(map(shown, variable.items[:10]))}"
+    if variable.kind == "Boolean":
+        return None if not isinstance(value, str) and value in (0, 1) else "give true or false"
+    if isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
+        return "give a number"
+    if variable.kind in NUMBERS:
+        return None
+    least, most = INTEGERS.get(variable.kind, INTEGERS["Int64"])
+    return None if value == int(value) and least <= value <= most else f"give a whole number from {least} to {most}"
+
+
+def _inputs(
+    field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable], parameters: Mapping[str, str]
+) -> Iterator[Problem]:
+    """Yields the inputs that nothing gives. A start value is no statement: it would hold for the whole run, unnoticed."""
+    given = {*section["signals"].values(), *(section.get("constants") or {}), *parameters}
+    for variable in variables.values():
+        if variable.causality == "input" and variable.name not in given:
+            start = "" if variable.start is None else f", which would stay at its start value {variable.start:g}"
+            name = shown(variable.name)
+            remedy = f"add `{name}: VALUE` to `constants`, or a signal to `signals`"
+            yield Problem(f"{field}.constants", f"nothing gives the FMU's input {name}{start}", remedy)

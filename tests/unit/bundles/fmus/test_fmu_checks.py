@@ -1,0 +1,268 @@
+"""Checks of problems against FMUs: inputs without a value, constants, directions of signals, units of parameters."""
+
+from __future__ import annotations
+
+import copy
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from tests.support.fmus import archive
+
+from drivecal.bundles.archives import BundleFile
+from drivecal.bundles.checks import checked
+from drivecal.bundles.fingerprints import setup_document
+from drivecal.bundles.fmus.bundles import check_fmus, fields_of_resets
+from drivecal.bundles.fmus.description import parse_description
+from drivecal.client.problems import read_bundle_with_notes
+from drivecal.domain.errors import InvalidInputError
+
+SECOND = """<fmiModelDescription fmiVersion="2.0" modelName="acc" guid="1"><CoSimulation modelIdentifier="acc"/>
+<UnitDefinitions><Unit name="mps"><BaseUnit m="1" s="-1"/></Unit><Unit name="kmh"><BaseUnit m="1" s="-1" factor="0.27778"/></Unit>
+</UnitDefinitions>
+<TypeDefinitions><SimpleType name="Speed"><Real unit="km/h"/></SimpleType>
+<SimpleType name="Mode"><Enumeration><Item name="eco" value="1"/><Item name="sport" value="2"/></Enumeration></SimpleType>
+</TypeDefinitions>
+<ModelVariables>
+<ScalarVariable name="u1" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="acc_enable" valueReference="2" causality="input"><Boolean start="false"/></ScalarVariable>
+<ScalarVariable name="v_set" valueReference="3" causality="parameter"><Real start="0" declaredType="Speed"/></ScalarVariable>
+<ScalarVariable name="T" valueReference="4" causality="parameter"><Real start="0" unit="s"/></ScalarVariable>
+<ScalarVariable name="v_min" valueReference="5" causality="parameter"><Real start="0" unit="mps"/></ScalarVariable>
+<ScalarVariable name="k" valueReference="6" causality="parameter"><Real start="0" unit="1"/></ScalarVariable>
+<ScalarVariable name="n" valueReference="7" causality="parameter"><Integer start="0"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="8" causality="parameter"><Enumeration declaredType="Mode" start="1"/></ScalarVariable>
+<ScalarVariable name="label" valueReference="9" causality="parameter"><String start=""/></ScalarVariable>
+<ScalarVariable name="y" valueReference="10" causality="output"><Real/></ScalarVariable>
+<ScalarVariable name="x" valueReference="11"><Real/></ScalarVariable>
+</ModelVariables></fmiModelDescription>"""
+THIRD = """<fmiModelDescription fmiVersion="3.0" modelName="acc" instantiationToken="1"><CoSimulation modelIdentifier="acc"/>
+<UnitDefinitions><Unit name="mps"><BaseUnit m="1" s="-1"/></Unit></UnitDefinitions>
+<TypeDefinitions><Float64Type name="Speed" unit="km/h"/>
+<EnumerationType name="Mode"><Item name="eco" value="1"/><Item name="sport" value="2"/></EnumerationType></TypeDefinitions>
+<ModelVariables>
+<Float64 name="u1" valueReference="1" causality="input" start="0"/>
+<Boolean name="acc_enable" valueReference="2" causality="input" start="false"/>
+<Float64 name="v_set" valueReference="3" causality="parameter" start="0" declaredType="Speed"/>
+<Float64 name="T" valueReference="4" causality="parameter" start="0" unit="s"/>
+<Float64 name="v_min" valueReference="5" causality="parameter" start="0" unit="mps"/>
+<Float64 name="k" valueReference="6" causality="parameter" start="0" unit="1"/>
+<Int8 name="n" valueReference="7" causality="parameter" start="0"/>
+<Enumeration name="mode" valueReference="8" causality="parameter" declaredType="Mode" start="1"/>
+<String name="label" valueReference="9" causality="parameter"><Start value=""/></String>
+<Float64 name="y" valueReference="10" causality="output"/>
+<Float64 name="x" valueReference="11"/>
+</ModelVariables></fmiModelDescription>"""
+SIGNALS = {"gap": "u1", "acceleration": "y"}
+PROBLEM: dict[str, Any] = {
+    "problem": "acc",
+    "parameters": {"T": {"lower": 1, "upper": 2, "unit": "s"}},
+    "simulator": {
+        "kind": "highway",
+        "controller": {
+            "kind": "fmu",
+            "file": "acc.fmu",
+            "signals": SIGNALS,
+            "constants": {"acc_enable": True},
+            "output": ["acceleration"],
+        },
+    },
+    "scenarios": {"S": {"network": "road.net.xml", "route": ["e1"], "duration": 10, "ego": {"s": 10, "speed": 20}}},
+    "measures": {"energy_kwh": "kWh"},
+    "scores": {"cost": {"formula": "energy_kwh", "direction": "minimise", "range": [0, 1]}},
+}
+SYSTEM = {"kind": "fmu", "file": "acc.fmu", "duration": 1, "step": 0.1, "measures": {"energy_kwh": "last(y)"}}
+
+
+def file_of(description: str) -> BundleFile:
+    content = BytesIO()
+    with zipfile.ZipFile(content, "w") as target:
+        target.writestr("modelDescription.xml", description)
+    return BundleFile(content.getvalue(), False)
+
+
+def problem(parameters: dict[str, str] | None = None, **controller: Any) -> dict[str, Any]:
+    """The problem with other units of parameters, or other fields of the controller; None leaves a field out."""
+    given = copy.deepcopy(PROBLEM)
+    if parameters is not None:
+        given["parameters"] = {name: {"lower": 1, "upper": 2, "unit": unit} for name, unit in parameters.items()}
+    section = given["simulator"]["controller"] | controller
+    given["simulator"]["controller"] = {name: value for name, value in section.items() if value is not None}
+    return given
+
+
+def notes(given: dict[str, Any], description: str) -> tuple[str, ...]:
+    return check_fmus(checked(given), {"acc.fmu": file_of(description)})
+
+
+def faults(given: dict[str, Any], description: str) -> dict[str, str]:
+    """Fields of all faults, with their messages and remedies."""
+    with pytest.raises(InvalidInputError) as refusal:
+        notes(given, description)
+    return {entry.field: f"{entry.message}; {entry.remedy}" for entry in refusal.value.problems}
+
+
+both = pytest.mark.parametrize("description", [SECOND, THIRD], ids=["second", "third"])
+
+
+@both
+def test_an_input_that_nothing_gives_is_refused_by_name(description: str) -> None:
+    named = faults(problem(constants=None), description)
+    assert named.keys() == {"simulator.controller.constants"}
+    assert "acc_enable" in named["simulator.controller.constants"]
+    for given in (
+        problem(),
+        problem(constants=None, signals=SIGNALS | {"leader_exists": "acc_enable"}),
+        problem({"acc_enable": "1"}, constants=None),
+    ):
+        assert notes(given, description) == ()
+
+
+def test_a_start_value_is_no_statement() -> None:
+    assert faults(problem(constants=None), SECOND)
+    assert faults(problem(constants=None), SECOND.replace('<Boolean start="false"/>', "<Boolean/>"))
+
+
+@both
+@pytest.mark.parametrize(
+    "constants",
+    [
+        {"acc_enable": True},
+        {"acc_enable": 1},
+        {"acc_enable": True, "T": 1.5, "n": 3, "mode": "sport", "label": "text"},
+        {"acc_enable": False, "mode": 2},
+    ],
+)
+def test_constants_that_fit_pass(description: str, constants: dict[str, Any]) -> None:
+    assert notes(problem({"k": "1"}, constants=constants), description) == ()
+
+
+@both
+@pytest.mark.parametrize(
+    ("name", "value", "wanted"),
+    [
+        ("acc_enabled", 1, "acc_enable"),
+        ("acc_enable", 2, "true or false"),
+        ("acc_enable", "true", "true or false"),
+        ("k", "high", "a number"),
+        ("k", True, "a number"),
+        ("n", 1.5, "a whole number"),
+        ("mode", "fast", "eco, sport"),
+        ("label", 1, "a text"),
+        ("y", 1, "the signal acceleration"),
+        ("x", 1, "local"),
+        ("u1", 1, "the signal gap"),
+        ("T", 1, "the parameter"),
+    ],
+)
+def test_constants_that_do_not_fit_are_refused_by_name(description: str, name: str, value: Any, wanted: str) -> None:
+    named = faults(problem(constants={"acc_enable": True, name: value}), description)
+    assert named.keys() == {f"simulator.controller.constants.{name}"}
+    assert wanted in named[f"simulator.controller.constants.{name}"]
+
+
+def test_whole_numbers_are_in_the_range_of_their_type() -> None:
+    assert notes(problem(constants={"acc_enable": True, "n": 300}), SECOND) == ()
+    assert "127" in faults(problem(constants={"acc_enable": True, "n": 300}), THIRD)["simulator.controller.constants.n"]
+
+
+@both
+def test_signals_have_the_directions_of_their_variables(description: str) -> None:
+    swapped = faults(problem(signals={"gap": "y", "acceleration": "u1"}), description)
+    assert swapped.keys() == {"simulator.controller.signals.gap", "simulator.controller.signals.acceleration"}
+
+
+@both
+def test_parameters_have_the_units_of_their_variables(description: str) -> None:
+    for simulator in (PROBLEM["simulator"], SYSTEM):
+        right = problem({"v_set": "km/h", "T": "s", "v_min": "m.s^-1", "k": "m", "n": "s"}) | {"simulator": simulator}
+        assert notes(right, description) == ()
+        wrong = problem({"v_set": "m/s", "T": "ms", "v_min": "km/h"}) | {"simulator": simulator}
+        named = faults(wrong, description)
+        assert named.keys() == {f"parameters.{name}.unit" for name in ("v_set", "T", "v_min")}
+        assert "km/h" in named["parameters.v_set.unit"]
+        assert "m/s" in named["parameters.v_set.unit"]
+
+
+@both
+def test_a_parameter_without_a_unit_is_noted_with_that_of_the_fmu(description: str) -> None:
+    noted = notes(problem({"v_set": "1", "T": "s", "k": "1"}), description)
+    assert len(noted) == 1
+    assert "v_set" in noted[0]
+    assert "km/h" in noted[0]
+
+
+def test_the_inputs_of_a_vehicle_need_values_as_well() -> None:
+    names = ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")
+    variable = '<ScalarVariable name="{}" valueReference="1" causality="{}"><Real/></ScalarVariable>'
+    causalities = {"steering": "input", "acceleration": "input", "start_speed": "parameter", "road_grip": "input"}
+    variables = "".join(variable.format(name, causalities.get(name, "output")) for name in (*names, "road_grip"))
+    description = (
+        SECOND[: SECOND.index("<ModelVariables>")] + f"<ModelVariables>{variables}</ModelVariables></fmiModelDescription>"
+    )
+    given = problem()
+    vehicle = {"kind": "fmu", "file": "car.fmu", "signals": dict(zip(names, names, strict=True))}
+    given["simulator"] |= {"controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}, "vehicle": vehicle}
+    files = {"car.fmu": file_of(description)}
+    with pytest.raises(InvalidInputError) as refusal:
+        check_fmus(checked(given), files)
+    assert [entry.field for entry in refusal.value.problems] == ["simulator.vehicle.constants"]
+    given["simulator"]["vehicle"] = vehicle | {"constants": {"road_grip": 0.9}}
+    assert check_fmus(checked(given), files) == ()
+
+
+def test_an_fmu_that_cannot_be_read_is_left_to_the_worker() -> None:
+    for content in (b"no archive", file_of("<a").content):
+        assert check_fmus(checked(problem()), {"acc.fmu": BundleFile(content, False)}) == ()
+
+
+def test_arrays_are_no_numbers() -> None:
+    array = THIRD.replace('causality="input" start="0"/>', 'causality="input"><Dimension start="3"/></Float64>')
+    assert [variable.name for variable in parse_description(array.encode()).variables if variable.is_array] == ["u1"]
+    assert "simulator.controller.constants.u1" in faults(
+        problem(signals={"acceleration": "y"}, constants={"acc_enable": True, "u1": 1}), array
+    )
+
+
+def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) -> None:
+    archive(tmp_path / "acc.fmu", SECOND, {})
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "1"}) | {"simulator": SYSTEM}))
+    assert len(read_bundle_with_notes(tmp_path)[2]) == 1
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "m/s"}) | {"simulator": SYSTEM}))
+    with pytest.raises(InvalidInputError) as refusal:
+        read_bundle_with_notes(tmp_path)
+    assert "line" in refusal.value.problems[0].field
+
+
+def test_new_fields_are_part_of_a_setup_only_if_they_are_used() -> None:
+    vehicle = {"kind": "fmu", "file": "car.fmu", "signals": {}}
+
+    def section(**fields: Any) -> Any:
+        given = problem(constants=None)
+        given["simulator"]["vehicle"] = vehicle | {
+            "signals": {name: name for name in ("steering", "acceleration", "x", "y", "heading", "speed", "start_speed")}
+        }
+        for part in ("controller", "vehicle"):
+            given["simulator"][part] |= fields
+        return setup_document(checked(given), "S", "f")["simulator"]
+
+    plain = section()
+    assert section(reset=True) == plain
+    for part in ("controller", "vehicle"):
+        assert not {"reset", "constants"} & plain[part].keys()
+        assert section(reset=False)[part] == plain[part] | {"reset": False}
+        assert section(constants={"a": 1})[part] == plain[part] | {"constants": {"a": 1.0}}
+
+
+@pytest.mark.parametrize(("reset", "renews"), [(None, False), (True, False), (False, True)])
+def test_a_part_that_is_not_reset_renews_the_process(reset: bool | None, renews: bool) -> None:
+    controller, system = (
+        checked(given)
+        for given in (problem(reset=reset), PROBLEM | {"simulator": SYSTEM | ({} if reset is None else {"reset": reset})})
+    )
+    assert (controller.simulator.renews, system.simulator.renews) == (renews, renews)
+    assert fields_of_resets(controller) == ([] if renews else ["simulator.controller"])
+    assert fields_of_resets(system) == ([] if renews else ["simulator"])
