@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
 
-from drivecal.bundles.highway_actions import Action, Lane, Position, Seconds, Speed, VehicleId
+from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Identifier, Model, Number
 from drivecal.contracts.strict_json import Choice
@@ -20,6 +20,8 @@ Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"
 """Id of an edge of the network."""
 Route = Annotated[list[Edge], Field(min_length=1, max_length=10_000)]
 Duration = Annotated[float, Field(gt=0, le=3600)]
+RunTime = Annotated[float, Field(ge=-3600, le=100_000)]
+"""Time of a run (s), below 0 in the warm-up."""
 Metres = Annotated[float, Field(gt=0, le=50)]
 Variable = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Name of a variable of an FMU."""
@@ -265,6 +267,7 @@ class TrafficEntry(Placed, Driver):
 class FlowEntry(Driver):
     """Vehicles that enter at the begin of `edge`, by default of the scenario's route: `per_hour`, evenly, from `begin` to `end` (s).
 
+    By default they come from the begin of the warm-up on, which is at the time -`warm_up`.
     `random`: they come at random with this mean, as the seed decides. `number`: how many enter at most. `s`: of their centres (m) along
     `edge`. Words for `lane`, `s` and `speed` are SUMO's, which looks for a place that is free.
     """
@@ -276,19 +279,28 @@ class FlowEntry(Driver):
     speed: Speed | Literal["max", "desired", "avg", "last", "speedLimit", "random"] | None = None
     per_hour: Annotated[float, Field(gt=0, le=10_000)]
     number: Annotated[int, Field(ge=1, le=10_000)] | None = None
-    begin: Seconds = 0.0
-    end: Seconds | None = None
+    begin: RunTime | None = None
+    end: RunTime | None = None
     random: bool = False
 
 
 class Surroundings(Model):
-    """The surroundings of the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others."""
+    """The surroundings of the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others.
+
+    `begin`: the route file's time (s) at the run's time 0. `warm_up`: seconds before it, in which the flows drive alone.
+    """
 
     routes: File | None = None
+    begin: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0
     traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]
     flows: Annotated[list[FlowEntry], Field(max_length=500, default_factory=list)]
     seed: Seed = 1
     data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
+
+    def begin_of(self, flow: FlowEntry) -> float:
+        """Returns the time (s) from which a flow's vehicles come."""
+        return 0.0 - self.warm_up if flow.begin is None else flow.begin
 
 
 class HighwayScenario(Surroundings):

@@ -199,13 +199,41 @@ def scenario_problems(field: str, scenario: Declared, step: float, *, is_whole: 
     yield from _drivers(field, drivers)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
     yield from actions_problems(field, scenario.traffic, is_whole=is_whole)
+    yield from _times(field, scenario, step, is_whole=is_whole)
+    yield from _flows(field, scenario)
+
+
+def _times(field: str, scenario: Declared, step: float, *, is_whole: bool) -> Iterator[Problem]:
+    """Yields the faults of `begin` and `warm_up`."""
+    if scenario.begin and scenario.routes is None:
+        message = "it is the time of a route file at which the run begins, but there are no `routes`"
+        yield Problem(f"{field}.begin", message, "leave it out, or give `routes`")
+    warm_up = scenario.warm_up
+    if not warm_up:
+        return
+    if _is_multiple(step, TICK) and not _is_multiple(warm_up, step):
+        message = f"{warm_up:g} s is not a multiple of the simulator's step of {step:g} s"
+        yield Problem(f"{field}.warm_up", message, f"give e.g. {max(1, round(warm_up / step)) * step:g}")
+    if is_whole and all(scenario.begin_of(flow) >= 0.0 for flow in scenario.flows):
+        message = "no vehicle and no flow enters in the warm-up, before the run's time 0"
+        remedy = f"leave it out, give flows, or with `routes` a `begin` that is {warm_up:g} s later than the first of them"
+        yield Problem(f"{field}.warm_up", message, remedy)
+
+
+def _flows(field: str, scenario: Declared) -> Iterator[Problem]:
+    """Yields the faults of the times and speeds of flows."""
+    duration = scenario.duration
     for index, flow in enumerate(scenario.flows):
-        if flow.end is not None and flow.end <= flow.begin:
-            yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {flow.begin:g}")
+        begin = scenario.begin_of(flow)
+        if begin < -scenario.warm_up:
+            message = f"the flow begins before the warm-up of {scenario.warm_up:g} s"
+            yield Problem(f"{field}.flows[{index}].begin", message, f"give at least {0.0 - scenario.warm_up:g}")
+        if flow.end is not None and flow.end <= begin:
+            yield Problem(f"{field}.flows[{index}].end", "the flow ends before it begins", f"give more than {begin:g}")
         if flow.random and flow.number is not None and flow.end is not None:
             message = "random vehicles come until the end, or until the number is reached"
             yield Problem(f"{field}.flows[{index}].number", message, "give `number` or `end`")
-        if duration is not None and flow.begin >= duration:
+        if duration is not None and begin >= duration:
             message = f"the flow begins after the scenario's duration of {duration:g} s"
             yield Problem(f"{field}.flows[{index}].begin", message, f"give less than {duration:g}")
         if isinstance(flow.speed, float) and flow.desired_speed is not None and flow.speed > flow.desired_speed:

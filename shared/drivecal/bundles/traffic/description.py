@@ -8,6 +8,7 @@ from typing import Any
 
 from drivecal.bundles.highway import Declared, HighwayScenario, OpenScenario
 from drivecal.bundles.highway_checks import declared_scenario
+from drivecal.bundles.traffic.departures import Clock
 from drivecal.bundles.traffic.elements import refusal
 from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
@@ -56,7 +57,7 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
     if isinstance(scenario, HighwayScenario) and scenario.routes is None:
         return Description(scenario)
     names = VehicleNames([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
-    document = scenario.model_dump(exclude_none=True, exclude={"routes", "openscenario", "parameters", "ego"})
+    document = scenario.model_dump(exclude_none=True, exclude={"routes", "begin", "openscenario", "parameters", "ego"})
     entries: list[tuple[str, Entry]] = []
     notes: tuple[str, ...] = ()
     network = network_of(scenario, files)
@@ -73,8 +74,10 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
     else:
         document["ego"] = scenario.ego.model_dump(exclude_none=True)
     if scenario.routes is not None:
+        clock = Clock(scenario.begin, scenario.warm_up, document["duration"])
         try:
-            routes = RouteFile(files.read(scenario.routes), scenario.routes, roads.network, document["duration"], names)
+            opened = files.read(scenario.routes)
+            routes = RouteFile(opened, scenario.routes, roads.network, clock, names, scenario.seed)
         except InvalidInputError as error:
             raise refusal(error, "routes") from error
         notes += routes.notes

@@ -5,77 +5,77 @@ What is left out has SUMO's defaults. Elements without effect on the drive are n
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
+from math import inf
 from typing import Any
 
-from drivecal.bundles.highway import CLASSES
-from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
+from drivecal.bundles.traffic.departures import LONG, Clock, Stream, seconds
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
 from drivecal.bundles.traffic.routes import joined
+from drivecal.bundles.traffic.vehicle_types import VehicleTypes, check_attributes
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
+from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import Network
 
-DEFAULT_TYPE = "DEFAULT_VEHTYPE"
-MODELS = ("Krauss", "IDM", "EIDM", "ACC", "CACC", "W99")
-LANE_CHANGES = ("LC2013", "SL2015")
-MIN_GAP, SIGMA = 2.5, 0.5
-"""SUMO's defaults."""
 MOST_VEHICLES = 500
+SHORTEST = 1e-6
+"""Seconds between two vehicles of a flow."""
 MOST_WAYS = 100
 """Different ways of trips, which are searched for."""
-NUMBERS = {
-    "length": "length",
-    "width": "width",
-    "maxSpeed": "max_speed",
-    "tau": "time_headway",
-    "minGap": "min_gap",
-    "accel": "acceleration",
-    "decel": "deceleration",
-    "sigma": "sigma",
-    "speedDev": "speed_deviation",
-}
-"""Fields of a driver by attributes of types."""
-WITHOUT_EFFECT = frozenset(
-    {"id", "color", "guiShape", "imgFile", "osgFile", "height", "mass", "emissionClass", "line", "cost"}
-    | {"personCapacity", "containerCapacity", "personNumber", "containerNumber", "boardingDuration", "loadingDuration"}
-)
-"""Attributes that decide nothing on the way."""
 ARRIVAL = {"arrivalPos": "max", "arrivalSpeed": "current", "arrivalLane": "current", "arrivalPosLat": ""}
 """SUMO's default of each attribute that decides how a vehicle leaves, at the end of its route."""
-TYPE_WORDS = frozenset({"vClass", "carFollowModel", "laneChangeModel", "speedFactor"})
 VEHICLE = frozenset({"type", "depart", "departLane", "departPos", "departSpeed", "route", "from", "to", "via", *ARRIVAL})
 FLOW = (VEHICLE - {"depart"}) | {"begin", "end", "number", "vehsPerHour", "perHour", "period", "probability"}
 LANES = ("first", "best", "allowed", "free", "random")
 PLACES = ("base", "last", "free", "random", "random_free")
 SPEEDS = ("max", "desired", "avg", "last", "speedLimit", "random")
 PEOPLE = ("person", "personFlow", "container", "containerFlow")
-_FACTOR = re.compile(r"normc?\(([^,()]*),([^,()]*)(?:,([^,()]*),([^,()]*))?\)")
 _RATE = re.compile(r"exp\(([^()]*)\)")
-LONG = 1e9
 
 
 class RouteFile:
     """The traffic of a route file."""
 
-    def __init__(self, content: bytes, name: str, network: Network, duration: float, names: VehicleNames) -> None:
-        """Reads a file. `name`: the file's; `duration`: the scenario's (s); `names`: of all vehicles. Raises InvalidInputError."""
+    def __init__(self, content: bytes, name: str, network: Network, clock: Clock, names: VehicleNames, seed: int) -> None:
+        """Reads a file. `name`: the file's; `names`: of all vehicles; `seed`: draws the types of vehicles from distributions.
+
+        Raises InvalidInputError, also if none of the file's vehicles belongs to the run.
+        """
         self._root = read_tree(content, name, "routes")
-        self._network, self._duration, self._names = network, duration, names
+        self._network, self._clock, self._names = network, clock, names
         self._notes = Notes(name)
-        self._types: dict[str, Element] = {}
+        self._types = VehicleTypes(seed, self._notes)
         self._routes: dict[str, Element] = {}
         self._ways: dict[tuple[str, ...], list[str] | None] = {}
+        self._count = self._early = 0
+        self._from, self._to = inf, -inf
         self.entries: list[Entry] = []
         for element in self._root.children:
             self._take(element)
+        if not self.entries:
+            raise self._empty()
         self.notes = self._notes.texts(self._root)
+        if self._early:
+            early = f"{self._early:,} of {self._count:,} vehicles, trips and flows depart before {_time(clock.first)} s"
+            self.notes += (f"{name}: {early}, and are left out",)
+
+    def _empty(self) -> InvalidInputError:
+        """Returns the refusal of a file that brings no vehicle into the run."""
+        if not self._count:
+            return self._root.fault("it has no vehicle, trip or flow", "give one, or leave `routes` out")
+        times = f"from {_time(self._from)} to {_time(self._to)} s" if self._to > self._from else f"at {_time(self._from)} s"
+        message = (
+            f"none of its {self._count:,} vehicles, trips and flows departs in the run, which is from {_time(self._clock.first)} to "
+            f"{_time(self._clock.end)} s: they depart {times}"
+        )
+        return self._root.fault(message, f"give the scenario `begin: {_time(self._from)}`, the file's time at the run's begin")
 
     def _take(self, element: Element) -> None:
         kind = element.element
-        if kind == "vType":
-            element.is_read = True
-            _named(self._types, element)
+        if kind in {"vType", "vTypeDistribution"}:
+            self._types.add(element)
         elif kind == "route":
             element.is_read = True
             _named(self._routes, element)
@@ -83,73 +83,93 @@ class RouteFile:
             element.is_read = True
             self._vehicle(element)
         elif kind not in PEOPLE:
-            raise element.fault("the element is not supported", "give vType, route, vehicle, trip and flow")
+            remedy = "give vType, vTypeDistribution, route, vehicle, trip and flow"
+            raise element.fault("the element is not supported", remedy)
 
     def _vehicle(self, element: Element) -> None:
-        """Adds the entry of a vehicle, trip or flow."""
-        is_flow = element.element == "flow"
-        _check_attributes(element, FLOW if is_flow else VEHICLE)
+        """Adds the entries of a vehicle, trip or flow."""
+        clock, is_flow = self._clock, element.element == "flow"
+        begin = seconds(element, "begin", 0.0) if is_flow else max(seconds(element, "depart", None), 0.0)
+        self._count += 1
+        last = seconds(element, "end", begin) if is_flow else begin
+        self._from, self._to = min(self._from, max(begin, 0.0)), max(self._to, last)
+        if begin >= clock.end:
+            element.skip()
+            self._notes.add(element, f"it begins after the run's end at {_time(clock.end)} s, and is left out")
+            return
+        if begin < clock.first and not is_flow:
+            element.skip()
+            self._early += 1
+            return
+        check_attributes(element, FLOW if is_flow else VEHICLE)
         _check_stops(element)
         _check_arrival(element)
-        driver = self._driver(element)
-        edges = self._edges(element)
-        begin = _seconds(element, "begin", 0.0) if is_flow else _seconds(element, "depart", None)
-        if begin >= self._duration:
-            self._notes.add(element, f"it begins after the scenario's duration of {self._duration:g} s, and is left out")
+        if is_flow:
+            self._flow(element, begin)
             return
+        driver = self._types.driver(self._types.drawn(element, element.text("id")), element)
+        edges, start = self._edges(element), _start(element, driver["length"])
+        base = driver | {"id": self._name(element.text("id"), element), "edge": edges[0], "route": edges}
+        # After a warm-up the road is not empty, and SUMO looks for a place.
+        if clock.warm_up == 0.0 and begin <= clock.begin and (placed := self._placed(start, edges[0], driver["length"])):
+            self.entries.append(Entry("traffic", base | placed, element))
+        else:
+            self.entries.append(Entry("flows", base | start | self._alone(begin), element))
+
+    def _flow(self, element: Element, begin: float) -> None:
+        """Adds the entries of a flow: itself, or if its type is a distribution, its vehicles or a flow for each type."""
+        clock, name = self._clock, element.text("id")
+        whole = self._stream(element, begin)
+        stream = whole.after(clock.first)
+        if stream is None:
+            element.skip()
+            self._early += 1
+            return
+        if stream.begin >= clock.end:
+            element.skip()
+            self._notes.add(element, "none of its vehicles departs in the run")
+            return
+        if stream.random and stream.number != whole.number:
+            self._notes.add(element, f"its number is less the mean of those before {_time(clock.first)} s")
+        shares = self._types.shares(element)
+        drivers = {kind: self._types.driver(kind, element) for kind in shares}
+        edges = self._edges(element)
+
+        def add(vehicle: str, kind: str, amount: dict[str, Any]) -> None:
+            driver = drivers[kind]
+            base = driver | {"id": self._name(vehicle, element), "edge": edges[0], "route": edges} | amount
+            self.entries.append(Entry("flows", base | _start(element, driver["length"]), element))
+
+        if len(shares) == 1:
+            add(name, next(iter(shares)), self._amount(stream))
+        elif not stream.random:
+            for index, time in whole.departures(clock.first, clock.end):
+                vehicle = f"{name}.{index}"
+                add(vehicle, self._types.drawn(element, vehicle), self._alone(time))
+        elif stream.number is None:  # flows at random with shares of a rate are a flow whose vehicles have a type at random
+            for kind, share in shares.items():
+                add(f"{name}.{kind}", kind, self._amount(replace(stream, per_hour=share * stream.per_hour)))
+        else:
+            message = "its vehicles come at random and have a distribution of types, for each of which its number is not known"
+            raise element.fault(message, "give `end` instead of `number`, or a single vType")
+
+    def _name(self, name: str, element: Element) -> str:
+        """Returns the id of a new entry. Raises InvalidInputError if there are too many."""
         if len(self.entries) == MOST_VEHICLES:
             message = f"the file has more than {MOST_VEHICLES} vehicles, trips and flows until the scenario's end"
             raise element.fault(message, "leave out vehicles that are never met, or make flows of them")
-        length = driver["length"]
-        start = _start(element, length)
-        name = self._names.new(element.text("id"), element)
-        base: dict[str, Any] = driver | {"id": name, "edge": edges[0], "route": edges}
-        if is_flow:
-            self.entries.append(Entry("flows", base | start | {"begin": begin} | self._amount(element, begin), element))
-            return
-        if begin <= 0.0 and (placed := self._placed(start, edges[0], length)) is not None:
-            self.entries.append(Entry("traffic", base | placed, element))
-        else:
-            self.entries.append(
-                Entry("flows", base | start | {"begin": max(begin, 0.0), "per_hour": 3600.0, "number": 1}, element)
-            )
+        return self._names.new(name, element)
 
-    def _driver(self, element: Element) -> dict[str, Any]:
-        """Returns the fields of a driver that SUMO's type has."""
-        name = element.text("type", DEFAULT_TYPE)
-        kind = self._types.get(name)
-        if kind is None and name != DEFAULT_TYPE:
-            raise element.fault(f"there is no vType {shown(name)} before it", nearest(name, list(self._types)))
-        if kind is None:
-            return _driver({}) | {"model": "Krauss", "sigma": SIGMA}
-        _check_attributes(kind, TYPE_WORDS | NUMBERS.keys() | TYPE_PARAMETERS)
-        numbers = {field: kind.number(key, -LONG, LONG) for key, field in NUMBERS.items() if key in kind.values}
-        if "speedFactor" in kind.values:
-            numbers |= self._speed_factor(kind)
-        model = kind.word("carFollowModel", MODELS, "Krauss")
-        driver = _driver(numbers, kind.word("vClass", CLASSES, "passenger"))
-        driver |= {"model": model, "lane_change": kind.word("laneChangeModel", LANE_CHANGES, "LC2013")}
-        if model == "Krauss":
-            driver.setdefault("sigma", SIGMA)
-        elif driver.pop("sigma", None) is not None:
-            self._notes.add(kind, f"sigma has no effect on {model}")
-        driver["parameters"] = {
-            key: kind.number(key, -LONG, LONG) for key in kind.values if key in TYPE_PARAMETERS and key not in NUMBERS
-        }
-        return driver
+    def _alone(self, begin: float) -> dict[str, Any]:
+        """Returns the amount of a single vehicle. `begin`: time of the file."""
+        return {"begin": max(self._clock.shifted(begin), -self._clock.warm_up), "per_hour": 3600.0, "number": 1}
 
-    def _speed_factor(self, kind: Element) -> dict[str, float]:
-        """Returns mean and deviation of a type's speed factor."""
-        text = kind.text("speedFactor").replace(" ", "")
-        match = _FACTOR.fullmatch(text)
-        if match is None:
-            return {"speed_factor": kind.number("speedFactor", 0.0, 100.0)}
-        values = [None if part is None else finite(part) for part in match.groups()]
-        if values[0] is None or values[1] is None or (match[3] is not None and None in values):
-            raise kind.fault(f"speedFactor is {shown(text)}, which is not a distribution", "give e.g. normc(1,0.1,0.2,2)")
-        if values[2:] not in ([None, None], [0.2, 2.0]):
-            self._notes.add(kind, "speedFactor is cut off at 0.2 and 2, SUMO's default")
-        return {"speed_factor": values[0], "speed_deviation": values[1]}
+    def _amount(self, stream: Stream) -> dict[str, Any]:
+        """Returns how many vehicles a flow has, and when they come in the run."""
+        shifted = self._clock.shifted
+        amount = {"number": stream.number, "end": None if stream.end is None else shifted(stream.end)}
+        amount |= {"begin": shifted(stream.begin), "per_hour": stream.per_hour}
+        return amount | ({"random": True} if stream.random else {})
 
     def _edges(self, element: Element) -> list[str]:
         """Returns the edges of a vehicle's route."""
@@ -159,7 +179,7 @@ class RouteFile:
             route = self._routes.get(name) if inner is None else inner
             if route is None:
                 raise element.fault(f"there is no route {shown(name)} before it", nearest(name, list(self._routes)))
-            _check_attributes(route, {"edges"})
+            check_attributes(route, {"edges"})
             _check_stops(route)
             edges = route.text("edges").split()
             if not edges:
@@ -195,36 +215,28 @@ class RouteFile:
             s = 0.5 * length
         return None if isinstance(s, str) or s > lanes[lane].length else {"lane": lane, "s": s, "speed": speed}
 
-    def _amount(self, element: Element, begin: float) -> dict[str, Any]:
+    def _stream(self, element: Element, begin: float) -> Stream:
         """Returns how many vehicles a flow has, and when they come."""
         given = [key for key in ("vehsPerHour", "perHour", "period", "probability") if key in element.values]
-        end = _seconds(element, "end", None) if "end" in element.values else None
+        end = seconds(element, "end", None) if "end" in element.values else None
         number = element.integer("number", 1, 10_000) if "number" in element.values else None
-        amount: dict[str, Any] = {"number": number, "end": end}
         if len(given) > 1:
             raise element.fault(f"it has {' and '.join(given)}", "give one of them")
         if not given:
             if number is None or end is None or end <= begin:
                 raise element.fault("how many vehicles come is not said", "give vehsPerHour, period, or number, begin and end")
-            return amount | {"per_hour": number * 3600.0 / (end - begin)}
+            return Stream(begin, end, number, number * 3600.0 / max(end - begin, SHORTEST))
         key = given[0]
         if key == "period" and (match := _RATE.fullmatch(element.text("period").replace(" ", ""))):
             rate = finite(match[1])
-            if rate is None or rate <= 0.0:
+            if rate is None or not 1.0 / LONG <= rate <= 1.0 / SHORTEST:
                 raise element.fault(f"period is {shown(element.text('period'))}, which is not a rate", "give e.g. exp(0.2)")
-            return amount | {"per_hour": 3600.0 * rate, "random": True}
-        value = element.number(key, 1e-6, 1.0 if key == "probability" else LONG)
+            return Stream(begin, end, number, 3600.0 * rate, random=True)
+        value = element.number(key, SHORTEST, 1.0 if key == "probability" else LONG)
         if key == "probability":
             self._notes.add(element, "vehicles come at random with the same mean, but at any time instead of once a second")
-            return amount | {"per_hour": 3600.0 * value, "random": True}
-        return amount | {"per_hour": 3600.0 / value if key == "period" else value}
-
-
-def _driver(numbers: Mapping[str, float], vehicle_class: str = "passenger") -> dict[str, Any]:
-    """Returns a driver with SUMO's defaults."""
-    length, width, deviation = CLASSES[vehicle_class]
-    defaults = {"length": length, "width": width, "min_gap": MIN_GAP, "speed_deviation": deviation, "lane_change": "LC2013"}
-    return defaults | dict(numbers) | {"vehicle_class": vehicle_class}
+            return Stream(begin, end, number, 3600.0 * value, random=True)
+        return Stream(begin, end, number, 3600.0 / value if key == "period" else value)
 
 
 def _named(table: dict[str, Element], element: Element) -> None:
@@ -232,13 +244,6 @@ def _named(table: dict[str, Element], element: Element) -> None:
     if name in table:
         raise element.fault("another one has the same id", "rename one")
     table[name] = element
-
-
-def _check_attributes(element: Element, known: "frozenset[str] | set[str]") -> None:
-    """Raises InvalidInputError for an attribute that is neither known nor without effect."""
-    for key in element.values:
-        if key not in known and key not in WITHOUT_EFFECT:
-            raise element.fault(f"the attribute {shown(key)} is not supported", f"leave it out; {nearest(key, sorted(known))}")
 
 
 def _check_arrival(element: Element) -> None:
@@ -254,20 +259,6 @@ def _check_stops(element: Element) -> None:
         raise stop.fault("stops are not supported", "leave the stop out")
 
 
-def _seconds(element: Element, key: str, default: float | None) -> float:
-    """Returns a time in seconds, which may be written as hours, minutes and seconds with colons."""
-    parts = element.text(key, None if default is None else repr(default)).split(":")
-    values = [finite(part) for part in parts]
-    if not 1 <= len(parts) <= 4 or any(value is None for value in values):
-        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is not a time", "give seconds, e.g. 12.5")
-    seconds = 0.0
-    for value, unit in zip(reversed(values), (1.0, 60.0, 3600.0, 86400.0), strict=False):
-        seconds += (value or 0.0) * unit
-    if not abs(seconds) <= LONG:
-        raise element.fault(f"{key} is {shown(element.text(key), 40)}, which is not a time", "give seconds, e.g. 12.5")
-    return seconds
-
-
 def _start(element: Element, length: float) -> dict[str, Any]:
     """Returns lane, place and speed at which a vehicle departs, as numbers or SUMO's words: `departPos` is that of its front."""
     lane: int | str = element.text("departLane", "first")
@@ -280,3 +271,8 @@ def _start(element: Element, length: float) -> dict[str, Any]:
     if not isinstance(place, str):
         place = place - 0.5 * length if place > 0.5 * length else "base"
     return {"lane": lane, "s": place, "speed": speed}
+
+
+def _time(value: float) -> str:
+    """Returns a time (s) as it is written in files and manifests."""
+    return f"{value:.12g}"

@@ -15,9 +15,11 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import CLASSES
 from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.highway_roads import check_roads
-from drivecal.bundles.traffic.route_files import MIN_GAP, SIGMA
+from drivecal.bundles.traffic.vehicle_types import MIN_GAP, SIGMA
 from drivecal.domain.errors import InvalidInputError
 
+TYPES = """<vTypeDistribution id="d"><vType id="car" probability="3"/><vType id="lorry" vClass="truck"/></vTypeDistribution>"""
+"""A distribution of three cars to a lorry."""
 ROUTE = '<route id="r" edges="before beside after"/>'
 VEHICLE = '<vehicle id="a" route="r" depart="0" departPos="150" departSpeed="28"{}/>'
 
@@ -127,7 +129,15 @@ def test_flows_have_the_file_s_amount(amount: str, per_hour: float, number: int 
         ('<flow id="f" route="r" period="2" vehsPerHour="3"/>', "period"),
         ('<flow id="f" route="r" period="exp(-1)"/>', "rate"),
         ('<flow id="f" route="r" period="exp(1)" number="3" end="9"/>', "number"),
-        ('<vTypeDistribution id="d"><vType id="t"/></vTypeDistribution>', "vTypeDistribution"),
+        ('<vTypeDistribution id="d"/>', "no type can be drawn"),
+        ('<vTypeDistribution id="d"><vType id="t" probability="0"/></vTypeDistribution>', "no type can be drawn"),
+        ('<vTypeDistribution id="d"><vType id="t"/><param/></vTypeDistribution>', "<param>"),
+        ('<vTypeDistribution id="d" vTypes="t"/>', "no vType t"),
+        ('<vType id="t"/><vTypeDistribution id="d" vTypes="t" probabilities="0.5 0.5"/>', "probabilities"),
+        ('<vType id="t"/><vTypeDistribution id="d" vTypes="t" probabilities="-1"/>', "probabilities"),
+        ('<vType id="t"/><vTypeDistribution id="t" vTypes="t"/>', "same id"),
+        ('<vType id="t"/><vTypeDistribution id="d" vTypes="t t"/>', "twice"),
+        (TYPES + '<flow id="f" type="d" route="r" period="exp(1)" number="3"/>', "number"),
         ('<include href="/etc/passwd"/>', "include"),
         ("".join(f'<vehicle id="v{index}" route="r" depart="{index / 100}"/>' for index in range(501)), "more than 500"),
     ],
@@ -160,6 +170,121 @@ def with_checks(content: str) -> str:
         check_roads(checked(document), {name: BundleFile(text, executable=False) for name, text in files.items()})
     assert {problem.field for problem in error.value.problems} == {"scenarios.merge.routes"}
     return str(error.value)
+
+
+def day(*times: float) -> str:
+    """Vehicles that depart at times of day."""
+    return "".join(f'<vehicle id="v{time:g}" route="r" depart="{time:g}" departPos="50" departSpeed="20"/>' for time in times)
+
+
+@pytest.mark.parametrize(
+    ("content", "data", "parts"),
+    [
+        (day(25_200, 25_230), {}, ["none of its 2", "from 0 to 20 s", "from 25200 to 25230 s", "`begin: 25200`"]),
+        ('<flow id="f" route="r" begin="7:00:00" end="8:00:00" vehsPerHour="900"/>', {}, ["25200 to 28800", "`begin: 25200`"]),
+        (
+            '<flow id="f" route="r" begin="0" end="100" vehsPerHour="900"/>',
+            {"begin": 300, "warm_up": 60},
+            ["from 240 to 320 s"],
+        ),
+        ('<flow id="f" route="r" begin="0" period="1" number="9"/>', {"begin": 300}, ["none of its 1"]),
+        (day(10), {"begin": 25_200}, ["at 10 s", "`begin: 10`"]),
+        ('<vType id="t"/>', {}, ["no vehicle, trip or flow"]),
+    ],
+)
+def test_a_file_without_a_vehicle_for_the_run_is_refused_with_its_times(
+    content: str, data: dict[str, Any], parts: list[str]
+) -> None:
+    message = refusal(content, **data)
+    assert "a.rou.xml: line 1, <routes>" in message
+    for part in parts:
+        assert part in message
+
+
+def test_times_of_the_file_begin_at_the_scenario_s_begin() -> None:
+    described = with_routes(file(day(25_000, 25_200, 25_210.5, 25_220)), begin=25_200)
+    (there,) = described.scenario.traffic
+    (comes,) = described.scenario.flows
+    assert (there.id, there.speed, comes.id, comes.begin, comes.number) == ("v25200", 20.0, "v25210_5", 10.5, 1)
+    assert [note for note in described.notes if "1 of 4" in note and "before 25200 s" in note]
+    assert any("25220 s" in note for note in described.notes)
+
+
+def test_vehicles_enter_in_the_warm_up_and_none_is_placed() -> None:
+    described = with_routes(file(day(24_800, 24_899.5, 24_900, 25_199, 25_200)), begin=25_200, warm_up=300)
+    assert described.scenario.traffic == []
+    assert [flow.begin for flow in described.scenario.flows] == [-300.0, -1.0, 0.0]
+    assert [note for note in described.notes if "2 of 5" in note and "before 24900 s" in note] == [described.notes[-1]]
+    assert list(scenario_problems("x", described.scenario, 0.1, is_whole=True)) == []
+
+
+@pytest.mark.parametrize(
+    ("amount", "begin", "number", "end", "per_hour"),
+    [
+        ('end="25230" vehsPerHour="900"', -98.0, None, 30.0, 900.0),
+        ('end="25230" period="7"', -97.0, None, 30.0, 3600 / 7),
+        ('end="25150" period="7"', -97.0, None, -50.0, 3600 / 7),
+        ('number="1000" period="7"', -97.0, 1000 - 15, None, 3600 / 7),
+        ('number="1000" end="25998"', -100.0, 1000 - 102, 798.0, 3600.0),
+        ('number="1000" period="exp(0.5)"', -100.0, 1000 - 51, None, 1800.0),
+        ('end="26000" period="exp(0.5)"', -100.0, None, 800.0, 1800.0),
+    ],
+)
+def test_a_flow_that_began_before_is_cut_and_keeps_its_rate(
+    amount: str, begin: float, number: int | None, end: float | None, per_hour: float
+) -> None:
+    """It began at 24998 s, 102 s before the first vehicles may enter."""
+    content = file(f'<flow id="f" route="r" begin="24998" {amount}/>')
+    (flow,) = with_routes(content, begin=25_200, warm_up=100).scenario.flows
+    assert (flow.number, flow.end) == (number, end)
+    assert (flow.begin, flow.per_hour) == pytest.approx((begin, per_hour))
+
+
+def test_what_is_left_out_is_not_checked() -> None:
+    bus = (
+        '<vehicle id="bus" type="tram" route="q" depart="9:00:00" reroute="true"><stop lane="before_0" duration="3"/></vehicle>'
+    )
+    described = with_routes(file(bus + day(0)))
+    assert [vehicle.id for vehicle in described.scenario.traffic] == ["v0"]
+
+
+def test_types_are_drawn_by_the_seed_and_the_vehicle_s_id() -> None:
+    def classes(count: int, seed: int) -> dict[str | None, str]:
+        vehicles = "".join(f'<vehicle id="v{index}" type="d" route="r" depart="{(index + 1) / 20}"/>' for index in range(count))
+        return {flow.id: flow.vehicle_class for flow in with_routes(file(TYPES + vehicles), seed=seed).scenario.flows}
+
+    drawn = classes(200, 1)
+    assert classes(200, 1) == drawn != classes(200, 2)
+    assert classes(50, 1).items() <= drawn.items()
+    assert list(drawn.values()).count("truck") == pytest.approx(50, abs=25)
+
+
+def test_distributions_name_types_with_their_probabilities() -> None:
+    types = """<vType id="car"/><vType id="lorry" vClass="truck" probability="9"/>"""
+    for words, kind in (('probabilities="0 1"', "truck"), ('probabilities="1 0"', "passenger")):
+        content = f'{types}<vTypeDistribution id="d" vTypes="car lorry" {words}/>' + day(0).replace("route=", 'type="d" route=')
+        (vehicle,) = with_routes(file(content)).scenario.traffic
+        assert vehicle.vehicle_class == kind
+
+
+def test_an_even_flow_of_several_types_is_its_vehicles() -> None:
+    content = file(TYPES + '<flow id="f" type="d" route="r" begin="100" end="400" period="2"/>')
+    early, late = (with_routes(content, begin=begin, warm_up=10).scenario.flows for begin in (200, 204))
+    assert [flow.begin for flow in early] == [-10.0 + 2 * index for index in range(15)]
+    assert [flow.id for flow in early] == [f"f_{index}" for index in range(45, 60)]
+    assert {flow.number for flow in early} == {1}
+    assert len({flow.vehicle_class for flow in early}) == 2
+    kinds = {flow.id: flow.vehicle_class for flow in early}
+    assert all(kinds.get(flow.id, flow.vehicle_class) == flow.vehicle_class for flow in late)
+
+
+def test_a_random_flow_of_several_types_is_one_of_each_with_its_share() -> None:
+    content = file(TYPES + '<flow id="f" type="d" route="r" begin="0" end="60" period="exp(0.5)"/>')
+    cars, lorries = with_routes(content).scenario.flows
+    assert [(flow.vehicle_class, flow.per_hour, flow.random) for flow in (cars, lorries)] == [
+        ("passenger", 1350.0, True),
+        ("truck", 450.0, True),
+    ]
 
 
 def test_a_file_that_is_missing_or_no_route_file_is_refused() -> None:

@@ -110,8 +110,9 @@ class Loop:
         vehicle.keep(self._path, 0.0, 0.0, dynamics)
 
     def _check_apart(self, pose: Floats) -> None:
-        """Raises StartError if two vehicles overlap at the start."""
-        names, outlines = [*self._traffic.names, "ego"], self._traffic.outlines
+        """Raises StartError if two vehicles overlap that start at time 0; those of the warm-up leave them room."""
+        starting = self._traffic.starting
+        names, outlines = [*self._traffic.names[:starting], "ego"], self._traffic.outlines[:starting]
         starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
         for row, (x, y, heading, *size) in enumerate(starts[1:].tolist(), 1):
             other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))

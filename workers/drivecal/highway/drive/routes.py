@@ -14,6 +14,8 @@ LANE_CHANGE_SECONDS = 3.0
 """Duration of LC2013's lane changes, which SUMO makes in one step by default."""
 SUBLANE = 0.8
 """Width (m) of the strips in which vehicles with SL2015 move."""
+STATES = {"save-state.rng": "true", "save-state.precision": "12"}
+"""Options for the state at the end of a warm-up: with the random streams, and with places and speeds to more than two decimals."""
 ANY_LIMIT = 100.0
 """Factor of the limit with which a desired speed holds whatever the limit is."""
 
@@ -63,6 +65,8 @@ def route_id(name: str) -> str:
 def routes_file(scenario: HighwayScenario) -> bytes:
     """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself.
 
+    SUMO's time 0 is the begin of the warm-up.
+
     Raises InvalidInputError with fields `traffic[i].edge` or `flows[i].edge`.
     """
     vehicles, flows = drivers(scenario)
@@ -77,8 +81,8 @@ def routes_file(scenario: HighwayScenario) -> bytes:
     for field, (name, entry) in zip(fields, (vehicles | flows).items(), strict=True):
         SubElement(root, "vType", {"id": name} | _type(entry, unmoved))
         SubElement(root, "route", id=route_id(name), edges=" ".join(_route(scenario, entry, field)))
-    for name, flow in sorted(flows.items(), key=lambda entry: entry[1].begin):
-        SubElement(root, "flow", _flow(name, flow, scenario.duration))
+    for name, flow in sorted(flows.items(), key=lambda entry: scenario.begin_of(entry[1])):
+        SubElement(root, "flow", _flow(name, flow, scenario))
     return tostring(root)
 
 
@@ -131,19 +135,19 @@ def _type(driver: Driver, unmoved: str) -> dict[str, str]:
     return _model(driver, unmoved) | {name: repr(float(value)) for name, value in values.items() if value is not None}
 
 
-def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
-    mean = 3600.0 / flow.per_hour
+def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, str]:
+    mean, begin = 3600.0 / flow.per_hour, scenario.begin_of(flow)
     speed = "max" if flow.speed is None else flow.speed
-    end = min(duration, duration if flow.end is None else flow.end)
-    amount = {"end": repr(end)}
+    end = min(scenario.duration, scenario.duration if flow.end is None else flow.end)
+    amount = {"end": repr(scenario.warm_up + end)}
     if flow.number is not None:  # SUMO takes either of them
-        fitting = max(1, ceil((end - flow.begin) / mean - 1e-9))
+        fitting = max(1, ceil((end - begin) / mean - 1e-9))
         amount = {"number": str(flow.number if flow.random else min(flow.number, fitting))}
     return {
         "id": name,
         "type": name,
         "route": route_id(name),
-        "begin": repr(flow.begin),
+        "begin": repr(scenario.warm_up + begin),
         "departLane": str(flow.lane),
         "departPos": flow.s if isinstance(flow.s, str) else repr(flow.s + 0.5 * flow.length),
         "departSpeed": speed if isinstance(speed, str) else repr(speed),
@@ -153,10 +157,12 @@ def _flow(name: str, flow: FlowEntry, duration: float) -> dict[str, str]:
 
 def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:
     """Returns SUMO's command line options."""
-    sideways = {}
+    further = {}
     if _is_sublane(scenario):
-        sideways = {"lateral-resolution": repr(SUBLANE)}
+        further = {"lateral-resolution": repr(SUBLANE)}
     elif any(entry.lane_change == "LC2013" for entry in (*scenario.traffic, *scenario.flows)):
-        sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
+        further = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
+    if scenario.warm_up:
+        further |= STATES
     shared = sumo.options(network, route_file, step, scenario.seed)
-    return shared + [text for name, value in sideways.items() for text in (f"--{name}", value)]
+    return shared + [text for name, value in further.items() for text in (f"--{name}", value)]

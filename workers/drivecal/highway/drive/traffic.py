@@ -1,7 +1,7 @@
 """SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
 
 libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
-between runs if nothing is random; else SUMO loads everything again, with the same seed.
+between runs if nothing is random; else SUMO loads everything again, with the same seed, and goes to the end of the warm-up.
 """
 
 from dataclasses import replace
@@ -19,6 +19,7 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, strays
+from drivecal.highway.drive.warm_up import WarmUp, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
@@ -63,6 +64,8 @@ class Traffic:
         self._name, self._scenario, self._road, self._step = name, scenario, road, step
         vehicles, flows = drivers(scenario)
         self._vehicles = list(vehicles)
+        self.starting = len(vehicles)
+        """Number of the first rows, those of vehicles that exist from time 0; the others have come in the warm-up."""
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
         field = f"scenarios.{name}"
         ego = scenario.ego
@@ -76,6 +79,7 @@ class Traffic:
             raise _prefixed(error, field) from error
         self._options = options(scenario, str(network), str(route_file), step)
         self._is_exact = is_exact(scenario)
+        self._warm_up = WarmUp(scenario.warm_up if flows else 0.0, step, folder / "warm_up.xml")
         try:
             sumo.load(self._options)
             self._loaded = True
@@ -106,17 +110,19 @@ class Traffic:
         self._cells: Any = self.raw.reshape(-1).data
 
     def reset(self) -> None:
-        """Puts all vehicles to their starts. Raises TrafficError if SUMO refuses one."""
+        """Puts all vehicles to their starts, among those of the warm-up. Raises TrafficError if SUMO refuses one."""
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
                 sumo.load(self._options)
+                self._warm_up.begin(self._options, self._instruct)
                 self._loaded = True
             else:
                 sumo.clear()
+            driving = sorted(sumo.vehicle.getIDList()) if self._scenario.warm_up else []
             missing = sumo.place(self._starts)
             self.names = []
-            self._enlist(self._vehicles)
+            self._enlist(self._vehicles + driving)
         except SUMO_ERRORS as error:
             self._loaded = False
             raise TrafficError(f"scenarios.{self._name}: SUMO cannot place the vehicles: {error}") from error
@@ -126,9 +132,23 @@ class Traffic:
             raise TrafficError(f"scenarios.{self._name}: {message}")
         self._actions.reset()
         self._track, self._ego = -1, self._ego_start
-        self._read()
-        self._set_off()
-        geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
+        self._read_starts()
+        if driving:
+            self._make_room()
+
+    def _make_room(self) -> None:
+        """Removes vehicles of the warm-up that are too close to those that start at time 0."""
+        ego = self._scenario.ego
+        start = np.array([self.start_s, self.start_d, ego.speed, 0.0, ego.length, ego.width])
+        pose = self._road.start(self.start_s, self.start_d)
+        outline = np.array([*pose, 0.5 * ego.length, 0.5 * ego.width, ego.speed])
+        rows = too_close(self.others, self.outlines, self.starting, start, outline)
+        if not rows:
+            return
+        for row in rows:
+            sumo.vehicle.remove(self.names[row])
+        self._enlist([name for row, name in enumerate(self.names) if row not in rows])
+        self._read_starts()
 
     def advance(self, index: int, motion: Floats, front: Floats, speed: float) -> bool:
         """Simulates step number `index`, at whose end the ego vehicle is at `front` (see `geometry.place`), and reads all vehicles.
@@ -207,13 +227,18 @@ class Traffic:
             others[row, 4:] = driver.length, driver.width
             others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
             outlines[row, :2], outlines[row, 5] = np.nan, GET_SPEED(name)
-            if driver.lane_change == "none":
-                sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
-            if driver.model == "constant":
-                sumo.vehicle.setSpeedMode(name, FREE)
-                sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else outlines.item(row, 5))
+            self._instruct(name, outlines.item(row, 5))
         self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
         self._cells = raw.reshape(-1).data
+
+    def _instruct(self, name: str, speed: float) -> None:
+        """Tells a vehicle that has this speed (m/s) what it may do."""
+        driver = self._drivers[self._driver(name)]
+        if driver.lane_change == "none":
+            sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
+        if driver.model == "constant":
+            sumo.vehicle.setSpeedMode(name, FREE)
+            sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else speed)
 
     def _driver(self, name: str) -> str:
         """Returns the id of a vehicle's driver: its own, or its flow's."""
@@ -225,6 +250,11 @@ class Traffic:
             self._cells[sumo.COLUMNS * row + 3] = radians(90.0 - GET_ANGLE(name))
         if self._road.levels:
             self._leave_out_other_levels()
+
+    def _read_starts(self) -> None:
+        self._read()
+        self._set_off()
+        geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
 
     def _set_off(self) -> None:
         """Moves the vehicles that start beside the centre of their lane there: SUMO does so in the first step only."""

@@ -1,0 +1,69 @@
+"""Traffic before a run: SUMO's flows drive alone until the run's time 0, and vehicles too close to those that start then are removed.
+
+It is simulated once per process. Each run, the first included, begins at the state that SUMO wrote then, so that all have the same bits.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from drivecal.domain.roads import Floats
+from drivecal.highway import sumo
+from drivecal.highway.geometry import hit
+
+STANDING_GAP, HEADWAY, BRAKING, BESIDE = 2.0, 1.0, 3.0, 0.5
+"""A vehicle that starts has room: 2 m and 1 s of driving of the vehicle behind, and the way in which that one brakes to the speed of the
+one ahead at 3 m/s². A vehicle that is less than 0.5 m beside its way has to leave it."""
+
+
+class WarmUp:
+    """The traffic of a scenario at time 0."""
+
+    def __init__(self, seconds: float, step: float, state: Path) -> None:
+        """`seconds` of simulation before time 0 in steps of `step`; `state`: a file to be written."""
+        self._steps, self._state, self._is_written = round(seconds / step), str(state), False
+
+    def begin(self, options: Sequence[str], instruct: Callable[[str, float], None]) -> None:
+        """Puts SUMO, which has just been loaded with `options`, to time 0. Raises one of `sumo.SUMO_ERRORS`.
+
+        `instruct`: tells a vehicle that enters, at a speed (m/s), what it may do.
+        """
+        if not self._steps:
+            return
+        if not self._is_written:
+            for _ in range(self._steps):
+                sumo.STEP()
+                if sumo.DEPARTED():
+                    for name in sumo.simulation.getDepartedIDList():
+                        instruct(name, sumo.GET_SPEED(name))
+            sumo.simulation.saveState(self._state)
+            self._is_written = True
+            sumo.load(options)
+        sumo.simulation.loadState(self._state)
+
+
+def too_close(others: Floats, outlines: Floats, starting: int, ego: Floats, outline: Floats) -> list[int]:
+    """Returns the rows of the vehicles that leave no room for one that starts: the first `starting` rows, and the ego vehicle.
+
+    `others`, `outlines`: as in `drive.geometry`; `ego`, `outline`: rows of the ego vehicle of the same form, shape (6,).
+    """
+    starts = np.vstack([others[:starting], ego])
+    rectangles = np.vstack([outlines[:starting], outline])
+    rows = []
+    for row in range(starting, len(others)):
+        is_hit = any(hit(outlines[row : row + 1], place[:3], place[3:5]) >= 0 for place in rectangles)
+        if is_hit or any(_hinders(others[row], start) for start in starts):
+            rows.append(row)
+    return rows
+
+
+def _hinders(vehicle: Floats, start: Floats) -> bool:
+    """Returns whether a vehicle is too close to one that starts, both as in `others`. NaN, on another level, hinders nothing."""
+    beside = abs(vehicle.item(1) - start.item(1)) - 0.5 * (vehicle.item(5) + start.item(5))
+    if not beside < BESIDE:
+        return False
+    rear, front = sorted((vehicle.tolist(), start.tolist()))
+    gap = front[0] - rear[0] - 0.5 * (front[4] + rear[4])
+    speed, closing = max(rear[2], 0.0), max(rear[2] - front[2], 0.0)
+    return bool(gap < STANDING_GAP + HEADWAY * speed + closing * closing / (2.0 * BRAKING))
