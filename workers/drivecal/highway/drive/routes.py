@@ -14,8 +14,6 @@ LANE_CHANGE_SECONDS = 3.0
 """Duration of LC2013's lane changes, which SUMO makes in one step by default."""
 SUBLANE = 0.8
 """Width (m) of the strips in which vehicles with SL2015 move."""
-STATES = {"save-state.rng": "true", "save-state.precision": "12"}
-"""Options for the state at the end of a warm-up: with the random streams, and with places and speeds to more than two decimals."""
 ANY_LIMIT = 100.0
 """Factor of the limit with which a desired speed holds whatever the limit is."""
 
@@ -157,12 +155,10 @@ def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, st
 
 def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:
     """Returns SUMO's command line options."""
-    further = {}
+    sideways = {}
     if _is_sublane(scenario):
-        further = {"lateral-resolution": repr(SUBLANE)}
+        sideways = {"lateral-resolution": repr(SUBLANE)}
     elif any(entry.lane_change == "LC2013" for entry in (*scenario.traffic, *scenario.flows)):
-        further = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
-    if scenario.warm_up:
-        further |= STATES
+        sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
     shared = sumo.options(network, route_file, step, scenario.seed)
-    return shared + [text for name, value in further.items() for text in (f"--{name}", value)]
+    return shared + [text for name, value in sideways.items() for text in (f"--{name}", value)]

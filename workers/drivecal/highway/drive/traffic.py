@@ -1,7 +1,7 @@
 """SUMO's vehicles on a network of a bundle, and the ego vehicle among them, whose position is set in each step.
 
 libsumo keeps the simulation in global state: a process has one `Traffic`. Runs repeat to the bit: vehicles are removed and added again
-between runs if nothing is random; else SUMO loads everything again, with the same seed, and goes to the end of the warm-up.
+between runs if nothing is random; else SUMO loads everything again, with the same seed, and simulates the warm-up.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, strays
-from drivecal.highway.drive.warm_up import WarmUp, too_close
+from drivecal.highway.drive.warm_up import drive_alone, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,
@@ -79,7 +79,8 @@ class Traffic:
             raise _prefixed(error, field) from error
         self._options = options(scenario, str(network), str(route_file), step)
         self._is_exact = is_exact(scenario)
-        self._warm_up = WarmUp(scenario.warm_up if flows else 0.0, step, folder / "warm_up.xml")
+        self._steps_before = round(scenario.warm_up / step) if flows else 0
+        """Steps of the warm-up."""
         try:
             sumo.load(self._options)
             self._loaded = True
@@ -115,11 +116,11 @@ class Traffic:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
                 sumo.load(self._options)
-                self._warm_up.begin(self._options, self._instruct)
+                drive_alone(self._steps_before, self._instruct)
                 self._loaded = True
             else:
                 sumo.clear()
-            driving = sorted(sumo.vehicle.getIDList()) if self._scenario.warm_up else []
+            driving = sorted(sumo.vehicle.getIDList()) if self._steps_before else []
             missing = sumo.place(self._starts)
             self.names = []
             self._enlist(self._vehicles + driving)

@@ -1,0 +1,143 @@
+"""Traffic before a run: who is there at time 0, what room the ego vehicle has, and that each run begins with the same bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.support.motorways import NETWORK, ROUTE
+
+from drivecal.bundles.highway import HighwayScenario
+from drivecal.domain.roads import Floats
+from drivecal.highway import sumo
+from drivecal.highway.drive import geometry
+from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.traffic import Traffic
+from drivecal.highway.drive.warm_up import BRAKING, HEADWAY, STANDING_GAP, too_close
+from drivecal.highway.geometry import hit
+from drivecal.roads.corridor import corridor
+from drivecal.roads.network import read_network
+
+STEP, START, SPEED = 0.1, 2000.0, 25.0
+FLOW = {"per_hour": 1800, "lane": 0, "speed": 25, "model": "Krauss", "sigma": 0.5, "speed_deviation": 0.1}
+"""Enters 2 km behind the ego vehicle."""
+
+
+@pytest.fixture(scope="module")
+def road() -> HighwayRoad:
+    return HighwayRoad(corridor(read_network(NETWORK.read_bytes(), "road.net.xml"), ROUTE, "road.net.xml"), {})
+
+
+def traffic(road: HighwayRoad, folder: Path, flow: dict[str, Any] = FLOW, warm_up: float = 120.0, **data: Any) -> Traffic:
+    given = {
+        "network": "road.net.xml",
+        "route": ROUTE,
+        "duration": 20,
+        "ego": {"s": START, "speed": SPEED},
+        "flows": [flow],
+        "warm_up": warm_up,
+        "seed": 3,
+    } | data
+    return Traffic("s", HighwayScenario.model_validate(given), NETWORK, road, STEP, folder)
+
+
+def driven(subject: Traffic, road: HighwayRoad, steps: int = 15) -> list[tuple[list[str], Floats]]:
+    """Names and places of the others at time 0 and after each step of a drive along the right lane."""
+    subject.reset()
+    rows, motion, front, size = [(subject.names, subject.raw.copy())], np.zeros(9), np.zeros(3), np.array([2.35, 0.95])
+    for index in range(1, steps + 1):
+        s = START + index * SPEED * STEP
+        pose = np.array([*road.start(s, subject.start_d), SPEED, 0, 0, 0, 0])
+        geometry.place(road.line, road.lanes, pose, s, size, motion, front)
+        assert subject.advance(index, motion, front, SPEED)
+        rows.append((subject.names, subject.raw.copy()))
+    return rows
+
+
+def same(first: list[tuple[list[str], Floats]], second: list[tuple[list[str], Floats]]) -> bool:
+    return all(
+        names == others and np.array_equal(places, there, equal_nan=True)
+        for (names, places), (others, there) in zip(first, second, strict=True)
+    )
+
+
+def test_a_flow_far_behind_has_reached_the_ego_vehicle_at_time_0(road: HighwayRoad, tmp_path: Path) -> None:
+    subject = traffic(road, tmp_path)
+    subject.reset()
+    assert len(subject.names) > 30
+    assert {*subject.names, "ego"} == set(sumo.vehicle.getIDList())
+    assert subject.others[:, 0].min() < 100.0 < START + 100.0 < subject.others[:, 0].max()
+    assert sumo.vehicle.getLanePosition("ego") > 0.0
+
+
+@pytest.mark.parametrize(
+    "flow",
+    [
+        FLOW,
+        FLOW | {"random": True, "lane": "free", "lane_change": "LC2013"},
+        pytest.param(FLOW | {"model": "IDM", "lane_change": "SL2015", "lane": "free"}, marks=pytest.mark.slow),
+        pytest.param(FLOW | {"model": "EIDM", "lane_change": "LC2013"}, marks=pytest.mark.slow),
+        pytest.param(FLOW | {"model": "ACC"}, marks=pytest.mark.slow),
+        pytest.param(FLOW | {"model": "CACC"}, marks=pytest.mark.slow),
+        pytest.param(FLOW | {"model": "W99"}, marks=pytest.mark.slow),
+        pytest.param(FLOW | {"model": "constant", "speed_deviation": 0.0}, marks=pytest.mark.slow),
+    ],
+    ids=lambda flow: f"{flow['model']}-{flow.get('lane_change')}",
+)
+def test_each_run_begins_and_goes_on_with_the_same_bits(flow: dict[str, Any], road: HighwayRoad, tmp_path: Path) -> None:
+    subject = traffic(road, tmp_path, flow)
+    first = driven(subject, road)
+    assert len(first[0][0]) > 20
+    assert same(first, driven(subject, road))
+    (tmp_path / "other").mkdir()
+    assert same(first, driven(traffic(road, tmp_path / "other", flow), road))
+
+
+def test_the_ego_vehicle_and_placed_ones_have_room_at_time_0(road: HighwayRoad, tmp_path: Path) -> None:
+    dense = FLOW | {"per_hour": 3600, "speed": 20, "model": "IDM", "desired_speed": 20, "time_headway": 0.8}
+    at = {"speed": SPEED, "lane": 0}
+    subject = traffic(road, tmp_path, dense, warm_up=150, traffic=[at | {"id": "lead", "s": START + 60}])
+    subject.reset()
+    assert subject.names[0] == "lead"
+    assert subject.starting == 1
+    assert len(subject.names) > 30
+    pose, size = np.array([*road.start(START, subject.start_d)]), np.array([2.35, 0.95])
+    assert hit(subject.outlines, pose, size) < 0
+    s = subject.others[1:, 0]
+    behind, ahead = START - s[s < START], s[s > START + 60] - START - 60
+    assert behind.min() > STANDING_GAP + HEADWAY * 20 + 4.7
+    assert ahead.min() > STANDING_GAP + HEADWAY * SPEED + 5**2 / (2 * BRAKING) + 4.7
+    assert not len(s[(s > START) & (s < START + 60)])
+
+
+@pytest.mark.parametrize(
+    ("s", "d", "speed", "is_removed"),
+    [
+        (110.0, 0.0, 30.0, True),
+        (141.0, 0.0, 30.0, False),  # 2 m and 30 m behind the front
+        (141.0, 0.0, 10.0, True),  # 66.7 m more, to brake to its speed
+        (204.0, 0.0, 10.0, False),
+        (90.0, 0.0, 10.0, True),
+        (80.0, 0.0, 10.0, False),
+        (60.0, 0.0, 35.0, True),
+        (100.0, 3.5, 30.0, False),
+        (100.0, 2.2, 30.0, True),  # partly in its lane
+        (100.0, float("nan"), 30.0, False),
+        (150.0, 0.0, -30.0, True),  # against it
+    ],
+)
+def test_vehicles_without_room_for_one_that_starts_are_removed(s: float, d: float, speed: float, is_removed: bool) -> None:
+    ego = np.array([100.0, 0.0, 30.0, 0.0, 5.0, 2.0])
+    others = np.array([[1000.0, 0.0, 30.0, 0.0, 5.0, 2.0], [s, d, speed, 0.0, 5.0, 2.0]])
+    outlines = np.array([[x, y, 0.0, 2.5, 1.0, speed] for x, y in others[:, :2]])
+    outline = np.array([100.0, 0.0, 0.0, 2.5, 1.0, 30.0])
+    assert too_close(others, outlines, 1, ego, outline) == ([1] if is_removed else [])
+
+
+def test_a_vehicle_that_crosses_the_place_of_one_that_starts_is_removed() -> None:
+    ego, outline = np.array([100.0, 0.0, 0.0, 0.0, 5.0, 2.0]), np.array([100.0, 0.0, 0.0, 2.5, 1.0, 0.0])
+    others = np.array([[101.0, 4.0, 0.0, 0.0, 12.0, 2.0]])
+    outlines = np.array([[101.0, 4.0, np.pi / 2, 6.0, 1.0, 8.0]])
+    assert too_close(others, outlines, 0, ego, outline) == [0]
