@@ -31,6 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (path / "scenarios" / f"{name}.xosc").write_bytes(make())
     (path / "merge.net.xml").write_bytes(entrance())
     (path / "merge.rou.xml").write_bytes(ROUTES)
+    (path / "peak.rou.xml").write_bytes(DAY)
     (path / "follow.py").write_text(PYTHON)
     return path
 
@@ -42,6 +43,29 @@ MERGE = {
     "ego": {"lane": 0, "s": 60, "speed": 28},
     "routes": "merge.rou.xml",
 }
+
+
+PEAK = {
+    "network": "road.net.xml",
+    "route": ["e0", "e1", "e2"],
+    "duration": 12.0,
+    "ego": {"lane": 0, "s": 2000, "speed": 28},
+    "routes": "peak.rou.xml",
+    "begin": 25_200,
+    "warm_up": 120,
+    "seed": 4,
+}
+"""A drive in the traffic of an hour of the day, which enters 2 km behind."""
+DAY = b"""<routes>
+<vTypeDistribution id="all">
+  <vType id="car" probability="0.8" speedFactor="normc(1,0.1,0.2,2)"/><vType id="lorry" vClass="truck" probability="0.2"/>
+</vTypeDistribution>
+<route id="r" edges="e0 e1 e2"/>
+<vehicle id="night" route="r" depart="3:00:00"/>
+<flow id="right" type="all" route="r" begin="7:00:00" end="8:00:00" period="2.5" departLane="free" departSpeed="desired"/>
+<flow id="early" type="all" route="r" begin="6:00:00" end="7:00:00" period="2.5" departLane="free" departSpeed="desired"/>
+<flow id="others" type="all" route="r" begin="0" end="86400" period="exp(0.1)" departLane="free" departSpeed="desired"/>
+</routes>"""
 
 
 def result(
@@ -100,8 +124,21 @@ def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
 
 
-@pytest.mark.slow("routes")
-@pytest.mark.parametrize("data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE], ids=["openscenario", "routes"])
+@pytest.mark.slow
+def test_traffic_of_an_hour_of_the_day_is_around_the_ego_vehicle_from_the_start(folder: Path) -> None:
+    outcome = result(folder, PEAK, "follow.py")
+    assert outcome.failure is None
+    assert series(outcome, "time_s")[0] == 0.0
+    assert outcome.measures["duration_s"] == pytest.approx(12.0)
+    assert min(series(outcome, name)[0] for name in ("gap_m", "rear_gap_m")) < 300.0
+    alone = result(folder, PEAK | {"warm_up": 0}, "follow.py")
+    assert series(alone, "gap_m").min() == series(alone, "rear_gap_m").min() == 1000.0
+
+
+@pytest.mark.slow("routes", "warm-up")
+@pytest.mark.parametrize(
+    "data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE, PEAK], ids=["openscenario", "routes", "warm-up"]
+)
 def test_runs_repeat_to_the_bit_in_other_orders_and_processes(folder: Path, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (26.0, 30.0, 33.0)]
     with driven(folder, data, CONTROLLERS["python"] | {"file": "follow.py"}) as session:

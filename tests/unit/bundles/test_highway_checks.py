@@ -138,6 +138,12 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
         ("scenarios/busy/flows/0", {"per_hour": 60, "speed": 30, "desired_speed": 25}, "scenarios.busy.flows[0].speed"),
         ("scenarios/busy/flows/0/per_hour", 0, "scenarios.busy.flows[0].per_hour"),
         ("scenarios/busy/flows/0/end", 0, "scenarios.busy.flows[0].end"),
+        ("scenarios/busy/flows/0/begin", -1, "scenarios.busy.flows[0].begin"),
+        ("scenarios/busy/begin", 25_200, "scenarios.busy.begin"),
+        ("scenarios/busy/begin", -1, "scenarios.busy.begin"),
+        ("scenarios/busy/warm_up", 30.05, "scenarios.busy.warm_up"),
+        ("scenarios/busy/warm_up", 3601, "scenarios.busy.warm_up"),
+        ("scenarios/merge/warm_up", 30, "scenarios.merge.warm_up"),
         ("measures/min_ttc", "s", "measures.min_ttc"),
         ("measures/min_ttc_s", "min", "measures.min_ttc_s"),
         ("series/gap_m", "km", "series.gap_m"),
@@ -148,6 +154,16 @@ def test_a_vehicle_may_have_other_values_than_those_of_table_8() -> None:
 )
 def test_a_fault_is_named_by_its_field(path: str, value: Any, field: str) -> None:
     assert faults(changed(path, value), FILES) == {field}
+
+
+def test_flows_come_in_the_warm_up_unless_they_begin_later() -> None:
+    given = changed("scenarios/busy/warm_up", 60)
+    assert checked(given, FILES)
+    given["scenarios"]["busy"]["flows"][0]["begin"] = -60
+    assert checked(given, FILES)
+    for begin, field in ((-61, "flows[0].begin"), (0, "warm_up")):
+        given["scenarios"]["busy"]["flows"][0]["begin"] = begin
+        assert faults(given, FILES) == {f"scenarios.busy.{field}"}
 
 
 def test_all_faults_are_named_at_once() -> None:

@@ -138,3 +138,14 @@ def test_a_flow_says_how_many_enter_when_and_where(given: dict[str, Any], expect
     flow = next(written(scenario(flows=[given])).iter("flow"))
     assert expected.items() <= flow.attrib.items()
     assert len({"end", "number"} & flow.attrib.keys()) == 1
+
+
+def test_sumo_s_time_0_is_the_begin_of_the_warm_up() -> None:
+    flows = [{"per_hour": 900}, {"per_hour": 900, "begin": -10, "end": 5}, {"per_hour": 900, "begin": 2, "number": 9}]
+    first, second, third = written(scenario(warm_up=60, flows=flows)).iter("flow")
+    assert [flow.get("begin") for flow in (first, second, third)] == ["0.0", "50.0", "62.0"]
+    assert [(flow.get("end"), flow.get("number")) for flow in (first, second, third)] == [
+        ("80.0", None),
+        ("65.0", None),
+        (None, "5"),
+    ]
