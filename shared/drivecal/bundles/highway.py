@@ -285,14 +285,14 @@ class FlowEntry(Driver):
 
 
 class Surroundings(Model):
-    """The surroundings of the controlled vehicle. `routes`: a SUMO route file (`.rou.xml`) whose vehicles and flows join the others.
-
-    `begin`: the route file's time (s) at the run's time 0. `warm_up`: seconds before it, in which the flows drive alone.
-    """
+    """The surroundings of the controlled vehicle."""
 
     routes: File | None = None
+    """A SUMO route file (`.rou.xml`), whose vehicles and flows join the others."""
     begin: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    """The route file's time at the run's time 0, s."""
     warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    """Seconds before the run's time 0 in which the flows drive alone; each run simulates them."""
     traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]
     flows: Annotated[list[FlowEntry], Field(max_length=500, default_factory=list)]
     seed: Seed = 1

@@ -110,7 +110,7 @@ class VehicleTypes:
         weights = [self._weight(name) for name in names]
         if "probabilities" in element.values:
             given = [finite(part) for part in element.text("probabilities").split()]
-            weights = [value for value in given if value is not None and value >= 0.0]
+            weights = [value for value in given if value is not None and 0.0 <= value <= LONG]
             if not len(given) == len(weights) == len(names):
                 message = f"it has {len(names)} vTypes and {len(weights)} probabilities from 0 on"
                 raise element.fault(message, "give one number for each of vTypes")
@@ -118,8 +118,9 @@ class VehicleTypes:
             self.add(child)
             names.append(child.text("id"))
             weights.append(self._weight(names[-1]))
-        if element.children and (rest := list(element.unread())):
-            raise rest[0].fault("the element is not supported here", "give vType")
+        for child in element.children:
+            if not child.is_read:
+                raise child.fault("the element is not supported here", "give vType")
         drawn = [(name, weight) for name, weight in zip(names, weights, strict=True) if weight > 0.0]
         if not drawn:
             raise element.fault("no type can be drawn of it", "give it a vType with a probability above 0")
