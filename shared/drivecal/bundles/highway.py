@@ -293,8 +293,8 @@ class Surroundings(Model):
     """The route file's time at the run's time 0, s."""
     warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0
     """Seconds before the run's time 0 in which the flows drive alone; each run simulates them."""
-    traffic: Annotated[list[TrafficEntry], Field(max_length=500, default_factory=list)]
-    flows: Annotated[list[FlowEntry], Field(max_length=500, default_factory=list)]
+    traffic: Annotated[list[TrafficEntry], Field(max_length=2000, default_factory=list)]
+    flows: Annotated[list[FlowEntry], Field(max_length=2000, default_factory=list)]
     seed: Seed = 1
     data: Annotated[dict[Identifier, Any], Field(default_factory=dict)]
 

@@ -19,7 +19,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import Network
 
-MOST_VEHICLES = 500
+MOST_VEHICLES = 2000
 SHORTEST = 1e-6
 """Seconds between two vehicles of a flow."""
 MOST_WAYS = 100
@@ -156,8 +156,10 @@ class RouteFile:
     def _name(self, name: str, element: Element) -> str:
         """Returns the id of a new entry. Raises InvalidInputError if there are too many."""
         if len(self.entries) == MOST_VEHICLES:
-            message = f"the file has more than {MOST_VEHICLES} vehicles, trips and flows until the scenario's end"
-            raise element.fault(message, "leave out vehicles that are never met, or make flows of them")
+            message = f"the file has more than {MOST_VEHICLES:,} vehicles, trips and flows until the scenario's end"
+            raise element.fault(
+                message, "leave out vehicles that are never met, make flows of them, or give a shorter `warm_up`"
+            )
         return self._names.new(name, element)
 
     def _alone(self, begin: float) -> dict[str, Any]:

@@ -139,7 +139,7 @@ def test_flows_have_the_file_s_amount(amount: str, per_hour: float, number: int 
         ('<vType id="t"/><vTypeDistribution id="d" vTypes="t t"/>', "twice"),
         (TYPES + '<flow id="f" type="d" route="r" period="exp(1)" number="3"/>', "number"),
         ('<include href="/etc/passwd"/>', "include"),
-        ("".join(f'<vehicle id="v{index}" route="r" depart="{index / 100}"/>' for index in range(501)), "more than 500"),
+        ("".join(f'<vehicle id="v{index}" route="r" depart="{index / 200}"/>' for index in range(2001)), "more than 2,000"),
     ],
 )  # fmt: skip
 def test_what_is_not_supported_is_refused_by_line(content: str, part: str) -> None:
