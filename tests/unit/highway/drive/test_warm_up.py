@@ -95,6 +95,14 @@ def test_each_run_begins_and_goes_on_with_the_same_bits(flow: dict[str, Any], ro
     assert same(first, driven(traffic(road, tmp_path / "other", flow), road))
 
 
+def test_times_of_actions_count_from_time_0(road: HighwayRoad, tmp_path: Path) -> None:
+    brake = {"do": "brake", "time": 1, "speed": 10, "rate": 5}
+    lead = {"id": "lead", "s": START + 100, "speed": 25, "model": "constant", "actions": [brake]}
+    speeds = [places[0, 2] for _, places in driven(traffic(road, tmp_path, warm_up=20, traffic=[lead]), road)]
+    assert speeds[:11] == pytest.approx([25.0] * 11)
+    assert speeds[15] == pytest.approx(22.5, abs=0.6)
+
+
 def test_the_ego_vehicle_and_placed_ones_have_room_at_time_0(road: HighwayRoad, tmp_path: Path) -> None:
     dense = FLOW | {"per_hour": 3600, "speed": 20, "model": "IDM", "desired_speed": 20, "time_headway": 0.8}
     at = {"speed": SPEED, "lane": 0}

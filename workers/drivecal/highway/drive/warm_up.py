@@ -34,22 +34,19 @@ def too_close(others: Floats, outlines: Floats, starting: int, ego: Floats, outl
 
     `others`, `outlines`: as in `drive.geometry`; `ego`, `outline`: rows of the ego vehicle of the same form, shape (6,).
     """
-    starts = np.vstack([others[:starting], ego])
-    rectangles = np.vstack([outlines[:starting], outline])
-    rows = []
-    for row in range(starting, len(others)):
-        is_hit = any(hit(outlines[row : row + 1], place[:3], place[3:5]) >= 0 for place in rectangles)
-        if is_hit or any(_hinders(others[row], start) for start in starts):
-            rows.append(row)
-    return rows
+    starts, rectangles = np.vstack([others[:starting], ego]), np.vstack([outlines[:starting], outline])
+    return [
+        row
+        for row in range(starting, len(others))
+        if hit(rectangles, outlines[row, :3], outlines[row, 3:5]) >= 0 or _hinders(others[row], starts)
+    ]
 
 
-def _hinders(vehicle: Floats, start: Floats) -> bool:
-    """Returns whether a vehicle is too close to one that starts, both as in `others`. NaN, on another level, hinders nothing."""
-    beside = abs(vehicle.item(1) - start.item(1)) - 0.5 * (vehicle.item(5) + start.item(5))
-    if not beside < BESIDE:
-        return False
-    rear, front = sorted((vehicle.tolist(), start.tolist()))
-    gap = front[0] - rear[0] - 0.5 * (front[4] + rear[4])
-    speed, closing = max(rear[2], 0.0), max(rear[2] - front[2], 0.0)
-    return bool(gap < STANDING_GAP + HEADWAY * speed + closing * closing / (2.0 * BRAKING))
+def _hinders(vehicle: Floats, starts: Floats) -> bool:
+    """Returns whether a vehicle is too close to one that starts, all as in `others`. NaN, on another level, hinders nothing."""
+    beside = np.abs(starts[:, 1] - vehicle[1]) - 0.5 * (starts[:, 5] + vehicle[5])
+    gap = np.abs(starts[:, 0] - vehicle[0]) - 0.5 * (starts[:, 4] + vehicle[4])
+    is_behind = vehicle[0] < starts[:, 0]
+    rear, front = np.where(is_behind, vehicle[2], starts[:, 2]), np.where(is_behind, starts[:, 2], vehicle[2])
+    needed = STANDING_GAP + HEADWAY * np.maximum(rear, 0.0) + np.maximum(rear - front, 0.0) ** 2 / (2.0 * BRAKING)
+    return bool(np.any((beside < BESIDE) & (gap < needed)))
