@@ -99,7 +99,7 @@ def test_times_of_actions_count_from_time_0(road: HighwayRoad, tmp_path: Path) -
     brake = {"do": "brake", "time": 1, "speed": 10, "rate": 5}
     lead = {"id": "lead", "s": START + 100, "speed": 25, "model": "constant", "actions": [brake]}
     speeds = [places[0, 2] for _, places in driven(traffic(road, tmp_path, warm_up=20, traffic=[lead]), road)]
-    assert speeds[:11] == pytest.approx([25.0] * 11)
+    assert speeds[:10] == pytest.approx([25.0] * 10)
     assert speeds[15] == pytest.approx(22.5, abs=0.6)
 
 
