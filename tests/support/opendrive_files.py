@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from math import cos, sin
 from xml.etree import ElementTree as ET
@@ -276,3 +277,10 @@ def direct() -> bytes:
 
 
 FILES = {"exit_ramp": exit_ramp, "entrance": entrance, "two_way": two_way, "direct": direct}
+
+
+def edited(file: str, pattern: str, replacement: str, count: int = 1) -> bytes:
+    """A file in which a pattern is replaced."""
+    text, done = re.subn(pattern, replacement, FILES[file]().decode(), count=count, flags=re.DOTALL)
+    assert done
+    return text.encode()

@@ -19,6 +19,8 @@ SignalName = Annotated[str, StringConstraints(min_length=1, max_length=64)]
 Edge = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\s\x00-\x1f\x7f]+$")]
 """Id of an edge of the network."""
 Route = Annotated[list[Edge], Field(min_length=1, max_length=10_000)]
+SpeedLimit = Annotated[float, Field(ge=0.5, le=150)]
+"""Metres per second."""
 Duration = Annotated[float, Field(gt=0, le=3600)]
 RunTime = Annotated[float, Field(ge=-3600, le=100_000)]
 """Time of a run (s), below 0 in the warm-up."""
@@ -289,6 +291,8 @@ class Surroundings(Model):
 
     routes: File | None = None
     """A SUMO route file (`.rou.xml`), whose vehicles and flows join the others."""
+    default_limit: SpeedLimit | None = None
+    """The speed limit of lanes for which the OpenDRIVE file has none, m/s; without it, a route over them is refused."""
     begin: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """The route file's time at the run's time 0, s."""
     warm_up: Annotated[float, Field(ge=0, le=3600)] = 0.0

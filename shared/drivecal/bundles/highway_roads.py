@@ -29,6 +29,8 @@ MOST_ROUTES = 100
 """Different routes of a bundle's scenarios; checking one takes up to a second."""
 MOST_EDGES = 20_000
 """Edges of these routes together."""
+Driven = tuple[str, tuple[str, ...], float]
+"""Network, route and limit of lanes without one (m/s, 0 without it) of a scenario: what its corridor depends on."""
 LARGEST_JUMP = 2.0
 """Metres between two lanes that SUMO's vehicles may skip without a note."""
 
@@ -135,7 +137,7 @@ def _step(manifest: Manifest) -> float:
 def _check_effort(descriptions: Iterable[Description]) -> None:
     """Raises InvalidInputError if checking the routes would take minutes."""
     routes = {_road(description.scenario) for description in descriptions}
-    edges = sum(len(route) for _, route in routes)
+    edges = sum(len(route) for _, route, _ in routes)
     remedy = "give more scenarios the same route, or push several problems"
     if len(routes) > MOST_ROUTES:
         message = f"they have {len(routes):,} different routes, more than {MOST_ROUTES}"
@@ -152,7 +154,7 @@ class _Roads:
         self._files = files
         self.files = files_read(files)
         self._maps: dict[str, Map | InvalidInputError] = {}
-        self._last: tuple[tuple[str, tuple[str, ...]], Corridor | InvalidInputError] | None = None
+        self._last: tuple[Driven, Corridor | InvalidInputError] | None = None
 
     def map(self, name: str) -> Map:
         """Returns a network of the bundle with its OpenDRIVE file. Raises InvalidInputError with the field `network`."""
@@ -172,7 +174,8 @@ class _Roads:
         if self._last is None or self._last[0] != key:
             self._last = None  # before the next is made
             try:
-                self._last = key, corridor(self.map(scenario.network).network, scenario.route, scenario.network)
+                network = self.map(scenario.network).network
+                self._last = key, corridor(network, scenario.route, scenario.network, scenario.default_limit)
             except InvalidInputError as error:
                 self._last = key, error
         road = self._last[1]
@@ -319,8 +322,8 @@ def files_read(files: Mapping[str, BundleFile]) -> Files:
     return Files(frozenset(files), read)
 
 
-def _road(scenario: HighwayScenario) -> tuple[str, tuple[str, ...]]:
-    return scenario.network, tuple(scenario.route)
+def _road(scenario: HighwayScenario) -> Driven:
+    return scenario.network, tuple(scenario.route), scenario.default_limit or 0.0
 
 
 def _prefixed(error: InvalidInputError, field: str) -> Iterator[Problem]:

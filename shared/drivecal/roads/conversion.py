@@ -16,6 +16,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.roads.direct import connect_directly
 from drivecal.roads.network import read_network, source_comment
+from drivecal.roads.notes import Notes, cut
 from drivecal.roads.opendrive import DRIVEN, IGNORED, NO_LIMIT, OPEN_LIMIT, RoadFile, read_opendrive
 from drivecal.roads.placement import place
 
@@ -23,12 +24,15 @@ DEFAULT_WIDTH = 3.65
 """Metres; netconvert's own for lanes without a width."""
 TIMEOUT = 300.0
 """Seconds, wall-clock."""
-MOST_NOTES = 50
 OPTIONS = (
     "--opendrive.curve-resolution", "1", "--opendrive.internal-shapes", "true", "--offset.disable-normalization", "true",
     "--no-turnarounds", "true", "--output.original-names", "true", "--precision", "4", "--xml-validation", "never",
     "--flatten", "true",
 )  # fmt: skip
+
+
+_VARYING = re.compile(r"'[^']*'|[-+0-9.]+")
+"""Names and numbers of a warning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,16 +49,30 @@ def converted(content: bytes, name: str) -> Conversion:
     Raises InvalidInputError naming file, road and cause if it cannot be driven, and UnavailableError if netconvert is missing.
     """
     file = read_opendrive(content, name)
-    notes = _completed(file)
+    notes = _completed(file).texts()
     raw, warnings = _run(_normalized(content, file), name)
     net = fromstring(raw)  # noqa: S314  # written by netconvert
-    notes += place(net, file)
+    notes += place(net, file).texts()
     indent(net, "    ")
     network = b'<?xml version="1.0" encoding="UTF-8"?>\n' + source_comment(content) + tostring(net) + b"\n"
     read_network(network, name)
-    notes += [f"{count} x {element} ({IGNORED[element]}): ignored" for element, count in sorted(file.ignored.items())]
-    notes += [f"netconvert: {warning}" for warning in warnings]
-    return Conversion(network, tuple(notes[:MOST_NOTES]))
+    notes += [f"{count} x {_named(element)}: ignored" for element, count in sorted(file.ignored.items())]
+    notes += _told(warnings)
+    return Conversion(network, cut(notes))
+
+
+def _named(element: str) -> str:
+    """Returns an element's tag, and what it is if that is known."""
+    return f"{element} ({IGNORED[element]})" if element in IGNORED else shown(element, 60)
+
+
+def _told(warnings: list[str]) -> list[str]:
+    """Returns netconvert's warnings, of those that differ in names and numbers only the first."""
+    alike: dict[str, list[str]] = {}
+    for warning in warnings:
+        alike.setdefault(_VARYING.sub("", warning), []).append(warning)
+    counts = [(same[0], len(same)) for same in alike.values()]
+    return [f"netconvert: {first}" + (f" (and {count - 1} like it)" if count > 1 else "") for first, count in counts]
 
 
 def netconvert() -> str:
@@ -66,9 +84,9 @@ def netconvert() -> str:
     return executable
 
 
-def _completed(file: RoadFile) -> list[str]:
-    """Gives lanes without a width netconvert's; returns a note on each road. Raises InvalidInputError for lanes given by borders."""
-    notes: dict[str, None] = {}
+def _completed(file: RoadFile) -> Notes:
+    """Gives lanes without a width netconvert's; returns notes on them. Raises InvalidInputError for lanes given by borders."""
+    notes = Notes()
     for road in file.roads.values():
         for section in road.sections:
             for lane in section.lanes.values():
@@ -81,10 +99,10 @@ def _completed(file: RoadFile) -> list[str]:
                     raise InvalidInputError(Problem(file.name, message, "export the file with widths"))
                 if lane.kind in DRIVEN:
                     lane.widths.records.append((0.0, DEFAULT_WIDTH, 0.0, 0.0, 0.0))
-                    notes[
-                        f"road {road.id}, lane {lane.id}: no width; the network has {DEFAULT_WIDTH} m, netconvert's default"
-                    ] = None
-    return list(notes)
+                    notes.add(
+                        f"road {road.id}, lane {lane.id}", f"no width; the network has {DEFAULT_WIDTH} m, netconvert's default"
+                    )
+    return notes
 
 
 def _normalized(content: bytes, file: RoadFile) -> bytes:

@@ -15,6 +15,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.roads.guide import Guide, guide_of
+from drivecal.roads.limits import check_limits, limited, limits_at
 from drivecal.roads.lines import SPACING, lengths, nodes_of, project
 from drivecal.roads.network import Lane, Network
 from drivecal.roads.route import Chain, Lanes, lanes_of, refusal
@@ -122,12 +123,16 @@ class Corridor:
         return best if off[best] < np.inf else None
 
 
-def corridor(network: Network, route: Sequence[str], name: str) -> Corridor:
-    """Returns the corridor of a route. `name`: the network's file in messages.
+def corridor(network: Network, route: Sequence[str], name: str, default_limit: float | None = None) -> Corridor:
+    """Returns the corridor of a route. `name`: the network's file in messages; `default_limit`: of lanes without a limit (m/s).
 
-    Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven.
+    Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven, and with `default_limit` if lanes of it have
+    no limit.
     """
+    network = limited(network, default_limit)
     lanes = lanes_of(network, route)
+    check_limits(network, _driven(lanes))
+    _check_placed(network, lanes)
     _check_size(lanes, 0, name)
     _check_units(network, lanes)
     guide = guide_of(network, lanes)
@@ -197,7 +202,7 @@ def _track(chain: Chain, lanes: Lanes, places: _Places, line: Floats) -> tuple[T
     columns = (
         np.interp(stations, s, d),
         _widths(measured, at, stations),
-        np.array([lane.limit for lane, _, _ in pieces])[at],
+        _limits(measured, at, stations),
     )
     centre, width, limit = (np.where(there, column, np.nan) for column in columns)
     stops = [max(stop, following[1]) for (_, _, stop), following in pairwise(pieces)] + [pieces[-1][2]]
@@ -218,6 +223,15 @@ def _widths(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], 
     return widths
 
 
+def _limits(measured: Sequence[tuple[Lane, Floats]], at: npt.NDArray[np.int64], stations: Floats) -> Floats:
+    """Returns a track's limit at each station; `at`: the piece there."""
+    limits = np.empty(len(stations))
+    for number, (lane, place) in enumerate(measured):
+        here = at == number
+        limits[here] = limits_at(lane, np.interp(stations[here], place[:, 1], place[:, 0] / max(lane.length, 1e-9)))
+    return limits
+
+
 def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floats]]:
     ranges = places.guide.ranges
     for number, lane in enumerate(chain.lanes):
@@ -227,6 +241,26 @@ def _measured_pieces(chain: Chain, places: _Places) -> Iterator[tuple[Lane, Floa
         if number < len(chain.inside):
             for inner in chain.inside[number]:
                 yield inner, places.of(inner, end, ranges[index + 1][0], index + 1)
+
+
+def _driven(lanes: Lanes) -> Iterator[Lane]:
+    """Yields all lanes of a route, also those inside of junctions."""
+    for chain in lanes.chains:
+        yield from chain.lanes
+        for inside in chain.inside:
+            yield from inside
+
+
+def _check_placed(network: Network, lanes: Lanes) -> None:
+    """Raises InvalidInputError if a lane of the route is not where the OpenDRIVE file has it."""
+    for chain in lanes.chains:
+        for number, lane in enumerate(chain.lanes):
+            inside = chain.inside[number] if number < len(chain.inside) else ()
+            for driven in (lane, *inside):
+                if driven.unplaced is not None:
+                    where = f"line {driven.line}, the lane {shown(f'{driven.edge}_{driven.index}', 90)}"
+                    message = f"{where} is not at its place in the OpenDRIVE file: {shown(driven.unplaced, 200)}"
+                    raise refusal(chain.first + number, network, message, "give another route, or export the file again")
 
 
 def _check_size(lanes: Lanes, stations: int, name: str) -> None:

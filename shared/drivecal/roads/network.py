@@ -40,6 +40,13 @@ OTHER_FILES = ("href", "file", "output", "dest")
 """Attributes by which SUMO reads or writes other files: of `<include>`, and of signs, detectors and events of additional files."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
+LIMITS = "drivecal.limits"
+"""Parameter of lanes whose limit changes or is not known: pairs of a share of the shape's length and the limit (m/s) from there on, which
+SUMO ignores."""
+UNKNOWN = "none"
+"""A limit in `LIMITS` that the file does not give."""
+UNPLACED = "drivecal.unplaced"
+"""Parameter of lanes that are not at their place in the OpenDRIVE file: the cause."""
 ORIGIN = "origId"
 """Parameter of lanes by which netconvert names the roads and lanes of an OpenDRIVE file."""
 
@@ -81,6 +88,10 @@ class Lane:
     """Shares of the shape's length and widths there (n, 2), if the width changes along the lane."""
     origin: str | None = None
     """Roads and lanes of the OpenDRIVE file that it was made of, such as `7_-1`, if netconvert has said so."""
+    limits: Floats | None = None
+    """Shares of the shape's length and limits (m/s) from there on (n, 2), if the limit changes along the lane, or is not known: NaN."""
+    unplaced: str | None = None
+    """Why the lane is not at its place in the OpenDRIVE file, if it is not."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -254,11 +265,18 @@ class _Reader:
         )
 
     def on_param(self, attributes: Attributes) -> None:
-        """Takes the widths of a lane, and what it was made of."""
-        if attributes.values.get("key") == WIDTHS and self.edge is not None and self.lanes:
+        """Takes the widths and limits of a lane, and what it was made of."""
+        if self.edge is None or not self.lanes:
+            return
+        key = attributes.values.get("key")
+        if key == WIDTHS:
             self.lanes[-1] = replace(self.lanes[-1], widths=_widths(attributes))
-        elif attributes.values.get("key") == ORIGIN and self.edge is not None and self.lanes:
+        elif key == LIMITS:
+            self.lanes[-1] = replace(self.lanes[-1], limits=_limits(attributes))
+        elif key == ORIGIN:
             self.lanes[-1] = replace(self.lanes[-1], origin=attributes.text("value", ""))
+        elif key == UNPLACED:
+            self.lanes[-1] = replace(self.lanes[-1], unplaced=attributes.text("value", ""))
 
     def on_connection(self, attributes: Attributes) -> None:
         begin = attributes.text("from")
@@ -317,15 +335,31 @@ def _for_cars(attributes: Attributes) -> bool:
 
 def _widths(attributes: Attributes) -> Floats:
     """Returns shares and widths (n, 2). Raises InvalidInputError."""
-    try:
-        widths = np.array([pair.split(",") for pair in attributes.text("value").split()], np.float64).reshape(-1, 2)
-    except ValueError:
-        widths = np.zeros((0, 2))
-    shares = widths[:, 0]
-    in_order = len(widths) > 1 and bool(np.all(np.diff(shares) >= 0.0) and shares[0] == 0.0 and shares[-1] <= 1.0)
-    if not in_order or not np.all((widths[:, 1] >= 0.0) & (widths[:, 1] <= WIDEST)):
+    widths = _pairs(attributes.text("value"))
+    if len(widths) < 2 or not _are_shares(widths[:, 0]) or not np.all((widths[:, 1] >= 0.0) & (widths[:, 1] <= WIDEST)):
         raise attributes.fault("its widths are not pairs of a share and a width", "convert the file again")
     return widths
+
+
+def _limits(attributes: Attributes) -> Floats:
+    """Returns shares and limits (n, 2), NaN where the file gives none. Raises InvalidInputError."""
+    limits = _pairs(attributes.text("value").replace(UNKNOWN, "nan"))
+    known = limits[~np.isnan(limits[:, 1]), 1]
+    if not _are_shares(limits[:, 0]) or not np.all((known >= SLOWEST) & (known <= FASTEST)):
+        raise attributes.fault("its limits are not pairs of a share and a limit", "convert the file again")
+    return limits
+
+
+def _pairs(text: str) -> Floats:
+    """Returns pairs of numbers (n, 2), none if the text holds something else."""
+    try:
+        return np.array([pair.split(",") for pair in text.split()], np.float64).reshape(-1, 2)
+    except ValueError:
+        return np.zeros((0, 2))
+
+
+def _are_shares(shares: Floats) -> bool:
+    return len(shares) > 0 and bool(np.all(np.diff(shares) >= 0.0) and shares[0] == 0.0 and shares[-1] <= 1.0)
 
 
 def _shape(attributes: Attributes) -> Floats:

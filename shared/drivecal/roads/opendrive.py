@@ -7,6 +7,7 @@ and banking do not move a lane.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ NO_LIMIT, OPEN_LIMIT = "no limit", "undefined"
 """Words for a speed limit."""
 SLOWEST, FASTEST = 0.5, 600.0
 """Least and largest speed limit, in any unit."""
+SHORTEST = 0.01
+"""Metres from the end of a lane at which a limit counts as one of the next lane."""
 DRIVEN = frozenset({"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "mwyEntry", "mwyExit", "slipLane"})
 """Types of lanes on which cars drive."""
 
@@ -97,12 +100,25 @@ class FileRoad:
         x, y, heading = self.reference(s)
         return np.column_stack([x - t * np.sin(heading), y + t * np.cos(heading)]), width
 
-    def limit(self, index: int, lane: int, s: float) -> float | None:
-        """Returns the speed limit (m/s) of a lane at s, None if the file has none."""
+    def limits_between(self, index: int, lane: int, begin: float, end: float) -> list[tuple[float, float | None]]:
+        """Returns the speed limits (m/s) of a lane of a section from s = `begin` to `end`, in this order: where each begins to hold.
+
+        A limit is infinite if the file says that there is none, None if it has none.
+        """
         section = self.sections[index]
+        begins = [s for s, _ in self.limits] + [section.begin + s for s, _ in section.lanes[lane].limits]
+        low, high = min(begin, end), max(begin, end)
+        inner = sorted({s for s in begins if low + SHORTEST < s < high - SHORTEST}, reverse=end < begin)
+        result: list[tuple[float, float | None]] = []
+        for first, last in pairwise([begin, *inner, end]):
+            limit = self._limit(section, lane, 0.5 * (first + last))
+            if not result or result[-1][1] != limit:
+                result.append((first, limit))
+        return result
+
+    def _limit(self, section: LaneSection, lane: int, s: float) -> float | None:
         own = _last(section.lanes[lane].limits, s - section.begin)
-        limit = own if own is not None else _last(self.limits, s)
-        return None if limit == math.inf else limit
+        return own if own is not None else _last(self.limits, s)
 
 
 @dataclass(slots=True)
@@ -142,7 +158,29 @@ IGNORED = {
     "station": "stations",
 }
 """Elements without effect on the network, and what they are."""
-PATHS = {"elevation": "elevationProfile", "superelevation": "lateralProfile", "shape": "lateralProfile"}
+READ: Mapping[str, frozenset[str]] = {
+    element: frozenset(children.split())
+    for element, children in {
+        "": "OpenDRIVE",
+        "OpenDRIVE": "header road controller junction",
+        "header": "geoReference",
+        "controller": "control",
+        "road": "link type planView elevationProfile lateralProfile lanes objects signals",
+        "type": "speed",
+        "planView": "geometry",
+        "geometry": "line arc spiral poly3 paramPoly3",
+        "lanes": "laneOffset laneSection",
+        "laneSection": "left center right",
+        "left": "lane",
+        "center": "lane",
+        "right": "lane",
+        "lane": "link width speed",
+        "link": "predecessor successor",
+        "junction": "connection",
+        "connection": "laneLink",
+    }.items()
+}
+"""Elements that are read here or by netconvert, by the element around them; others are counted with all that they hold."""
 GEOMETRIES = {"line", "arc", "spiral", "poly3", "paramPoly3"}
 
 
@@ -154,6 +192,8 @@ class _Reader:
         self.roads: dict[str, FileRoad] = {}
         self.ignored: dict[str, int] = {}
         self.path: list[str] = []
+        self.unread: int | None = None
+        """Depth of the outermost element around that is not read."""
         self.road: FileRoad | None = None
         self.lane: FileLane | None = None
         self.geometry: Attributes | None = None
@@ -166,7 +206,8 @@ class _Reader:
             raise attributes.fault("the element names another file, which netconvert would read", "give the roads in one file")
         inside = self.path[-1] if self.path else ""
         self.path.append(element)
-        if element in IGNORED and PATHS.get(element, inside) == inside:
+        if self.unread is None and element not in READ.get(inside, ()):
+            self.unread = len(self.path)
             self.ignored[element] = self.ignored.get(element, 0) + 1
         if element in GEOMETRIES and inside == "geometry" and self.road is not None and self.geometry is not None:
             self.road.geometries.append(geometry_of(self.geometry, attributes))
@@ -177,6 +218,8 @@ class _Reader:
 
     def end(self, tag: str) -> None:
         """Leaves an element."""
+        if self.unread == len(self.path):
+            self.unread = None
         self.path.pop()
         if tag == "road":
             self._close_road()
@@ -283,7 +326,7 @@ class _Reader:
             message = "has no reference line"
         elif not road.sections:
             message = "has no lane sections"
-        elif any(first.begin > second.begin for first, second in zip(road.geometries, road.geometries[1:], strict=False)):
+        elif any(first.begin > second.begin for first, second in pairwise(road.geometries)):
             message = "has geometries that are not in order of s"
         for section in road.sections:
             for side in (1, -1):

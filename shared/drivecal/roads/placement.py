@@ -8,15 +8,16 @@ the lane before and the begin of the lane after.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil
+from math import ceil, inf
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
-from drivecal.roads.network import ORIGIN, WIDTHS
-from drivecal.roads.opendrive import DRIVEN, FileRoad, RoadFile
+from drivecal.roads.network import LIMITS, ORIGIN, UNKNOWN, UNPLACED, WIDTHS
+from drivecal.roads.notes import Notes
+from drivecal.roads.opendrive import DRIVEN, SHORTEST, FileRoad, RoadFile
 
 STEP = 1.0
 DETAIL = 0.01
@@ -24,6 +25,14 @@ DETAIL = 0.01
 CLOSED = "emergency authority"
 """SUMO's classes that may drive where cars may not."""
 DECIMALS = 4
+NO_LIMIT_SPEED = 70.0
+"""Limit (m/s) of lanes on which any speed is allowed: above what cars reach, so that nothing exceeds it."""
+LARGEST_GAP = 5.0
+"""Metres between two parts of a way through a junction."""
+OUTSIDE = "-1"
+"""The junction of a road that lies in none."""
+Limits = list[tuple[float, float | None]]
+"""Metres along a lane from which on each limit (m/s) holds: infinite if any speed is allowed, None if the file does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +47,28 @@ class Piece:
 
     def points(self) -> tuple[Floats, Floats]:
         """Returns points (n, 2) and widths (n,)."""
+        return self.road.centre(self.section, self.lane, self._stations())
+
+    def limits(self, points: Floats) -> Limits:
+        """Returns where along its `points` (m) each limit begins to hold, and the limit."""
+        s, along = self._stations(), lengths(points)
+        forwards = self.end >= self.begin
+        changes = self.road.limits_between(self.section, self.lane, self.begin, self.end)
+        return [
+            (float(np.interp(at if forwards else -at, s if forwards else -s, along)) if number else 0.0, limit)
+            for number, (at, limit) in enumerate(changes)
+        ]
+
+    def _stations(self) -> Floats:
         count = max(1, ceil(abs(self.end - self.begin) / STEP)) + 1
         low, high = sorted((self.road.sections[self.section].begin, self.road.end_of(self.section)))
-        s = np.clip(np.linspace(self.begin, self.end, count), low, high)
-        return self.road.centre(self.section, self.lane, s)
+        return np.clip(np.linspace(self.begin, self.end, count), low, high)
 
 
-def place(net: Element, file: RoadFile) -> list[str]:
-    """Moves the lanes of a network to their places in the file; returns notes on limits that are not the file's."""
+def place(net: Element, file: RoadFile) -> Notes:
+    """Moves the lanes of a network to their places in the file; returns notes on limits that the file does not give, or that change, and
+    on lanes that have no place in it.
+    """
     return _Placement(net, file).placed()
 
 
@@ -62,30 +85,32 @@ class _Placement:
         for connection in self.connections:
             self.onward.setdefault(f"{connection.get('from')}_{connection.get('fromLane')}", connection.get("via"))
         self.pieces: dict[str, Piece] = {}
-        self.default: dict[str, set[str]] = {}
-        self.changing: set[str] = set()
+        self.last: dict[str, float | None] = {}
+        """The limit at the end of each lane."""
+        self.notes = Notes()
 
-    def placed(self) -> list[str]:
+    def placed(self) -> Notes:
         """Moves all lanes."""
         for name, lane in self.lanes.items():
-            piece = None if name in self.inner else self._piece(lane)
-            if piece is not None:
-                self.pieces[name] = piece
-                self._write(lane, *piece.points())
-                self._limit(lane, piece)
-                if piece.road.sections[piece.section].lanes[piece.lane].kind not in DRIVEN:
-                    _close(lane)
+            if name in self.inner:
+                continue
+            piece = self._piece(lane)
+            if piece is None:
+                self._leave(lane, f"edge {name.rpartition('_')[0]}, lane {lane.get('index')}", "the file has no such lane")
+                continue
+            self.pieces[name] = piece
+            points, widths = piece.points()
+            self._write(lane, points, widths)
+            limits = piece.limits(points)
+            self.last[name] = limits[-1][1]
+            is_driven = piece.road.sections[piece.section].lanes[piece.lane].kind in DRIVEN
+            self._limit(lane, limits, float(lengths(points)[-1]), f"road {piece.road.id}" if is_driven else None)
+            if not is_driven:
+                _close(lane)
         for connection in self.connections:
             if not connection.get("from", "").startswith(":"):
                 self._connect(connection)
-        notes = [
-            f"road {', '.join(sorted(roads))}: no speed limit; the network has {float(speed) * 3.6:.0f} km/h, netconvert's default"
-            for speed, roads in sorted(self.default.items())
-        ]
-        notes += [
-            f"road {road}: the limit changes along a lane; the network has the first one" for road in sorted(self.changing)
-        ]
-        return notes
+        return self.notes
 
     def _piece(self, lane: Element) -> Piece | None:
         """Returns the part of the file that a lane was made from."""
@@ -97,41 +122,61 @@ class _Placement:
         section = road.section_at(0.5 * (begin + end))
         return Piece(road, section, index, begin, end) if index in road.sections[section].lanes else None
 
-    def _limit(self, lane: Element, piece: Piece) -> None:
-        """Writes the file's limit."""
-        inside = np.linspace(piece.begin, piece.end, 7)[1:-1]
-        limits = [piece.road.limit(piece.section, piece.lane, float(s)) for s in inside]
-        if limits[0] is None:
-            self.default.setdefault(lane.get("speed", "0"), set()).add(piece.road.id)
-        else:
-            lane.set("speed", f"{limits[0]:.{DECIMALS}f}")
-        if len(set(limits)) > 1:
-            self.changing.add(piece.road.id)
+    def _leave(self, lane: Element, place: str, cause: str) -> None:
+        """Marks a lane that stays where netconvert has put it, so that no route may use it."""
+        origin = next((param.get("value", "") for param in lane.iter("param") if param.get("key") == ORIGIN), "")
+        cause = f"{cause} (netconvert names {origin or 'no road'})"
+        SubElement(lane, "param", key=UNPLACED, value=cause)
+        self.notes.add(f"{place}, from {origin or 'no road'}", "not at its place in the file; a route over it is refused")
+
+    def _limit(self, lane: Element, limits: Limits, length: float, place: str | None) -> None:
+        """Writes the file's limits. `place`: for notes on them."""
+        known = [(at, NO_LIMIT_SPEED if limit == inf else limit) for at, limit in limits]
+        speed = float(lane.get("speed", "0"))
+        if place is not None:
+            if any(limit == inf for _, limit in limits):
+                self.notes.add(place, f"'no limit'; the network has {NO_LIMIT_SPEED:g} m/s")
+            if any(limit is None for _, limit in limits):
+                self.notes.add(
+                    place,
+                    "no speed limit; give `default_limit` if the route leads over it, without which SUMO's cars there have "
+                    f"{speed * 3.6:.0f} km/h, netconvert's default",
+                )
+            if len(known) > 1:
+                self.notes.add(
+                    place, "the limit changes along a lane; SUMO's cars keep the first one there, the ego has each at its place"
+                )
+        if known[0][1] is not None:
+            lane.set("speed", f"{known[0][1]:.{DECIMALS}f}")
+        if len(known) > 1 or known[0][1] is None:
+            pairs = [(at / max(length, 1e-9), UNKNOWN if limit is None else f"{limit:.{DECIMALS}f}") for at, limit in known]
+            SubElement(lane, "param", key=LIMITS, value=" ".join(f"{min(share, 1.0):.6f},{limit}" for share, limit in pairs))
 
     def _connect(self, connection: Element) -> None:
         """Moves the lanes inside of a junction that a connection takes."""
         names = [f"{connection.get(edge)}_{connection.get(lane)}" for edge, lane in (("from", "fromLane"), ("to", "toLane"))]
         before, after = (self.pieces.get(name) for name in names)
         inner = list(self._inside(connection))
-        if before is None or after is None or not inner:
+        if not inner:  # nothing to move
             return
         origins = [_origin(lane, self.file) for lane in inner]
         road, index = next((origin for origin in origins if origin[0] is not None), (None, 0))
-        pieces = list(_between(before, after, road, index))
-        if not pieces:
-            return
+        pieces = [] if before is None or after is None else list(_between(before, after, road, index))
         parts = [piece.points() for piece in pieces]
+        if not _is_joined([part[0] for part in parts]):
+            for lane in inner:
+                self._leave(lane, f"junction between {names[0]} and {names[1]}", "the file has no lane between them")
+            return
         points, widths = np.vstack([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
         total = lengths(points)
         borders = np.concatenate([[0.0], np.cumsum([float(lane.get("length", "1")) for lane in inner])])
         borders *= total[-1] / borders[-1]
-        speed = self.lanes[names[0]].get("speed", "")
-        own = None if road is None else road.limit(road.section_at(0.5 * road.length), index, 0.5 * road.length)
+        limits = _limits_of(pieces, [part[0] for part in parts], total, self.last[names[0]])
         for lane, (first, last) in zip(inner, pairwise(borders), strict=True):
             s = np.concatenate([[first], total[(total > first) & (total < last)], [last]])
             at = [np.interp(s, total, column) for column in (points[:, 0], points[:, 1], widths)]
             self._write(lane, np.column_stack(at[:2]), at[2])
-            lane.set("speed", speed if own is None else f"{own:.{DECIMALS}f}")
+            self._limit(lane, _part(limits, float(first), float(last)), float(last - first), None)
             lane.set("length", f"{max(0.1, last - first):.{DECIMALS}f}")
 
     def _inside(self, connection: Element) -> Iterator[Element]:
@@ -205,6 +250,31 @@ def _whole(road: FileRoad, index: int) -> Iterator[Piece]:
         yield Piece(road, section, index, *(ends if index < 0 else ends[::-1]))
         lane = road.sections[section].lanes[index]
         index = (lane.successor if index < 0 else lane.predecessor) or index
+
+
+def _is_joined(parts: list[Floats]) -> bool:
+    """Returns whether there are parts, and each begins near the end of the one before, so that no lane of the file is missing between."""
+    return bool(parts) and all(float(np.hypot(*(after[0] - before[-1]))) <= LARGEST_GAP for before, after in pairwise(parts))
+
+
+def _limits_of(pieces: list[Piece], parts: list[Floats], total: Floats, before: float | None) -> Limits:
+    """Returns the limits along the parts of a way through a junction. A connecting road without limits has that of the lane before."""
+    result: Limits = []
+    row, last = 0, before
+    for piece, points in zip(pieces, parts, strict=True):
+        for at, limit in piece.limits(points):
+            kept = last if limit is None and piece.road.junction != OUTSIDE else limit
+            if not result or result[-1][1] != kept:
+                result.append((float(total[row]) + at if result else 0.0, kept))
+            last = kept
+        row += len(points)
+    return result
+
+
+def _part(limits: Limits, first: float, last: float) -> Limits:
+    """Returns the limits between two places (m) along the way, from the first of them."""
+    here = [limit for at, limit in limits if at <= first + SHORTEST][-1]
+    return [(0.0, here), *((at - first, limit) for at, limit in limits if first + SHORTEST < at < last - SHORTEST)]
 
 
 def _close(lane: Element) -> None:

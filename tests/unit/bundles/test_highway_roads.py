@@ -139,9 +139,9 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
     document["scenarios"] = {f"s{number}": others if number % 2 else scenario for number in range(6)}
     routes: list[list[str]] = []
 
-    def counted(network: Network, route: list[str], name: str) -> Corridor:
+    def counted(network: Network, route: list[str], name: str, default_limit: float | None) -> Corridor:
         routes.append(route)
-        return corridor(network, route, name)
+        return corridor(network, route, name, default_limit)
 
     monkeypatch.setattr(highway_roads, "corridor", counted)
     check_roads(checked(document), networks())
@@ -209,10 +209,20 @@ def test_an_archive_holds_the_converted_network_and_the_folder_does_not(tmp_path
     assert content_digest(archive) == content_digest(read_bundle(path)[1])
 
 
-def test_notes_name_the_file(tmp_path: Path) -> None:
+def test_a_route_without_limits_needs_the_field_of_its_scenario_and_notes_name_the_file(tmp_path: Path) -> None:
     road = exit_ramp().replace(b"<speed ", b"<velocity ")
-    _, _, notes = read_bundle_with_notes(folder(tmp_path, road))
+    path = folder(tmp_path, road)
+    with pytest.raises(InvalidInputError) as error:
+        read_bundle_with_notes(path)
+    (problem,) = error.value.problems
+    assert "scenarios.merge.default_limit" in problem.field
+    assert "road 1, 3" in problem.message
+    document = yaml.safe_load((path / "problem.yaml").read_text())
+    document["scenarios"]["merge"]["default_limit"] = 30
+    (path / "problem.yaml").write_text(yaml.safe_dump(document))
+    _, _, notes = read_bundle_with_notes(path)
     assert any(note.startswith("maps/road.xodr: ") and "no speed limit" in note for note in notes)
+    assert any(note.startswith("maps/road.xodr: ") and " x velocity: ignored" in note for note in notes)
 
 
 def test_a_network_of_the_same_file_is_kept_without_netconvert(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

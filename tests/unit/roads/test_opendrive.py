@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.networks import program
-from tests.support.opendrive_files import FILES
+from tests.support.opendrive_files import FILES, edited
 from tests.support.opendrive_reader import Floats, lane_centres, lane_width, roads
 
 from drivecal.domain.errors import InvalidInputError, UnavailableError
@@ -26,6 +26,8 @@ from drivecal.roads.opendrive import DRIVEN, read_opendrive
 
 NAME = "road.xodr"
 NEAR = 0.1
+DEFAULT_LIMIT = 31.0
+"""Metres per second, for ramps and roads of these files that have no limit."""
 ROUTES: dict[tuple[str, str], tuple[str, ...]] = {
     ("exit_ramp", "through"): ("-1#0", "-1#1", "-1#2", "-2"),
     ("exit_ramp", "exit"): ("-1#0", "-1#1", "-1#2", "-3"),
@@ -48,7 +50,7 @@ def conversion_of(file: str) -> Conversion:
 
 @cache
 def drive(route: tuple[str, str]) -> Corridor:
-    return corridor(read_network(conversion_of(route[0]).network, NAME), ROUTES[route], NAME)
+    return corridor(read_network(conversion_of(route[0]).network, NAME), ROUTES[route], NAME, DEFAULT_LIMIT)
 
 
 @cache
@@ -146,18 +148,6 @@ def test_limits_of_lanes_stand_above_those_of_roads() -> None:
     content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{slow}</lane>", count=0)
     lanes = read_network(converted(content, NAME).network, NAME).edges["-5#0"].lanes
     assert [lane.limit for lane in lanes] == pytest.approx([20.0, 33.5])
-    free = edited("two_way", 'max="33.5" unit="m/s"', 'max="no limit"')
-    assert any("no speed limit" in note for note in converted(free, NAME).notes)
-
-
-def test_lanes_without_a_limit_do_not_take_that_of_the_road() -> None:
-    def notes(word: str) -> list[str]:
-        free = f'<speed sOffset="0" max="{word}"/>'
-        content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{free}</lane>", count=0)
-        return [note for note in converted(content, NAME).notes if "no speed limit" in note]
-
-    assert [note.startswith("road 5:") for note in notes("no limit")] == [True]
-    assert notes("undefined") == []
 
 
 @pytest.mark.parametrize(
@@ -177,27 +167,12 @@ def test_misplaced_and_absurd_limits_are_refused_by_their_line(pattern: str, rep
     assert re.search(r"line \d+, <speed>", problem.message)
 
 
-def test_what_netconvert_assumes_is_noted() -> None:
-    (note,) = [note for note in conversion_of("entrance").notes if "no speed limit" in note]
-    assert note.startswith("road 3:")
-    assert "80 km/h" in note
-    assert not [note for note in conversion_of("exit_ramp").notes if "no speed limit" in note]
-
-
-def edited(file: str, pattern: str, replacement: str, count: int = 1) -> bytes:
-    text, done = re.subn(pattern, replacement, FILES[file]().decode(), count=count, flags=re.DOTALL)
-    assert done
-    return text.encode()
-
-
-def test_missing_widths_ignored_elements_and_limits_that_change_are_noted() -> None:
+def test_missing_widths_and_ignored_elements_are_noted() -> None:
     width = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)<width [^>]*/>', r"\1")
     assert any("3.65 m" in note and "road 5" in note for note in converted(width, NAME).notes)
     sign = '<signal s="1" t="1" id="1" name="" dynamic="no" orientation="+" zOffset="0" type="274" subtype="50" value="50"/>'
     signal = edited("two_way", r"</lanes>", f"</lanes><signals>{sign}</signals>")
     assert any("signal" in note for note in converted(signal, NAME).notes)
-    speeds = edited("two_way", r"</type>", '</type><type s="100" type="motorway"><speed max="20" unit="m/s"/></type>')
-    assert any("limit changes" in note for note in converted(speeds, NAME).notes)
 
 
 def test_a_conversion_repeats_itself_and_names_its_source() -> None:

@@ -17,7 +17,8 @@ from drivecal.bundles.traffic.places import Map
 from drivecal.bundles.traffic.route_files import RouteFile
 from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.roads.corridor import Corridor, corridor
+from drivecal.roads.corridor import corridor
+from drivecal.roads.limits import FIELD
 from drivecal.roads.network import network_file, read_network
 from drivecal.roads.opendrive import read_opendrive
 
@@ -64,9 +65,10 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
     roads = maps(network)
     document |= {"network": network}
     if isinstance(scenario, OpenScenario):
+        limit = scenario.default_limit
         try:
             file = ScenarioFile(scenario, files)
-            content, vehicles = file.described(roads, lambda route: _corridor(roads, route, network), step, names)
+            content, vehicles = file.described(roads, lambda route: corridor(roads.network, route, network, limit), step, names)
         except InvalidInputError as error:
             raise _located(error, scenario) from error
         document, notes = document | content, file.notes
@@ -122,13 +124,9 @@ def _with_origin(problem: Problem, origins: Mapping[str, Problem]) -> Problem:
     return replace(problem, field=origin.field, message=message)
 
 
-def _corridor(roads: Map, route: list[str], name: str) -> Corridor:
-    return corridor(roads.network, route, name)
-
-
 def _located(error: InvalidInputError, scenario: OpenScenario) -> InvalidInputError:
     """Returns an error with fields of the scenario: faults in the file belong to `openscenario`."""
-    own = {"ego"} | {f"parameters.{name}" for name in scenario.parameters}
+    own = {"ego", FIELD} | {f"parameters.{name}" for name in scenario.parameters}
     inner = [problem for problem in error.problems if problem.field not in own]
     kept = [problem for problem in error.problems if problem.field in own]
     return InvalidInputError(*kept, *refusal(InvalidInputError(*inner), "openscenario").problems)

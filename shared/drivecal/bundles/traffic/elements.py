@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.documents import Attributes, read_elements
+from drivecal.roads.notes import cut
 
 MOST_ELEMENTS = 200_000
-MOST_NOTES = 50
 LONGEST_NOTE = 200
 """Characters of a note on attributes."""
 NAMING = ("name",)
@@ -133,7 +133,9 @@ class Notes:
             for element, keys in section.read_in_part():
                 self.add(element, f"ignored: {', '.join(keys)}"[:LONGEST_NOTE])
         notes = sorted(self._lines.items(), key=lambda entry: entry[1][0])
-        return tuple(f"{self._name}: {_lines(sorted(lines))}, <{tag}>: {text}" for (tag, text), lines in notes[:MOST_NOTES])
+        return tuple(
+            f"{self._name}: {note}" for note in cut(f"{_lines(sorted(lines))}, <{tag}>: {text}" for (tag, text), lines in notes)
+        )
 
 
 def _lines(lines: list[int]) -> str:

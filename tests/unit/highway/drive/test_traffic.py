@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import NETWORK, ROUTE
 from tests.support.networks import built, edge, entrance, link, node
+from tests.support.opendrive_files import edited
 
 from drivecal.bundles.highway import HighwayScenario
 from drivecal.domain.errors import InvalidInputError
@@ -17,8 +18,10 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import CHECKED_STEPS, Traffic
-from drivecal.highway.sumo import EGO, GET_POSITION, GET_SPEED
+from drivecal.highway.sumo import EGO, GET_POSITION, GET_SPEED, lane
+from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import corridor
+from drivecal.roads.limits import unlimited
 from drivecal.roads.network import read_network
 
 STEP, SPEED, SIZE = 0.1, 30.0, np.array([2.35, 0.95])
@@ -103,3 +106,15 @@ def test_a_vehicle_whose_front_would_be_inside_of_a_junction_is_refused_and_not_
     _, allowed = traffic(network, route, tmp_path, vehicle | {"s": end - 2.0})
     allowed.reset()
     assert sumo.vehicle.getLanePosition("vehicle0") == pytest.approx(end, abs=0.1)
+
+
+def test_sumo_s_cars_have_the_scenario_s_limit_where_the_file_has_none(tmp_path: Path) -> None:
+    content = converted(edited("two_way", "<type.*?</type>", ""), "road.xodr").network
+    network, route = written(content, tmp_path), ["-5#0", "-5#1", "-5#2"]
+    roads = read_network(content, "road.net.xml")
+    road = HighwayRoad(corridor(roads, route, "road.net.xml", 36.0), {}, unlimited(roads))
+    data = {"network": "r.net.xml", "route": route, "duration": 20, "ego": {"s": 100, "speed": SPEED}, "default_limit": 36.0}
+    drive = Traffic("s", HighwayScenario.model_validate(data), network, road, STEP, tmp_path)
+    for _ in range(2):
+        drive.reset()
+        assert {lane.getMaxSpeed(name) for name in lane.getIDList()} == {36.0}

@@ -29,6 +29,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
     from drivecal.roads.corridor import corridor
     from drivecal.roads.levels import other_levels
+    from drivecal.roads.limits import unlimited
     from drivecal.roads.network import network_file, read_network
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
@@ -36,8 +37,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     scenario = described_in(folder, settings["data"], simulator.step)
     network = folder / network_file(scenario.network)
     roads = read_network(network.read_bytes(), scenario.network)
-    route = corridor(roads, scenario.route, scenario.network)
-    road = HighwayRoad(route, other_levels(roads, route))
+    route = corridor(roads, scenario.route, scenario.network, scenario.default_limit)
+    road = HighwayRoad(route, other_levels(roads, route), unlimited(roads))
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.

@@ -1,6 +1,6 @@
 """The corridor of a scenario as the arrays of `geometry`, and places on it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import atan, cos, isnan, sin
 
 import numpy as np
@@ -17,9 +17,10 @@ SMOOTHING = 5.0
 class HighwayRoad:
     """A corridor with everything that is looked up in each step. Arrays as in `geometry`."""
 
-    def __init__(self, corridor: Corridor, levels: Mapping[str, tuple[float, float]]) -> None:
-        """`levels`: stretches of edges above or below the corridor (`roads.levels`)."""
-        self.corridor, self.levels = corridor, levels
+    def __init__(self, corridor: Corridor, levels: Mapping[str, tuple[float, float]], unlimited: Sequence[str] = ()) -> None:
+        """`levels`: stretches of edges above or below the corridor (`roads.levels`); `unlimited`: ids of the network's lanes that get the
+        scenario's `default_limit` (`roads.limits`)."""
+        self.corridor, self.levels, self.unlimited = corridor, levels, unlimited
         line = corridor.line
         self.line: Floats = with_directions(line)
         self.sumo = SumoLanes(corridor, line[:, 0], joined=True)

@@ -82,8 +82,7 @@ class Traffic:
         self._steps_before = round(scenario.warm_up / step) if flows else 0
         """Steps of the warm-up."""
         try:
-            sumo.load(self._options)
-            self._loaded = True
+            self._load()
             placed: list[tuple[str, str, Placed, float, float, float]] = [
                 (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed, vehicle.offset)
                 for index, (key, vehicle) in enumerate(vehicles.items())
@@ -110,14 +109,21 @@ class Traffic:
         self.outlines: Floats = np.zeros((0, 6))
         self._cells: Any = self.raw.reshape(-1).data
 
+    def _load(self) -> None:
+        """Starts SUMO, and gives lanes without a limit that of the scenario, as they have it in the corridor."""
+        sumo.load(self._options)
+        limit = self._scenario.default_limit
+        for lane in self._road.unlimited if limit is not None else ():
+            sumo.lane.setMaxSpeed(lane, limit)
+        self._loaded = True
+
     def reset(self) -> None:
         """Puts all vehicles to their starts, among those of the warm-up. Raises TrafficError if SUMO refuses one."""
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
-                sumo.load(self._options)
+                self._load()
                 drive_alone(self._steps_before, self._instruct)
-                self._loaded = True
             else:
                 sumo.clear()
             driving = sorted(sumo.vehicle.getIDList()) if self._steps_before else []
