@@ -60,6 +60,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "network": "direct.xodr",
         "route": ["-1#0", "-1#1", "-1#2", "-2", "-4#0"],
         "duration": 20,
+        "default_limit": 33,
         "ego": {"s": 50, "speed": 24, "lane": 1},
     },
 }

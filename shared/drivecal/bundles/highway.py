@@ -321,6 +321,7 @@ class OpenScenario(Surroundings):
 
     `parameters`: values for its ParameterDeclarations; `ego`: the name of its entity that the controller drives. What the file says and
     the others leave out: `network` (its LogicFile), `route` (along the road, from where the vehicles are) and `duration` (its StopTrigger).
+    `default_limit`: the speed limit (m/s) of lanes for which the OpenDRIVE file has none.
     """
 
     openscenario: File

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from tests.support.scenario_files import (
@@ -12,6 +14,7 @@ from tests.support.scenario_files import (
     IN,
     NEAR,
     OTHER,
+    STEP,
     WORLD,
     absolute,
     act,
@@ -35,8 +38,18 @@ from tests.support.scenario_files import (
     with_events,
 )
 
+from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.highway_actions import Action, Brake, CutIn, Drift
+from drivecal.bundles.highway_checks import declared_scenario
+from drivecal.bundles.highway_roads import files_read
+from drivecal.bundles.traffic.description import Description, described
+from drivecal.bundles.traffic.places import Map
+from drivecal.domain.errors import InvalidInputError
+from drivecal.roads.conversion import converted
+from drivecal.roads.network import read_network
 from drivecal.roads.opendrive import read_opendrive
+
+ROAD = "maps/motorway.xodr"
 
 ACTION = f'<Action name="also"><PrivateAction>{IN}</PrivateAction></Action>'
 
@@ -316,3 +329,19 @@ def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:
     found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20))))
     assert found.scenario.route == ["-7"]
     assert found.scenario.traffic[0].route == ["7"]
+
+
+def test_a_road_without_limits_needs_the_scenario_s_default_limit() -> None:
+    road = motorway().replace(b"<speed ", b"<velocity ")
+    roads = {ROAD: Map(read_network(converted(road, ROAD).network, ROAD), lambda: read_opendrive(road, ROAD))}
+    files = {name: BundleFile(content, executable=False) for name, content in (("scenarios/a.xosc", cut_out()), (ROAD, road))}
+
+    def found(**data: Any) -> Description:
+        return described(
+            declared_scenario({"openscenario": "scenarios/a.xosc", **data}), files_read(files), roads.__getitem__, STEP
+        )
+
+    with pytest.raises(InvalidInputError) as error:
+        found()
+    assert [problem.field for problem in error.value.problems] == ["default_limit"]
+    assert found(default_limit=30).scenario.default_limit == 30.0
