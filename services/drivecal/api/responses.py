@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, get_args
 
@@ -24,6 +25,7 @@ SECONDS_BETWEEN_POLLS = 1
 TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust", "review")
 """Links of a campaign besides `events`; a comparison has its own tables instead."""
 _FIELDS = tuple(EvaluationRow.model_fields)
+_column = lru_cache(maxsize=4096)(parameter_column)
 _place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])
 
 
@@ -128,7 +130,7 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
 def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     """Returns a row of the table `evaluations`."""
     row: dict[str, Any] = dict(zip(_FIELDS[:PLACE], _place(stored), strict=True))
-    row |= {parameter_column(name): value for name, value in stored.parameters.floats.items()}
+    row |= {_column(name): value for name, value in stored.parameters.floats.items()}
     row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
     return row
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -17,7 +16,6 @@ _KINDS: dict[object, Kind] = {bool: "truth", int: "integer", float: "number", st
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
-@lru_cache(maxsize=1024)
 def spreadsheet_text(value: str) -> str:
     """Returns a text of a CSV file that no spreadsheet takes for a formula: with an apostrophe before it, unless it is a number."""
     try:
@@ -100,7 +98,6 @@ def file_row(row: BaseModel) -> dict[str, Any]:
     return flat
 
 
-@lru_cache(maxsize=4096)
 def parameter_column(name: str) -> str:
     """Returns the column of a parameter, the same in all tables and distinct from their other columns."""
     return f"parameter_{name}" if name in _OTHER_COLUMNS or name.startswith(_PREFIXES) else name

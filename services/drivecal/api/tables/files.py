@@ -4,6 +4,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, Literal
 
 from fastapi.responses import StreamingResponse
@@ -15,6 +16,7 @@ from drivecal.contracts.tables import Column, spreadsheet_text
 Row = Mapping[str, Any]
 _AS_THEY_ARE = frozenset({int, float, type(None)})
 """Types whose values CSV holds as Python writes them; truth has a type of its own."""
+_text = lru_cache(maxsize=1024)(spreadsheet_text)
 
 
 def download(
@@ -52,7 +54,7 @@ def _plain(value: object) -> object:
         return "true" if value else "false"
     if isinstance(value, list):
         return json.dumps(value)
-    return spreadsheet_text(value) if isinstance(value, str) else value
+    return _text(value) if isinstance(value, str) else value
 
 
 def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
