@@ -6,7 +6,7 @@ from typing import Any
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.domain.setups import canonical_json, digest
-from drivecal.plugins import registry
+from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import VERSIONS
 
 _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
@@ -34,27 +34,30 @@ def setup_document(manifest: Manifest, scenario: str, files: str, tools: str | N
 
 
 def _said(manifest: Manifest, tools: str | None) -> dict[str, Any]:
-    """Returns further inputs of a run: the versions of other tools and of the built-in planner, which values are sent as whole numbers, and
-    the problem's name in the greeting of a process."""
+    """Returns further inputs of a run: the versions of other tools, of SUMO and of the built-in planner, which values are sent as whole
+    numbers, and the problem's name in the greeting of a process."""
     said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
     if manifest.simulator.kind == "process":
         said["problem"] = manifest.problem
-    controller = controller_version(manifest.simulator.model_dump(mode="json"))
-    if controller is not None:
-        said["controller"] = controller
+    section = manifest.simulator.model_dump(mode="json")
+    said |= {name: version for name, version in parts_of(section).items() if version is not None}
     if tools is not None:
         said["tools"] = tools
     return said
 
 
-def controller_version(section: Mapping[str, Any]) -> str | None:
-    """Returns the version of the built-in controller that a simulator's section names, None if it names none.
+def parts_of(section: Mapping[str, Any]) -> dict[str, str | None]:
+    """Returns the versions of what this installation adds to a run of a simulator's section, as setups name them: `controller`, the
+    built-in one, and `sumo`, SUMO's library. None if the section does not use it.
 
     Raises InvalidInputError if this installation has no such controller.
     """
-    if section["kind"] != "highway" or section["controller"]["kind"] != "planner":
-        return None
-    return registry.simulator("highway").controllers["planner"]
+    is_highway = section["kind"] == "highway"
+    is_planner = is_highway and section["controller"]["kind"] == "planner"
+    return {
+        "controller": registry.simulator("highway").controllers["planner"] if is_planner else None,
+        "sumo": setups.sumo() if is_highway else None,
+    }
 
 
 def score_id(name: str, score: ScoreEntry) -> str:

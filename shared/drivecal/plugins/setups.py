@@ -15,13 +15,22 @@ Increase it whenever a run may change by a bit; `tests/golden` detects such chan
 """
 
 
+NO_SUMO = "libsumo not installed"
+
+
+def sumo() -> str:
+    """Returns SUMO's library and its version as installed now, without importing it."""
+    try:
+        return f"libsumo {version('libsumo')}"
+    except PackageNotFoundError:
+        return NO_SUMO
+
+
 @cache
 def simulator() -> str:
     """Returns the simulator and its version, without importing it, and the version of the closed loop."""
-    try:
-        return f"libsumo {version('libsumo')}, closed loop {CLOSED_LOOP}"
-    except PackageNotFoundError:
-        return "libsumo not installed"
+    library = sumo()
+    return library if library == NO_SUMO else f"{library}, closed loop {CLOSED_LOOP}"
 
 
 def setup_of(

@@ -7,12 +7,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from tests.unit.bundles.test_checks import VALID as PROCESS_VALID
 from tests.unit.bundles.test_checks import faults
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
-from drivecal.plugins import registry
+from drivecal.plugins import registry, setups
 
 VALID: dict[str, Any] = {
     "problem": "acc",
@@ -310,6 +311,15 @@ def test_a_setup_with_the_built_in_planner_holds_its_version(monkeypatch: pytest
     assert "controller" not in setup_document(checked(VALID), "merge", "")
     monkeypatch.setattr(registry, "simulator", lambda _: SimpleNamespace(controllers={"planner": "another"}))
     assert setup_document(checked(planner, FILES), "merge", "") == said | {"controller": "another"}
+
+
+def test_a_setup_holds_the_version_of_sumo(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another SUMO may give other bits: its results are kept apart."""
+    said = setup_document(checked(VALID), "merge", "")
+    assert said["sumo"] == setups.sumo() != setups.NO_SUMO
+    monkeypatch.setattr(setups, "version", lambda _: "0.0.1")
+    assert setup_document(checked(VALID), "merge", "") == said | {"sumo": "libsumo 0.0.1"}
+    assert "sumo" not in setup_document(checked(PROCESS_VALID), "city", "")
 
 
 @pytest.mark.parametrize("name", CLASSES)

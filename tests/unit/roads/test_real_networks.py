@@ -12,7 +12,9 @@ import sumolib
 from tests.support.networks import GAMES, REAL, real, real_corridor, real_network
 
 from drivecal.domain.roads import pose_on, to_cartesian
+from drivecal.roads.corridor import LARGEST_DIFFERENCE, SHORT
 from drivecal.roads.guide import guide_of
+from drivecal.roads.lines import lengths
 from drivecal.roads.route import lanes_of
 
 NEAR = 0.1
@@ -104,6 +106,14 @@ def test_ramps_and_dropped_lanes_are_there() -> None:
     counts = {name: [track.ends for track in real_corridor(name).tracks].count(True) for name in REAL}
     assert all(counts[name] for name in ("motorway", "exits", "entrance", "ramp"))
     assert {len(real_corridor(name).tracks) for name in REAL} >= {2, 3, 4, 5}
+
+
+@pytest.mark.parametrize("file", sorted({file for file, _ in REAL.values()}))
+def test_lengths_of_all_lanes_keep_the_bound_of_routes(file: str) -> None:
+    for edge in real_network(file).edges.values():
+        for lane in edge.lanes:
+            size = float(lengths(lane.shape)[-1])
+            assert abs(lane.length - size) <= LARGEST_DIFFERENCE * max(size, SHORT)
 
 
 def test_the_files_are_as_large_as_real_ones() -> None:

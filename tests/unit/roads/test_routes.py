@@ -199,6 +199,30 @@ def test_lengths_that_contradict_the_shape_are_refused() -> None:
     assert "900" in message
 
 
+@pytest.mark.parametrize(
+    ("edge", "lane", "factor"), [("beside", 0, 1.05), ("beside", 2, 0.95), (":b_1", 1, 1.6), ("after", 1, 1.042)]
+)
+def test_every_lane_beside_the_route_has_the_length_of_its_shape(edge: str, lane: int, factor: float) -> None:
+    """SUMO moves vehicles by the length: others would come closer at another speed than the one that is observed."""
+    pattern = rf'(<lane id="{edge}_{lane}"[^>]*? length=")([^"]*)"'
+    [(_, text)] = re.findall(pattern, entrance().decode())
+    wrong = f"{factor * float(text):.2f}"
+    field, message = refused(changed(entrance(), pattern, rf'\g<1>{wrong}"'), "before", "beside", "after")
+    assert field == f"route[{['before', 'beside', 'after'].index(edge.replace(':b_1', 'beside'))}]"
+    assert all(part in message for part in (edge, f"lane {lane}", wrong))
+    near = f"{(1 + 0.9 * (factor - 1)) * float(text):.2f}" if edge == "after" else f"{1.01 * float(text):.2f}"
+    drive(changed(entrance(), pattern, rf'\g<1>{near}"'), "before", "beside", "after")
+
+
+def test_a_length_may_hold_the_gaps_of_a_network_without_lanes_inside_of_junctions() -> None:
+    content = entrance("--no-internal-links")
+    lane = read_network(content, NAME).edges["beside"].lanes[0]
+    assert lane.length > 1.04 * np.hypot(*np.diff(lane.shape, axis=0).T).sum()
+    drive(content, "before", "beside", "after")
+    far = changed(content, r'(<lane id="beside_0"[^>]*? length=)"[^"]*"', r'\1"330"')
+    assert refused(far, "before", "beside", "after")[0] == "route[1]"
+
+
 def test_lanes_that_are_ordered_from_the_left_are_refused() -> None:
     text = entrance().decode()
     shapes = re.findall(r'<lane id="before_\d".*?shape="([^"]*)"', text)

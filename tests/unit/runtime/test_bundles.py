@@ -10,6 +10,8 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from drivecal.adapters import children, process
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins import registry
+from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime import bundles
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
@@ -51,7 +53,8 @@ class ScriptedSimulator:
     def open(
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> SimulatorSession:
-        assert (section["kind"], declared.measures, declared.parameters) == ("process", ("a",), {"x": "m/s"})
+        assert section["kind"] in {"process", "highway"}
+        assert (declared.measures, declared.parameters) == (("a",), {"x": "m/s"})
         if data.get("missing"):
             raise UnavailableError("there is no such program")
         assert (folder / "problem.yaml").is_file()
@@ -105,6 +108,33 @@ def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive
         refusal = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).refusal or ""
         assert registry.simulator("highway").controllers["planner"] in refusal
         assert str(requested) in refusal
+
+
+def test_a_worker_with_another_sumo_refuses_the_cells(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = {"kind": "highway", "controller": {"kind": "python"}, "timeout": 10.0}
+    works = worker(tmp_path, ScriptedSimulator())
+    works.store(request_.bundle, archive)
+    batch = Batch(
+        replace(request_, simulator=section, document={"adapter": "1", "sumo": setups.sumo()}), (Cell(1, {"x": 2.0}),)
+    )
+    for other in ("0.0.1", None):
+        with monkeypatch.context() as patch:
+            patch.setattr(setups, "version", partial(installed, other))
+            refused = works.run(batch)
+            here = setups.sumo()
+        assert refused.results == ()
+        assert here != setups.sumo()
+        assert f"is {setups.sumo()} at the coordinator and {here} at the worker" in (refused.refusal or "")
+    assert works.run(batch).refusal is None
+
+
+def installed(number: str | None, package: str) -> str:
+    """The version of a package, as `importlib.metadata` gives it."""
+    if number is None:
+        raise PackageNotFoundError(package)
+    return number
 
 
 def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

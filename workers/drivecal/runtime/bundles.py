@@ -12,7 +12,7 @@ from typing import Any
 
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
-from drivecal.bundles.fingerprints import controller_version
+from drivecal.bundles.fingerprints import parts_of
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -25,6 +25,10 @@ log = logging.getLogger(__name__)
 
 IDLE_SECONDS = 600.0
 """Time without a run after which a session is closed: it may hold memory and a licence."""
+
+
+_PARTS = {"controller": ("controller", "the same drivecal"), "sumo": ("library of SUMO", "the same version of libsumo")}
+"""Words for each part of a setup (`fingerprints.parts_of`), and what to install if it differs."""
 
 
 class BundleSessions:
@@ -157,7 +161,7 @@ class BundleSessions:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
         _refuse_other_adapters(setup, self._simulators(setup.simulator["kind"]).version)
-        _refuse_other_controllers(setup)
+        _refuse_other_parts(setup)
         tried = self._clock() - self._failed_alone.get(setup.key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
@@ -224,14 +228,16 @@ def _refuse_other_adapters(setup: BundleRequest, installed: str) -> None:
         )
 
 
-def _refuse_other_controllers(setup: BundleRequest) -> None:
-    """Raises UnavailableError if the built-in controller of a setup is another one here."""
-    installed, requested = controller_version(setup.simulator), setup.document.get("controller")
-    if setup.document and installed != requested:
-        raise UnavailableError(
-            f"coordinator and worker differ: the controller is {requested} at the coordinator and {installed} at the worker;"
-            " install the same drivecal on both"
-        )
+def _refuse_other_parts(setup: BundleRequest) -> None:
+    """Raises UnavailableError if SUMO or the built-in controller of a setup is another one here: their results are other ones, too."""
+    for name, installed in parts_of(setup.simulator).items():
+        requested = setup.document.get(name)
+        if setup.document and installed != requested:
+            words, remedy = _PARTS[name]
+            raise UnavailableError(
+                f"coordinator and worker differ: the {words} is {requested} at the coordinator and {installed} at the worker;"
+                f" install {remedy} on both"
+            )
 
 
 def _series(outcome: RunOutcome) -> bytes:
