@@ -109,51 +109,71 @@ SIGNALS: Mapping[str, Quantity] = MappingProxyType(
 )
 """Observations of a controller in each of its steps."""
 
+OWN_DEFINITION = "own definition"
+_TIME_GAP = "ISO 15622, time gap"
 _SSM = "Minderhoud and Bovy, Accident Analysis and Prevention 33 (2001)"
 MEASURES: Mapping[str, Quantity] = MappingProxyType(
     {
         "min_ttc_s": Quantity("s", f"least gap / closing speed to the leader in the own lane, at most {LONGEST:g}", _SSM),
         "time_exposed_ttc_s": Quantity("s", "time during which the time to collision is below 3 s", _SSM),
-        "min_headway_s": Quantity("s", f"least gap / own speed, at most {LONGEST:g}", "ISO 15622, time gap"),
+        "min_headway_s": Quantity("s", f"least gap / own speed, at most {LONGEST:g}", _TIME_GAP),
         "mean_headway_s": Quantity(
-            "s", f"mean of gap / own speed over the time with a leader; {LONGEST:g} without one", "ISO 15622"
+            "s", f"mean of gap / own speed over the time with a leader; {LONGEST:g} without one", _TIME_GAP
         ),
-        "min_gap_m": Quantity("m", f"least gap to the leader, at most {FAR:g}"),
-        "mean_gap_m": Quantity("m", f"mean gap to the leader over the time with one; {FAR:g} without one"),
+        "min_gap_m": Quantity("m", f"least gap to the leader, at most {FAR:g}", "ISO 15622, clearance"),
+        "mean_gap_m": Quantity(
+            "m", f"mean gap to the leader over the time with one; {FAR:g} without one", "ISO 15622, clearance"
+        ),
         "max_drac_mps2": Quantity(
-            "m/s²", "largest deceleration that avoids a collision: closing speed² / (2 gap)", "Cooper and Ferguson (1976), DRAC"
+            "m/s²",
+            "largest deceleration that avoids a collision: closing speed² / (2 gap)",
+            "Cooper and Ferguson (1976), deceleration rate to avoid a crash",
         ),
         "min_rear_ttc_s": Quantity("s", f"least time to collision of the follower in the own lane, at most {LONGEST:g}", _SSM),
-        "duration_s": Quantity("s", "simulated time, which ends early at the end of the route and at a failure"),
-        "distance_m": Quantity("m", "integral of the own speed"),
-        "mean_speed_mps": Quantity("m/s", "distance_m / duration_s"),
-        "progress": Quantity(
-            "1", "way along the route over that of a drive at the speed limit for the scenario's whole duration"
+        "duration_s": Quantity(
+            "s", "simulated time, which ends early at the end of the route and at a failure", OWN_DEFINITION
         ),
-        "max_speed_excess_mps": Quantity("m/s", "largest own speed above the limit of the lane, at least 0"),
+        "distance_m": Quantity("m", "integral of the own speed", OWN_DEFINITION),
+        "mean_speed_mps": Quantity("m/s", "distance_m / duration_s", OWN_DEFINITION),
+        "progress": Quantity(
+            "1", "way along the route over that of a drive at the speed limit for the scenario's whole duration", OWN_DEFINITION
+        ),
+        "max_speed_excess_mps": Quantity("m/s", "largest own speed above the limit of the lane, at least 0", OWN_DEFINITION),
         "energy_kwh": Quantity(
             "kWh",
             "integral of P/0.9 for P > 0 and 0.6 P for P < 0, P = (1.05 m a + 0.01 m g + 0.39 v²) v: battery electric, level road",
-            "rolling resistance 0.01, drag area 0.65 m², air 1.2 kg/m³, rotating masses 5 %, drive 90 %, recuperation 60 %",
+            f"{OWN_DEFINITION}: rolling resistance 0.01, drag area 0.65 m², air 1.2 kg/m³, rotating masses 5 %, drive 90 %,"
+            " recuperation 60 %",
         ),
-        "max_acceleration_mps2": Quantity("m/s²", "largest longitudinal acceleration, at least 0"),
-        "max_deceleration_mps2": Quantity("m/s²", "largest longitudinal deceleration, at least 0"),
-        "rms_acceleration_mps2": Quantity("m/s²", "root mean square of the longitudinal acceleration"),
-        "p95_acceleration_mps2": Quantity("m/s²", "95th percentile of the longitudinal acceleration's magnitude"),
-        "p95_lateral_acceleration_mps2": Quantity("m/s²", "95th percentile of the lateral acceleration's magnitude"),
-        "max_lateral_acceleration_mps2": Quantity("m/s²", "largest magnitude of the lateral acceleration"),
-        "rms_jerk_mps3": Quantity("m/s³", "root mean square of the longitudinal jerk (a(t) - a(t - 0.5 s)) / 0.5 s"),
-        "p95_jerk_mps3": Quantity("m/s³", "95th percentile of that jerk's magnitude"),
-        "p95_lateral_jerk_mps3": Quantity("m/s³", "95th percentile of the lateral jerk's magnitude, over 0.5 s"),
-        "max_lane_offset_m": Quantity("m", "largest distance from the centre of the lane that holds the vehicle's centre"),
-        "rms_lane_offset_m": Quantity("m", "root mean square of that distance"),
+        "max_acceleration_mps2": Quantity("m/s²", "largest longitudinal acceleration, at least 0", OWN_DEFINITION),
+        "max_deceleration_mps2": Quantity("m/s²", "largest longitudinal deceleration, at least 0", OWN_DEFINITION),
+        "rms_acceleration_mps2": Quantity("m/s²", "root mean square of the longitudinal acceleration", OWN_DEFINITION),
+        "p95_acceleration_mps2": Quantity(
+            "m/s²", "95th percentile of the longitudinal acceleration's magnitude", OWN_DEFINITION
+        ),
+        "p95_lateral_acceleration_mps2": Quantity(
+            "m/s²", "95th percentile of the lateral acceleration's magnitude", OWN_DEFINITION
+        ),
+        "max_lateral_acceleration_mps2": Quantity("m/s²", "largest magnitude of the lateral acceleration", OWN_DEFINITION),
+        "rms_jerk_mps3": Quantity(
+            "m/s³", "root mean square of the longitudinal jerk (a(t) - a(t - 0.5 s)) / 0.5 s", OWN_DEFINITION
+        ),
+        "p95_jerk_mps3": Quantity("m/s³", "95th percentile of that jerk's magnitude", OWN_DEFINITION),
+        "p95_lateral_jerk_mps3": Quantity(
+            "m/s³", "95th percentile of the lateral jerk's magnitude, over 0.5 s", OWN_DEFINITION
+        ),
+        "max_lane_offset_m": Quantity(
+            "m", "largest distance from the centre of the lane that holds the vehicle's centre", OWN_DEFINITION
+        ),
+        "rms_lane_offset_m": Quantity("m", "root mean square of that distance", OWN_DEFINITION),
         "lane_departures": Quantity(
-            "1", "number of times that the vehicle's side crosses a marking of the lane that holds its centre"
+            "1", "number of times that the vehicle's side crosses a marking of the lane that holds its centre", OWN_DEFINITION
         ),
-        "lane_changes": Quantity("1", "number of times that the vehicle's centre enters another lane"),
+        "lane_changes": Quantity("1", "number of times that the vehicle's centre enters another lane", OWN_DEFINITION),
     }
 )
-"""Measures of every run. Gaps are read after each step of the traffic, accelerations every 0.01 s."""
+"""Measures of every run, stored whether a manifest declares them or not; each has a source. Gaps are read after each step of the traffic,
+accelerations every 0.01 s."""
 
 SERIES: Mapping[str, Quantity] = MappingProxyType(
     {

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, StringConstraints
 
 from drivecal.bundles.highway import HighwaySimulator
+from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Identifier, Model, Number
 from drivecal.contracts.strict_json import Choice
@@ -166,3 +167,10 @@ class Manifest(Model):
     def integers(self) -> tuple[str, ...]:
         """Names of the integer parameters, sorted. A simulator gets 3 for them, not 3.0."""
         return tuple(sorted(name for name, entry in self.parameters.items() if entry.integer))
+
+    @property
+    def reported(self) -> dict[str, str]:
+        """Measures that runs of campaigns report and store, with units: the declared ones, and whatever else the simulator always computes,
+        for scores that are pushed later."""
+        always = MEASURES if isinstance(self.simulator, HighwaySimulator) else {}
+        return self.measures | {name: quantity.unit for name, quantity in always.items() if name not in self.measures}

@@ -69,7 +69,7 @@ class BundleRequest:
     measures: tuple[str, ...]
     failures: tuple[str, ...]
     series: tuple[str, ...]
-    """Declared names."""
+    """Names: of the measures to report (`Manifest.reported`), of the declared failures and time series."""
     run_fingerprint: str
     document: Mapping[str, object] = field(default_factory=dict)
     tools: str | None = None

@@ -29,6 +29,14 @@ def test_every_table_is_that_of_the_catalogue() -> None:
     assert given == expected
 
 
+def test_every_measure_has_a_source_that_the_page_shows() -> None:
+    sources = {name: entry.source for name, entry in catalogue.MEASURES.items()}
+    cited = re.compile(r"ISO \d+, \w+|.+\(\d{4}\)")
+    assert all(source.startswith(catalogue.OWN_DEFINITION) or cited.match(source) for source in sources.values())
+    rows = [re.split(r" \| ", row.strip("| ")) for row in PAGE.read_text().splitlines() if row.startswith("| `")]
+    assert {name.strip("`"): rest[-1] for name, *rest in rows if name.strip("`") in sources} == sources
+
+
 def test_the_examples_of_the_page_are_valid() -> None:
     blocks: list[Any] = [yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)]
     simulator = HighwaySimulator.model_validate(blocks[0]["simulator"])

@@ -12,6 +12,7 @@ import yaml
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.checks import checked
+from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
@@ -52,6 +53,34 @@ def fields(**settings: Any) -> set[str]:
 def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
     rating = BundleBench(bundle(), ("wet",), score).rate("wet", measures, failure)
     return None if rating is None else rating.rating
+
+
+def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() -> None:
+    given = yaml.safe_load((EXAMPLE.parents[1] / "acc-highway" / "problem.yaml").read_text())
+    stored = Bundle("d1", "f1", checked(given))
+    request = BundleBench(stored, tuple(given["scenarios"]), next(iter(given["scores"]))).requests[
+        next(iter(given["scenarios"]))
+    ]
+    assert len(set(request.measures)) == len(request.measures)
+    assert set(request.measures) == set(CATALOGUE) > given["measures"].keys()
+    (new, unit) = next((name, entry.unit) for name, entry in CATALOGUE.items() if name not in given["measures"])
+    score = {"formula": new, "direction": "minimise", "range": [0, 100]}
+    later = checked({**given, "measures": {**given["measures"], new: unit}, "scores": {"later": score}})
+    rating = BundleBench(Bundle("d2", "f1", later), tuple(given["scenarios"]), "later").rate(
+        request.scenario, dict.fromkeys(request.measures, 3.0), None
+    )
+    assert rating is not None
+    assert rating.rating == 3.0
+    problem = resolved(stored, problem=stored.manifest.problem)
+    assert problem.bench.requests[request.scenario].run_fingerprint == request.run_fingerprint
+    goal = {"measure": new, "direction": "minimise"}
+    resolved(
+        stored,
+        problem=stored.manifest.problem,
+        optimizer={"kind": "nsga2", "population": 10, "iterations": 2},
+        objectives=[goal],
+    )
+    assert BundleBench(bundle(), ("wet",), "comfort").requests["wet"].measures == tuple(bundle().manifest.measures)
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ class BundleBench:
                 simulator=manifest.simulator.model_dump(mode="json"),
                 parameters=tuple(manifest.parameters),
                 integers=manifest.integers,
-                measures=tuple(manifest.measures),
+                measures=tuple(manifest.reported),
                 failures=manifest.failures,
                 series=tuple(manifest.series),
                 run_fingerprint=self.setups[name].fingerprint,

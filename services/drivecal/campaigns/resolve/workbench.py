@@ -122,7 +122,7 @@ def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workben
     scores = {
         name: CellValue(entry.scale(name), None if name == score else entry.formula) for name, entry in manifest.scores.items()
     }
-    known = KnownValues() if score is None else KnownValues(scores, manifest.measures)
+    known = KnownValues() if score is None else KnownValues(scores, manifest.reported)
     return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(bundle), known=known)
 
 
