@@ -1,4 +1,4 @@
-"""Damaged files: whatever is in them, reading ends soon, with a corridor or an InvalidInputError.
+"""Damaged files, made for tests and of public projects: whatever is in them, reading ends soon, with a corridor or an InvalidInputError.
 
 `DRIVECAL_LONG` in the environment makes it thorough.
 """
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from tests.support.effort import tries
 from tests.support.mutations import mutated, outcome
-from tests.support.networks import crossing, entrance, generated
+from tests.support.networks import REAL, crossing, entrance, generated, real
 from tests.support.opendrive_files import FILES
 
 from drivecal.domain.errors import InvalidInputError
@@ -32,6 +32,7 @@ SUBJECTS: dict[str, tuple[Callable[[], bytes], tuple[str, ...]]] = {
         lambda: generated("--grid", "--grid.x-number", "4", "--grid.y-number", "1", "--grid.length", "300"),
         ("A0B0", "B0C0", "C0D0"),
     ),
+    **{f"real {name}": (real(name).read_bytes, REAL[name][1]) for name in ("highway", "merge")},
 }
 
 
