@@ -30,6 +30,13 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "ego": {"lane": 1, "s": 50, "speed": 24},
     },
     "highway": {"network": "highway.net.xml", "route": list(REAL["highway"][1]), "duration": 20, "ego": {"s": 20, "speed": 24}},
+    "ramp": {
+        "network": "ramp.net.xml",
+        "route": list(REAL["ramp"][1]),
+        "duration": 20,
+        "ego": {"lane": 1, "s": 20, "speed": 24},
+    },
+    "merge": {"network": "ramp.net.xml", "route": list(REAL["merge"][1]), "duration": 20, "ego": {"s": 20, "speed": 24}},
     "built": {
         "network": "entrance.net.xml",
         "route": ["before", "beside", "after"],
@@ -86,6 +93,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CheckedScenar
     networks = {
         "a10": real("motorway").read_bytes(),
         "highway": real("highway").read_bytes(),
+        "ramp": real("ramp").read_bytes(),
         "entrance": entrance(),
         "grid": generated(*GRID),
     }

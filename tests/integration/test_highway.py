@@ -43,6 +43,10 @@ BUSY = [
 FLOWS = [{"per_hour": 1200, "lane": 0, "model": "Krauss", "sigma": 0.5, "lane_change": "LC2013", "random": True}]
 
 
+SUBLANES = [vehicle | {"lane_change": "SL2015"} for vehicle in BUSY]
+"""SUMO has one kind of lanes in a scenario, so that the models are not mixed."""
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = motorway(tmp_path_factory.mktemp("motorways") / "bundle")
@@ -201,10 +205,19 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     assert outcomes[0].failure is None
 
 
-@pytest.mark.slow("exact-process", "exact-fmu", "exact-python", "random-python", "random-fmu")
-@pytest.mark.parametrize("kind", ["python", "process", "fmu"])
+@pytest.mark.slow(
+    *(f"{traffic}-{kind}" for traffic in ("exact", "random", "sublanes") for kind in ("python", "process", "numba", "fmu")
+      if (traffic, kind) not in {("random", "process"), ("sublanes", "numba")})
+)  # fmt: skip
+@pytest.mark.parametrize("kind", ["python", "process", "numba", "fmu"])
 @pytest.mark.parametrize(
-    "data", [drive([BRAKING, CUTTER], 15.0), drive(BUSY, 15.0, flows=FLOWS, seed=5)], ids=["exact", "random"]
+    "data",
+    [
+        drive([BRAKING, CUTTER], 15.0),
+        drive(BUSY, 15.0, flows=FLOWS, seed=5),
+        drive(SUBLANES, 15.0, flows=[flow | {"lane_change": "SL2015"} for flow in FLOWS], seed=5),
+    ],
+    ids=["exact", "random", "sublanes"],
 )
 def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (28.0, 31.0, 33.0)]

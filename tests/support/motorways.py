@@ -1,4 +1,4 @@
-"""Bundles of kind `highway` for tests: the examples' motorway, scenarios on it, and one ACC as Python, program and FMU."""
+"""Bundles of kind `highway` for tests: the examples' motorway, scenarios on it, and one ACC as Python (also compiled), program and FMU."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PARAMETERS = {"v0": 30.0, "T": 1.5, "k": 0.08, "c": 0.6}
 
 PYTHON = '''
 def control(observation, parameters):
-    """The law of the other two, in the same order of operations."""
+    """The law of the others, in the same order of operations."""
     speed, gap, leader = observation["speed"], observation["gap"], observation["leader_speed"]
     cruise = 0.4 * (parameters["v0"] - speed)
     follow = parameters["k"] * (gap - (4.0 + parameters["T"] * speed)) + parameters["c"] * (leader - speed)
@@ -32,6 +32,22 @@ def control(observation, parameters):
         cruise = follow
     return cruise
 '''
+COMPILED = """
+from numba import njit
+
+
+@njit
+def law(speed, gap, leader, v0, T, k, c):
+    cruise = 0.4 * (v0 - speed)
+    follow = k * (gap - (4.0 + T * speed)) + c * (leader - speed)
+    if gap < 200.0 and follow < cruise:
+        cruise = follow
+    return cruise
+
+
+def control(o, p):
+    return law(o["speed"], o["gap"], o["leader_speed"], p["v0"], p["T"], p["k"], p["c"])
+"""
 LAW = """
 static double law(double speed, double gap, double leader, double v0, double T, double k, double c) {
     double cruise = 0.4 * (v0 - speed);
@@ -129,6 +145,7 @@ DESCRIPTION = (
 )
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "python": {"kind": "python", "file": "acc.py", "output": ["acceleration"]},
+    "numba": {"kind": "python", "file": "compiled.py", "output": ["acceleration"]},
     "process": {
         "kind": "process",
         "command": ["./acc"],
@@ -153,10 +170,11 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
 
 
 def motorway(folder: Path, code: str = PYTHON, network: Path = NETWORK) -> Path:
-    """Writes a bundle with a controller in Python."""
+    """Writes a bundle with a controller in Python, and the ACC compiled by numba."""
     folder.mkdir(exist_ok=True)
     shutil.copy(network, folder / "road.net.xml")
     (folder / "acc.py").write_text(code)
+    (folder / "compiled.py").write_text(COMPILED)
     return folder
 
 
