@@ -36,7 +36,13 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "duration": 20,
         "ego": {"lane": 1, "s": 20, "speed": 24},
     },
-    "merge": {"network": "ramp.net.xml", "route": list(REAL["merge"][1]), "duration": 20, "ego": {"s": 20, "speed": 24}},
+    "merge": {
+        "network": "ramp.net.xml",
+        "route": list(REAL["merge"][1]),
+        "duration": 20,
+        "ego": {"lane": 1, "s": 90, "speed": 24},
+        "traffic": [{"edge": "gneE14", "route": list(REAL["merge"][1]), "s": 10, "speed": 10, "lane_change": "LC2013"}],
+    },
     "built": {
         "network": "entrance.net.xml",
         "route": ["before", "beside", "after"],
