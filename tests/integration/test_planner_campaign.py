@@ -1,32 +1,52 @@
-"""The example of the built-in planner on a road network, as a campaign on two workers without Ray."""
+"""Problems of kind `highway` as campaigns on two workers without Ray: the example of the built-in planner, an ACC as an FMU, and a lane
+keeper in C++."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from tests.support.motorways import driven
+import yaml
+from tests.support.motorways import CONTROLLERS, compile_fmu, drive, driven, motorway
 from tests.support.serve import serving
 from tests.support.user_problems import problem
+from tests.support.vehicles import LANE_KEEPER, write_vehicles
 
+from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.client import Client
 from drivecal.client.problems import read_bundle
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 SPEC: dict[str, Any] = {
-    "problem": "planner-highway",
     "sensitivity": None,
     "optimizer": {"kind": "genetic", "population": 4, "iterations": 1, "seed": 3},
     "reduction": {"mode": "off"},
 }
+BRAKING = {"id": "leader", "s": 560, "speed": 30, "actions": [{"do": "brake", "time": 4, "speed": 12, "rate": 3}]}
+RANDOM = [{"s": 620, "speed": 28, "lane": lane, "model": "Krauss", "sigma": 0.4, "lane_change": "SL2015"} for lane in (0, 1)]
+PROBLEMS: dict[str, tuple[Mapping[str, Any], dict[str, Any]]] = {
+    "acc-as-fmu": (
+        CONTROLLERS["fmu"],
+        {
+            "v0": {"lower": 28, "upper": 34},
+            "T": {"lower": 1, "upper": 2},
+            "k": {"lower": 0.05, "upper": 0.1},
+            "c": {"lower": 0.5, "upper": 0.7},
+        },
+    ),
+    "keeper-in-cpp": (LANE_KEEPER, {"gain": {"lower": 0.3, "upper": 0.7}}),
+}
+"""Controller and parameters."""
 
 
-def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("name", ["planner-highway", *PROBLEMS])
+def test_a_calibrated_controller_gives_the_same_bits_in_any_worker(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = problem("planner-highway", tmp_path)
+    folder = made(name, tmp_path) if name in PROBLEMS else problem(name, tmp_path)
     manifest, _ = read_bundle(folder)
     monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
     cache = str(tmp_path / "cache")
@@ -35,7 +55,7 @@ def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
         Client(server.url) as client,
     ):
         client.push_problem(folder)
-        ended = client.wait(client.submit(SPEC).id)
+        ended = client.wait(client.submit({"problem": name} | SPEC).id)
         query: dict[str, str | int] = {"measures": "true", "limit": 1000}
         rows = (
             httpx.get(f"{server.url}/api/v1/campaigns/{ended.id}/evaluations", params=query, timeout=60)
@@ -44,12 +64,32 @@ def test_the_planner_is_calibrated_and_gives_the_same_bits_in_any_worker(
         )
     assert (ended.state, ended.error, ended.cells.failed) == ("succeeded", None, 0)
     assert {row["outcome"] for row in rows} == {"simulated"}
-    assert {row["scenario"] for row in rows} == {"merge", "cut_in"}
+    assert {row["scenario"] for row in rows} == set(manifest.scenarios)
+    assert len({row["worker"] for row in rows}) == 2
     controller = manifest.simulator.model_dump(mode="json")["controller"]
-    for scenario in ("merge", "cut_in"):
+    for scenario in manifest.scenarios:
         with driven(folder, manifest.scenarios[scenario], controller) as session:
             for row in [row for row in rows if row["scenario"] == scenario][::-1]:  # another process, another order
                 again = session.evaluate({name: float(row[name]) for name in manifest.parameters})
-                assert {name: again.measures[name] for name in manifest.measures} == {
-                    name: row[f"measure_{name}"] for name in manifest.measures
-                }
+                assert again.measures == {name: row[f"measure_{name}"] for name in MEASURES}
+
+
+def made(name: str, folder: Path) -> Path:
+    """A problem on a curve, with a leader that brakes, and with random traffic."""
+    controller, parameters = PROBLEMS[name]
+    path = motorway(folder / name)
+    compile_fmu(path)
+    write_vehicles(path)
+    manifest = {
+        "problem": name,
+        "parameters": parameters,
+        "simulator": {"kind": "highway", "controller": dict(controller), "timeout": 60, "deterministic": True},
+        "scenarios": {
+            "braking": drive([BRAKING], 10.0, ego={"s": 500}),
+            "random": drive(RANDOM, 10.0, ego={"s": 500}, seed=5),
+        },
+        "measures": {"rms_lane_offset_m": "m", "min_gap_m": "m"},
+        "scores": {"gap": {"formula": "min_gap_m - rms_lane_offset_m", "direction": "maximise", "range": [0, 1000]}},
+    }
+    (path / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    return path

@@ -68,17 +68,24 @@ int main(void) {
 KEEPER = r"""
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
+#include <cstring>
+static char line[65536];
+static double begun() { // the line of a run: the parameter `gain`, if there is one
+    std::fgets(line, sizeof line, stdin);
+    const char *given = std::strstr(line, "\"gain\":");
+    std::puts("{\"ready\": true}"); std::fflush(stdout);
+    return given ? std::atof(given + 7) : 0.5;
+}
 int main() {
-    static char line[65536];
     double in[5];
     std::fgets(line, sizeof line, stdin);
     std::puts("{\"ready\": true}"); std::fflush(stdout);
-    std::fgets(line, sizeof line, stdin);
-    std::puts("{\"ready\": true}"); std::fflush(stdout);
+    double gain = begun();
     while (std::fread(in, sizeof in, 1, stdin) == 1) { // speed, lane_offset, heading_error, road_curvature, curvature_1s
-        if (std::isnan(in[0])) { std::fgets(line, sizeof line, stdin); std::puts("{\"ready\": true}"); std::fflush(stdout); continue; }
+        if (std::isnan(in[0])) { gain = begun(); continue; }
         const double speed = in[0] > 5.0 ? in[0] : 5.0;
-        const double curvature = 0.5 * (in[3] + in[4]) - 0.5 * in[1] / (speed * speed) - 1.2 * in[2] / speed;
+        const double curvature = 0.5 * (in[3] + in[4]) - gain * in[1] / (speed * speed) - 1.2 * in[2] / speed;
         std::fwrite(&curvature, sizeof curvature, 1, stdout); std::fflush(stdout);
     }
 }
