@@ -392,6 +392,13 @@ def test_a_network_that_sumo_refuses_is_named(tmp_path: Path) -> None:
             pass
 
 
+def test_the_cause_for_which_sumo_refuses_a_network_is_named(tmp_path: Path) -> None:
+    bundle = motorway(tmp_path / "bundle")
+    (bundle / "road.net.xml").write_text(NETWORK.read_text().replace(' state="M"', ' state="wrong"'))
+    with pytest.raises(UnavailableError, match=r"road\.net\.xml.*link state 'wrong'"), driven(bundle, drive()):
+        pass
+
+
 def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
     outcome = result(folder, drive([LEADER | {"s": 2900}], 30.0, ego={"s": 2700}))
     assert outcome.failure is None
