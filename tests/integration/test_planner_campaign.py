@@ -3,13 +3,13 @@ keeper in C++."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-import yaml
 from tests.support.motorways import CONTROLLERS, compile_fmu, drive, driven, motorway
 from tests.support.serve import serving
 from tests.support.user_problems import problem
@@ -91,5 +91,5 @@ def made(name: str, folder: Path) -> Path:
         "measures": {"rms_lane_offset_m": "m", "min_gap_m": "m"},
         "scores": {"gap": {"formula": "min_gap_m - rms_lane_offset_m", "direction": "maximise", "range": [0, 1000]}},
     }
-    (path / "problem.yaml").write_text(yaml.safe_dump(manifest, sort_keys=False))
+    (path / "problem.yaml").write_text(json.dumps(manifest))
     return path
