@@ -16,7 +16,7 @@ import pytest
 import yaml
 from tests.support.effort import tries
 from tests.support.motorways import CONTROLLERS, PARAMETERS, driven, motorway
-from tests.support.mutations import mutated, outcome
+from tests.support.mutations import mutated, nudged, outcome
 from tests.support.networks import REAL, entrance, real
 from tests.support.scenario_files import FILES, ROUTES
 from tests.support.scenario_files import motorway as opendrive
@@ -105,7 +105,7 @@ def test_damaged_files_are_driven_or_refused_by_name(sound: Path, tmp_path: Path
     folder = tmp_path / "damaged"  # stays if the test fails
     while endings.total() - endings["refused by the check"] < DRIVES[number]:
         shutil.copytree(sound, folder)
-        (folder / file).write_bytes(mutated(content, chance))
+        (folder / file).write_bytes(chance.choice((mutated, nudged))(content, chance))
         endings[ending(folder, data)] += 1
         shutil.rmtree(folder)
     assert endings["driven"], endings

@@ -41,6 +41,20 @@ def other_value(content: bytes, chance: random.Random) -> bytes:
     return content[:first] + value + content[last:]
 
 
+def nudged(content: bytes, chance: random.Random) -> bytes:
+    """The content with one to five other numbers in its attributes: still a file of its kind, with which programs go on."""
+    for _ in range(chance.randrange(1, 6)):
+        places = [match.span() for match in re.finditer(rb"(?<=[\" ,])-?\d+\.?\d*(?=[\" ,])", content)]
+        if not places:
+            break
+        first, last = chance.choice(places)
+        number = float(content[first:last])
+        other = number * chance.choice((0.0, 0.5, 0.97, 1.03, 1.5, -1.0)) + chance.choice((0.0, 0.0, 1.0, -1.0))
+        text = f"{other:.2f}" if b"." in content[first:last] else f"{other:.0f}"
+        content = content[:first] + text.encode() + content[last:]
+    return content
+
+
 def swapped(content: bytes, chance: random.Random) -> bytes:
     (first, last), (begin, end) = attribute(content, chance), attribute(content, chance)
     return content[:first] + content[begin:end] + content[last:]
