@@ -57,7 +57,7 @@ class _Child:
         self.process: subprocess.Popen[bytes] | None = None
         self.started_at = self.start_at = 0.0
         self.gave_up = 0
-        """Ends that were its own doing."""
+        """Ends that were its own doing, since it last lived for a minute."""
 
     def start(self) -> None:
         keep = ",".join(str(descriptor) for descriptor in self.specification.keep)
@@ -81,7 +81,10 @@ class _Child:
             end_session(process.pid)
         if process.stdin:
             process.stdin.close()
-        self.start_at = time.monotonic() + self.pauses.next(time.monotonic() - self.started_at)
+        lived = time.monotonic() - self.started_at
+        self.start_at = time.monotonic() + self.pauses.next(lived)
+        if lived >= HEALTHY_AFTER_SECONDS:
+            self.gave_up = 0
         self.gave_up += process.returncode not in KILLED
         return process.returncode
 

@@ -46,7 +46,8 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float) 
                 set_={"number": leases.c.number + 1} | {name: new.excluded[name] for name in _RENEWED},
                 where=(leases.c.term != term) | (leases.c.expires_at <= moment),
             )
-            granted |= dict(connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number)).tuples().all())
+            rows = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number))
+            granted |= {row.evaluation_id: row.number for row in rows}
     return granted
 
 

@@ -150,11 +150,8 @@ Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=_L
 """Name of an optimizer in a comparison."""
 Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=_LINE), _OUTSIDE]
 """Text that names a choice."""
-Tag = Annotated[
-    str,
-    StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$"),
-    Outside(rf"^[^\x00-\x20{_STEERING},]+$"),
-]
+StoredTag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]
+Tag = Annotated[StoredTag, Outside(rf"^[^\x00-\x20{_STEERING},]+$")]
 """A word without spaces and commas."""
 Comment = Annotated[
     str,

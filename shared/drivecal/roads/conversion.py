@@ -16,7 +16,7 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.roads.direct import connect_directly
 from drivecal.roads.network import read_network, source_comment
-from drivecal.roads.notes import Notes, cut
+from drivecal.roads.notes import JoinedNotes, cut
 from drivecal.roads.opendrive import DRIVEN, IGNORED, NO_LIMIT, OPEN_LIMIT, RoadFile, read_opendrive
 from drivecal.roads.placement import place
 
@@ -84,9 +84,9 @@ def netconvert() -> str:
     return executable
 
 
-def _completed(file: RoadFile) -> Notes:
+def _completed(file: RoadFile) -> JoinedNotes:
     """Gives lanes without a width netconvert's; returns notes on them. Raises InvalidInputError for lanes given by borders."""
-    notes = Notes()
+    notes = JoinedNotes()
     for road in file.roads.values():
         for section in road.sections:
             for lane in section.lanes.values():

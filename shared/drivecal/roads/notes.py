@@ -8,7 +8,7 @@ MOST_PLACES = 5
 """Places that a note names."""
 
 
-class Notes:
+class JoinedNotes:
     """Notes by text, in the order of the first of each."""
 
     def __init__(self) -> None:

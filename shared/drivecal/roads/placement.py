@@ -16,7 +16,7 @@ import numpy as np
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
 from drivecal.roads.network import LIMITS, ORIGIN, UNKNOWN, UNPLACED, WIDTHS
-from drivecal.roads.notes import Notes
+from drivecal.roads.notes import JoinedNotes
 from drivecal.roads.opendrive import DRIVEN, SHORTEST, FileRoad, RoadFile
 
 STEP = 1.0
@@ -65,7 +65,7 @@ class Piece:
         return np.clip(np.linspace(self.begin, self.end, count), low, high)
 
 
-def place(net: Element, file: RoadFile) -> Notes:
+def place(net: Element, file: RoadFile) -> JoinedNotes:
     """Moves the lanes of a network to their places in the file; returns notes on limits that the file does not give, or that change, and
     on lanes that have no place in it.
     """
@@ -87,9 +87,9 @@ class _Placement:
         self.pieces: dict[str, Piece] = {}
         self.last: dict[str, float | None] = {}
         """The limit at the end of each lane."""
-        self.notes = Notes()
+        self.notes = JoinedNotes()
 
-    def placed(self) -> Notes:
+    def placed(self) -> JoinedNotes:
         """Moves all lanes."""
         for name, lane in self.lanes.items():
             if name in self.inner:

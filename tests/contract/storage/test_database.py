@@ -20,6 +20,7 @@ from tests.support.storage import PROCESSES, campaign, migrate
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage import campaigns
+from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.engine.schema import REVISION_TABLE
 from drivecal.storage.engine.tables import metadata
@@ -95,7 +96,7 @@ def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_p
     begun, ends = PROCESSES.Event(), PROCESSES.Event()
     writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 1.0, begun, ends))
     writer.start()
-    prompt = Database.open(url, PROMPT)
+    prompt = Database.open(url, replace(PROMPT, lock=30))  # without turns they would all wait in vain, however long
 
     def write(number: int) -> None:
         with prompt.transaction() as connection:
@@ -131,6 +132,23 @@ def test_processes_with_many_writers_keep_none_from_writing(tmp_path: Path) -> N
         assert database._turns is not None
         assert database._turns._locked is None, "the queue is left"
         database.dispose()
+
+
+def test_a_process_that_stands_still_in_the_queue_holds_up_no_other_for_long(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}", replace(PROMPT, lock=0.2))
+    database.upgrade()
+    queue = tmp_path / "drivecal.db.queue"
+    with queue.open("r+b") as held:
+        assert locks.try_lock(held)
+        for _ in range(2):  # the second does not ask again
+            with database.transaction() as connection:
+                campaign(connection, "written")
+    with database.read() as connection:
+        assert len(campaigns.active(connection)) == 2
+    assert [str(queue) in record.getMessage() for record in caplog.records] == [True]
+    database.dispose()
 
 
 def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) -> None:

@@ -80,3 +80,8 @@ def test_what_earlier_releases_stored_stays_readable(model: type[BaseModel], doc
 
 def test_the_schema_shows_what_is_refused() -> None:
     assert r"\u202a-\u202e" in CampaignSpecification.model_json_schema()["properties"]["name"]["pattern"]
+
+
+def test_a_stored_tag_can_be_removed_whatever_it_holds() -> None:
+    tags = [f"old{character}" for character in STEERING[1:]]
+    assert validated(CampaignChanges, {"remove_tags": tags}, from_outside=True).remove_tags == tags

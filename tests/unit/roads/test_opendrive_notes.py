@@ -14,14 +14,14 @@ from drivecal.roads import conversion
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network
-from drivecal.roads.notes import Notes, cut
+from drivecal.roads.notes import JoinedNotes, cut
 from drivecal.roads.opendrive import read_opendrive
 
 NAME = "road.xodr"
 
 
 def test_equal_notes_are_one_with_the_first_places_and_how_many_more() -> None:
-    notes = Notes()
+    notes = JoinedNotes()
     for number in range(12):
         notes.add(f"road {number}", "no width")
         notes.add("road 0", "no width")

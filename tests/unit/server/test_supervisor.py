@@ -4,8 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import psutil
 import pytest
@@ -13,7 +16,7 @@ from tests.support.serve import until
 from tests.support.simulators import is_running
 
 from drivecal.server.guardian import members
-from drivecal.server.supervisor import Pauses
+from drivecal.server.supervisor import ChildProcess, Pauses, _Child
 
 SCRIPT = """
 import logging, sys
@@ -148,6 +151,17 @@ note(); time.sleep(600)
 def test_a_child_that_is_killed_while_it_starts_is_started_again(server: Server) -> None:
     server.ready()
     assert server.log.read_text().count("the two ended unexpectedly (exit code 137)") == 3
+
+
+def test_ends_count_as_failed_starts_within_a_minute_only() -> None:
+    child = _Child(ChildProcess("one", ["true"]))
+    counts = []
+    for lived, code in ((1.0, 1), (1.0, 137), (1.0, 1), (70.0, 1), (1.0, 0)):
+        process: Any = SimpleNamespace(poll=lambda: 0, returncode=code, stdin=None)
+        child.process, child.started_at = process, time.monotonic() - lived
+        assert child.ended() == code
+        counts.append(child.gave_up)
+    assert counts == [1, 1, 2, 1, 2]
 
 
 def test_the_members_of_a_session_are_found_by_it() -> None:

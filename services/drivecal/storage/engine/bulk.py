@@ -63,11 +63,13 @@ def execute_rows(connection: Connection, statement: AnyInsert | Update, rows: Se
     """Executes a statement for each row, as `Connection.execute` does; all rows have the keys of the first. Returns the number of rows
     that an UPDATE has changed.
 
-    SQLAlchemy's own way prepares each row anew, which takes several times as long as SQLite does. PostgreSQL's gets many rows at once.
+    SQLAlchemy's own way prepares each row anew, which takes several times as long as SQLite does. PostgreSQL gets many new rows at once.
     """
     if not rows:
         return 0
     if connection.dialect.name != "sqlite":
+        if isinstance(statement, AnyInsert):  # only with an answer does SQLAlchemy send many of them in a statement
+            statement = statement.returning(*statement.table.primary_key)
         return connection.execute(statement, rows).rowcount
     compiled = statement.compile(dialect=connection.dialect, column_keys=list(rows[0]))
     constants = compiled.params

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -46,6 +47,10 @@ QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
 QUEUE_KEPT_SECONDS = 0.5
 """Time in which waiting threads of a process write one after the other, before another process does."""
+QUEUE_LEFT_SECONDS = 10.0
+"""Time for which a process writes without the queue after it waited in vain."""
+
+log = logging.getLogger(__name__)
 
 
 class Turns:
@@ -64,14 +69,18 @@ class Turns:
         self._waiting = 0
         self._locked: tuple[IO[bytes], float] | None = None
         """The locked file, and the time of `time.monotonic` since when."""
+        self._queue_again = 0.0
+        """The time of `time.monotonic` from which on the file is locked again after it could not be."""
 
     @contextmanager
     def take(self) -> Iterator[float]:
         """Yields the time of `time.monotonic` until which to wait for other processes. Raises UnavailableError if threads take too long."""
         deadline = time.monotonic() + self._seconds
         self._count(1)
-        taken = self._lock.acquire(timeout=self._seconds)
-        self._count(-1)
+        try:
+            taken = self._lock.acquire(timeout=self._seconds)
+        finally:
+            self._count(-1)
         try:
             if not taken:
                 raise UnavailableError("the database is busy with other changes; try again")
@@ -90,21 +99,38 @@ class Turns:
         if self._locked is not None and time.monotonic() > self._locked[1] + QUEUE_KEPT_SECONDS:
             self._unlock()
             time.sleep(2 * QUEUE_SECONDS)  # others look meanwhile
-        if self._locked is None:
-            with suppress(OSError):  # a folder that cannot be written: SQLite says so
-                self._queue.touch(mode=0o600)
-                file = self._queue.open("r+b")
-                while not (is_locked := locks.try_lock(file)) and time.monotonic() < deadline:
-                    time.sleep(QUEUE_SECONDS)
-                if is_locked:
-                    self._locked = file, time.monotonic()
-                else:
-                    file.close()
+        if self._locked is None and time.monotonic() >= self._queue_again:
+            self._enter_queue(deadline)
         try:
             yield max(deadline - time.monotonic(), 0.0)
         finally:
             if not self._waiting:
                 self._unlock()
+
+    def _enter_queue(self, deadline: float) -> None:
+        """Locks the file. If that fails, or takes half of a writer's time, SQLite's own lock has to do for a while: a process that is
+        stopped while it has the file locked holds up nobody for longer."""
+        begun = time.monotonic()
+        try:
+            self._queue.touch(mode=0o600)
+            file = self._queue.open("r+b")
+        except OSError as error:
+            if self._queue.exists():  # else nothing can be written here, and SQLite says so
+                self._do_without(f"cannot be locked: {error.strerror}")
+            return
+        longest = begun + self._seconds / 2
+        while not (is_locked := locks.try_lock(file)) and time.monotonic() < min(deadline, longest):
+            time.sleep(QUEUE_SECONDS)
+        if is_locked:
+            self._locked = file, time.monotonic()
+            return
+        file.close()
+        if time.monotonic() >= longest:
+            self._do_without("is locked by another process that does not begin to write")
+
+    def _do_without(self, cause: str) -> None:
+        log.warning("%s %s; processes that write at a time may have to try again", self._queue, cause)
+        self._queue_again = time.monotonic() + QUEUE_LEFT_SECONDS
 
     def _leave_queue(self) -> None:
         """Unlocks the file unless a thread has its turn or waits for it: these do so themselves."""
