@@ -96,7 +96,7 @@ def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_p
     begun, ends = PROCESSES.Event(), PROCESSES.Event()
     writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 1.0, begun, ends))
     writer.start()
-    prompt = Database.open(url, replace(PROMPT, lock=30))  # without turns they would all wait in vain, however long
+    prompt = Database.open(url, replace(PROMPT, lock=10))
 
     def write(number: int) -> None:
         with prompt.transaction() as connection:

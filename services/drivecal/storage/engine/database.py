@@ -99,11 +99,14 @@ class Turns:
         if self._locked is not None and time.monotonic() > self._locked[1] + QUEUE_KEPT_SECONDS:
             self._unlock()
             time.sleep(2 * QUEUE_SECONDS)  # others look meanwhile
-        if self._locked is None and time.monotonic() >= self._queue_again:
+        entered = self._locked is None and time.monotonic() >= self._queue_again
+        if entered:
             self._enter_queue(deadline)
         try:
             yield max(deadline - time.monotonic(), 0.0)
         finally:
+            if entered and self._locked is not None:  # the time of the writer before does not count
+                self._locked = self._locked[0], time.monotonic()
             if not self._waiting:
                 self._unlock()
 
