@@ -19,6 +19,12 @@ from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
+FILLED: dict[str, Any] = {
+    "flows": [{"per_hour": 1800, "speed": 30, "begin": -14, "end": -2, "lane_change": "LC2013"}],
+    "warm_up": 20,
+    "ego": {"lane": 0, "s": 300, "speed": 30},
+}
+"""Vehicles that the drive before the user's code does not meet: they enter 6 s after the begin of the warm-up."""
 STEERS = """
 def control(o, p):
     return -0.01 * o["lane_offset"], 0.0
@@ -77,8 +83,13 @@ def control(observation, parameters):
 
 
 @pytest.mark.slow("planner")
-@pytest.mark.parametrize("kind", SESSIONS)
-def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "scenario"),
+    [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS]
+    + [(kind, drive([], 5.0, **FILLED)) for kind in ("curvature", "planner")],
+    ids=[*SESSIONS, "warm_up", "warm_up-planner"],
+)
+def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario: dict[str, Any], tmp_path: Path) -> None:
     controller, vehicle = SESSIONS[kind]
     bundle, scratch = motorway(tmp_path / "bundle"), tmp_path / "scratch"
     write_vehicles(bundle)
@@ -95,11 +106,12 @@ def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, tmp_path
         "scratch": str(scratch),
         "simulator": section.model_dump(mode="json"),
         "scenario": "trial",
-        "data": drive(TRAFFIC, 5.0),
+        "data": scenario,
         "kernels": None,
         "changeable": [],
         "measures": list(EVERYTHING.measures),
         "series": [],
+        "parameters": {},
     }
     command = [sys.executable, "-c", WATCHED, json.dumps(settings), json.dumps(PARAMETERS)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)

@@ -72,6 +72,15 @@ def test_a_flow_far_behind_has_reached_the_ego_vehicle_at_time_0(road: HighwayRo
     assert sumo.vehicle.getLanePosition("ego") > 0.0
 
 
+def test_a_start_may_leave_the_warm_up_out(road: HighwayRoad, tmp_path: Path) -> None:
+    subject = traffic(road, tmp_path)
+    subject.reset(is_warm=False)
+    assert sumo.simulation.getTime() == 0.0
+    assert {*subject.names, "ego"} == set(sumo.vehicle.getIDList()) == {"ego"}
+    subject.reset()
+    assert sumo.simulation.getTime() == pytest.approx(120.0)
+
+
 @pytest.mark.parametrize(
     "flow",
     [

@@ -81,10 +81,13 @@ class Loop:
         self._wanted = max(way(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
-        """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError."""
+        """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError.
+
+        It leaves the warm-up out, whose kernels are those of vehicles that enter and that overlap.
+        """
         road, traffic, vehicle, motion = self._road, self._traffic, self._vehicle, self._motion
         dynamics = np.zeros((1, 5))
-        traffic.reset()
+        traffic.reset(is_warm=False)
         vehicle.start(*self._start)
         if not geometry.place(road.line, road.lanes, vehicle.pose, traffic.start_s, self._size, motion, self._front):
             raise StartError(f"scenarios.{self._name}.ego: it starts off the road; move it into its lane")
@@ -106,6 +109,7 @@ class Loop:
             0.0,
             self._signals,
         )
+        geometry.nearest(road.line, *self._start[:2])
         geometry.path_of(road.line, road.lanes, 0, motion.item(geometry.S), vehicle.pose.item(3), self._path)
         vehicle.keep(self._path, 0.0, 0.0, dynamics)
 
@@ -114,14 +118,14 @@ class Loop:
         starting = self._traffic.starting
         names, outlines = [*self._traffic.names[:starting], "ego"], self._traffic.outlines[:starting]
         starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])
-        for row, (x, y, heading, *size) in enumerate(starts[1:].tolist(), 1):
+        for row, (x, y, heading, *size) in enumerate(starts.tolist()):  # the first for the kernel alone
             other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(size[:2]))
             if other >= 0:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
                 raise StartError(f"scenarios.{self._name}: {message}")
 
-    def run(self, parameters: Mapping[str, Any]) -> FinishedRun:
-        """Runs one parameter set. Raises ControllerError, TrafficError and others without a result."""
+    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True) -> FinishedRun:
+        """Runs one parameter set. `is_warm`: as of `Traffic.reset`. Raises ControllerError, TrafficError and others without a result."""
         road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
         line, lanes, ends, size, motion, front, signals = (
             road.line, road.lanes, road.ends, self._size, self._motion, self._front, self._signals
@@ -130,7 +134,7 @@ class Loop:
         per_step, per_period, tick, step = self._ticks_per_step, self._ticks_per_period, self._tick, self._step
         by_acceleration, by_lateral, steer, plans = self._acceleration, self._lateral, self._steer, self._plans
         trajectory, planned = self._path, 0
-        traffic.reset()
+        traffic.reset(is_warm=is_warm)
         if isinstance(vehicle, UserVehicleModel):
             vehicle.begin(parameters)
         vehicle.start(*self._start)

@@ -48,7 +48,10 @@ def rehearse(
     traffic: Traffic,
     model: SingleTrackModel,
 ) -> None:
-    """Drives the scenario `name` once without the user's code: with the built-in planner, or straight on. Raises StartError."""
+    """Drives the scenario `name` once without the user's code and the warm-up: with the built-in planner, or straight on.
+
+    Raises StartError and TrafficError.
+    """
     controller = simulator.controller
     parameters = dict.fromkeys(PLANNER_PARAMETERS, 1.0)
     if isinstance(controller, PlannerController):
@@ -65,7 +68,7 @@ def rehearse(
     loop = Loop(name, simulator, scenario, road, traffic, model, control)
     loop.prepare()
     with suppress(ControllerError, TrafficError):  # the user's run tells of what is wrong
-        measures(loop.run(parameters).record)
+        measures(loop.run(parameters, is_warm=False).record)
 
 
 def hold(writable: Sequence[str], scratch: Path) -> None:

@@ -144,16 +144,20 @@ class Traffic:
             sumo.lane.setMaxSpeed(lane, limit)
         self._loaded = True
 
-    def reset(self) -> None:
-        """Puts all vehicles to their starts, among those of the warm-up. Raises TrafficError if SUMO refuses one."""
+    def reset(self, *, is_warm: bool = True) -> None:
+        """Puts all vehicles to their starts, among those of the warm-up. Raises TrafficError if SUMO refuses one.
+
+        `is_warm`: false leaves the warm-up out, which most of a run's time may go to; its flows begin at time 0 then.
+        """
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
                 self._load()
-                drive_alone(self._steps_before, self._instruct)
+                if is_warm:
+                    drive_alone(self._steps_before, self._instruct)
             else:
                 sumo.clear()
-            driving = sorted(sumo.vehicle.getIDList()) if self._steps_before else []
+            driving = sorted(sumo.vehicle.getIDList()) if self._steps_before and is_warm else []
             missing = sumo.place(self._starts)
             self.names = []
             self._enlist(self._vehicles + driving)

@@ -168,7 +168,8 @@ class PlannerTrajectories(TrajectorySource):
         observation = self._observation
         observation.time, observation.ego, observation.neighbours = signals[0], np.array(motion), neighbours
         try:
-            self._planner.follow(observation, rows[:, 3])
+            # Contiguous however many rows there are, so that the kernel has one form.
+            self._planner.follow(observation, np.ascontiguousarray(rows[:, 3]))
             return self._planner.plan(observation)
         except ValueError as error:
             raise ControllerError(f"the planner failed at {signals[0]:g} s: {error}") from error
