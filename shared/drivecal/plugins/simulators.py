@@ -10,7 +10,7 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 
-VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "5"})
+VERSIONS: Mapping[str, str] = MappingProxyType({"process": "1", "command": "1", "python": "1", "fmu": "1", "highway": "6"})
 """Version of the adapter of each kind that runs in child processes (`drivecal.adapters`). Here, because the coordinator needs it, too."""
 
 START_SECONDS = 60.0
