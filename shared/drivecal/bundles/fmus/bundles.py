@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from io import BytesIO
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.fmus.checks import section_problems, unit_notes, unit_problems
+from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems
 from drivecal.bundles.fmus.description import read_fmu
 from drivecal.bundles.highway import FmuController, FmuVehicle, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
@@ -28,6 +28,7 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
             problems += unit_problems(description, parameters)
         else:
             problems += section_problems(field, section.model_dump(), description, parameters)
+            notes += input_notes(field, section.model_dump(), description)
         notes += unit_notes(description, parameters)
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))

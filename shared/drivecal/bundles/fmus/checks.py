@@ -49,6 +49,15 @@ def unit_notes(description: FmuDescription, parameters: Mapping[str, str]) -> It
             yield f"parameters.{name}: no unit is given; the FMU takes it in {shown(variable.unit)}"
 
 
+def input_notes(field: str, section: Mapping[str, Any], description: FmuDescription) -> Iterator[str]:
+    """Yields a note for each input that the `section` of a controller or vehicle leaves out and that no manifest can give."""
+    given = set(section["signals"].values())
+    for variable in description.variables:
+        if variable.causality == "input" and not variable.is_settable and variable.name not in given:
+            kind = f"an array of {variable.kind}" if variable.is_array else f"of type {variable.kind}"
+            yield f"{field}: nothing can give the FMU's input {shown(variable.name)}, {kind}; it stays as the FMU starts"
+
+
 def _parameters(description: FmuDescription, parameters: Mapping[str, str]) -> Iterator[tuple[str, str, FmuVariable]]:
     """Yields name, unit and variable of each parameter that an FMU has in a unit."""
     for variable in description.variables:
@@ -96,7 +105,7 @@ def _constants(
 
 def _wanted(variable: FmuVariable, value: object) -> str | None:
     """Returns what a variable takes instead of a value, None if it fits."""
-    if variable.is_array or not (variable.is_number or variable.kind == "String"):
+    if not variable.is_settable:
         return "such variables cannot be set; let the FMU fix its value"
     if variable.kind == "String":
         return None if isinstance(value, str) else "give a text"
@@ -115,10 +124,13 @@ def _wanted(variable: FmuVariable, value: object) -> str | None:
 def _inputs(
     field: str, section: Mapping[str, Any], variables: Mapping[str, FmuVariable], parameters: Mapping[str, str]
 ) -> Iterator[Problem]:
-    """Yields the inputs that nothing gives. A start value is no statement: it would hold for the whole run, unnoticed."""
+    """Yields the inputs that nothing gives, though something could (else `input_notes`).
+
+    A start value is no statement: it would hold for the whole run, unnoticed.
+    """
     given = {*section["signals"].values(), *(section.get("constants") or {}), *parameters}
     for variable in variables.values():
-        if variable.causality == "input" and variable.name not in given:
+        if variable.causality == "input" and variable.is_settable and variable.name not in given:
             start = "" if variable.start is None else f", which would stay at its start value {variable.start:g}"
             name = shown(variable.name)
             remedy = f"add `{name}: VALUE` to `constants`, or a signal to `signals`"

@@ -54,6 +54,11 @@ class FmuVariable:
         """Whether it holds one number."""
         return not self.is_array and self.kind in NUMBERS | _WHOLE
 
+    @property
+    def is_settable(self) -> bool:
+        """Whether a constant can give it: arrays, binary values and clocks have no place in a manifest."""
+        return not self.is_array and (self.is_number or self.kind == "String")
+
 
 @dataclass(slots=True)
 class FmuDescription:

@@ -227,6 +227,21 @@ def test_arrays_are_no_numbers() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        '<Float64 name="targets" valueReference="20" causality="input"><Dimension start="8"/></Float64>',
+        '<Clock name="targets" valueReference="20" causality="input" intervalVariability="triggered"/>',
+        '<Binary name="targets" valueReference="20" causality="input"><Start value=""/></Binary>',
+    ],
+    ids=["array", "clock", "binary"],
+)
+def test_an_input_that_nothing_can_give_is_noted(given: str) -> None:
+    noted = notes(problem(), THIRD.replace("<ModelVariables>", f"<ModelVariables>{given}"))
+    assert len(noted) == 1
+    assert "targets" in noted[0]
+
+
 def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) -> None:
     archive(tmp_path / "acc.fmu", SECOND, {})
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "1"}) | {"simulator": SYSTEM}))
