@@ -129,32 +129,60 @@ def test_the_ego_vehicle_and_placed_ones_have_room_at_time_0(road: HighwayRoad, 
     assert not len(s[(s > START) & (s < START + 60)])
 
 
+def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(road: HighwayRoad, tmp_path: Path) -> None:
+    flow = FLOW | {"lane_change": "LC2013"}
+    subject = traffic(road, tmp_path, flow, warm_up=60)
+    subject.reset(is_warm=False)
+    changing = []
+    while not changing:
+        sumo.STEP()
+        others = [name for name in sumo.vehicle.getIDList() if name != "ego"]
+        changing = [name for name in others if sumo.vehicle.getLateralSpeed(name) > 1.0]
+    name, time, s = changing[0], sumo.simulation.getTime(), sumo.vehicle.getLanePosition(changing[0])
+    assert sumo.vehicle.getLaneID(name) == "e0_0"
+    assert sumo.vehicle.getLateralLanePosition(name) < 0.5
+    for lane, ahead, is_there in ((0, 10.0, False), (1, 10.0, False), (1, 500.0, True)):
+        ego = {"s": s + ahead, "lane": lane, "speed": SPEED}
+        subject = traffic(road, tmp_path, flow, warm_up=round(time, 6), ego=ego)
+        subject.reset()
+        assert (name in subject.names) is is_there
+
+
 @pytest.mark.parametrize(
-    ("s", "d", "speed", "is_removed"),
+    ("s", "d", "speed", "sideways", "is_removed"),
     [
-        (110.0, 0.0, 30.0, True),
-        (141.0, 0.0, 30.0, False),  # 2 m and 30 m behind the front
-        (141.0, 0.0, 10.0, True),  # 66.7 m more, to brake to its speed
-        (204.0, 0.0, 10.0, False),
-        (90.0, 0.0, 10.0, True),
-        (80.0, 0.0, 10.0, False),
-        (60.0, 0.0, 35.0, True),
-        (100.0, 3.5, 30.0, False),
-        (100.0, 2.2, 30.0, True),  # partly in its lane
-        (100.0, float("nan"), 30.0, False),
-        (150.0, 0.0, -30.0, True),  # against it
+        (110.0, 0.0, 30.0, 0.0, True),
+        (141.0, 0.0, 30.0, 0.0, False),  # 2 m and 30 m behind the front
+        (141.0, 0.0, 10.0, 0.0, True),  # 66.7 m more, to brake to its speed
+        (204.0, 0.0, 10.0, 0.0, False),
+        (90.0, 0.0, 10.0, 0.0, True),
+        (80.0, 0.0, 10.0, 0.0, False),
+        (60.0, 0.0, 35.0, 0.0, True),
+        (100.0, 3.5, 30.0, 0.0, False),
+        (100.0, 2.2, 30.0, 0.0, True),  # partly in its lane
+        (100.0, float("nan"), 30.0, 0.0, False),
+        (150.0, 0.0, -30.0, 0.0, True),  # against it
+        (110.0, 3.4, 30.0, -1.2, True),  # about to be in its lane
+        (110.0, -3.4, 30.0, 1.2, True),
+        (110.0, 3.4, 30.0, 1.2, False),  # about to leave the lane beside it
+        (110.0, 1.5, 30.0, 1.2, True),  # still in its lane
+        (110.0, 7.0, 30.0, -1.2, False),
+        (110.0, 3.4, -30.0, 1.2, True),  # its left is the route's right
+        (110.0, float("nan"), 30.0, -1.2, False),
     ],
 )
-def test_vehicles_without_room_for_one_that_starts_are_removed(s: float, d: float, speed: float, is_removed: bool) -> None:
+def test_vehicles_without_room_for_one_that_starts_are_removed(
+    s: float, d: float, speed: float, sideways: float, is_removed: bool
+) -> None:
     ego = np.array([100.0, 0.0, 30.0, 0.0, 5.0, 2.0])
     others = np.array([[1000.0, 0.0, 30.0, 0.0, 5.0, 2.0], [s, d, speed, 0.0, 5.0, 2.0]])
     outlines = np.array([[x, y, 0.0, 2.5, 1.0, speed] for x, y in others[:, :2]])
     outline = np.array([100.0, 0.0, 0.0, 2.5, 1.0, 30.0])
-    assert too_close(others, outlines, 1, ego, outline) == ([1] if is_removed else [])
+    assert too_close(others, outlines, 1, ego, outline, [0.0, sideways]) == ([1] if is_removed else [])
 
 
 def test_a_vehicle_that_crosses_the_place_of_one_that_starts_is_removed() -> None:
     ego, outline = np.array([100.0, 0.0, 0.0, 0.0, 5.0, 2.0]), np.array([100.0, 0.0, 0.0, 2.5, 1.0, 0.0])
     others = np.array([[101.0, 4.0, 0.0, 0.0, 12.0, 2.0]])
     outlines = np.array([[101.0, 4.0, np.pi / 2, 6.0, 1.0, 8.0]])
-    assert too_close(others, outlines, 0, ego, outline) == [0]
+    assert too_close(others, outlines, 0, ego, outline, [0.0]) == [0]

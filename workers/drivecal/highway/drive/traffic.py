@@ -180,7 +180,8 @@ class Traffic:
         start = np.array([self.start_s, self.start_d, ego.speed, 0.0, ego.length, ego.width])
         pose = self._road.start(self.start_s, self.start_d)
         outline = np.array([*pose, 0.5 * ego.length, 0.5 * ego.width, ego.speed])
-        rows = too_close(self.others, self.outlines, self.starting, start, outline)
+        sideways = [sumo.vehicle.getLateralSpeed(name) for name in self.names]
+        rows = too_close(self.others, self.outlines, self.starting, start, outline, sideways)
         if not rows:
             return
         for row in rows:
