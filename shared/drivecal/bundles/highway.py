@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, model_validat
 from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Identifier, Model, Number
-from drivecal.contracts.strict_json import Choice
+from drivecal.contracts.strict_json import ONE_LINE, Choice, Outside
 
 CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
@@ -27,7 +27,13 @@ RunTime = Annotated[float, Field(ge=-3600, le=100_000)]
 Metres = Annotated[float, Field(gt=0, le=50)]
 Variable = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 """Name of a variable of an FMU."""
-Constants = Annotated[dict[Variable, Number | bool | Choice], Field(max_length=200)]
+Constant = (
+    Annotated[float, Field(ge=-1e300, le=1e300)]
+    | bool
+    | Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$"), Outside(ONE_LINE)]
+)
+"""A value of an FMU's variable, which may be in any unit; its type has closer limits (`bundles.fmus.checks`)."""
+Constants = Annotated[dict[Variable, Constant], Field(max_length=200)]
 ParameterName = Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
 CLASSES: Mapping[str, tuple[float, float, float]] = {

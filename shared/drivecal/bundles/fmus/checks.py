@@ -16,6 +16,7 @@ SETTABLE = frozenset({"input", "parameter"})
 """Causalities of variables that constants may give."""
 COMPUTED = frozenset({"output", "calculatedParameter", "independent"})
 """Causalities of variables that the FMU gives."""
+LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 
 
 def section_problems(
@@ -115,6 +116,8 @@ def _wanted(variable: FmuVariable, value: object) -> str | None:
         return None if not isinstance(value, str) and value in (0, 1) else "give true or false"
     if isinstance(value, (bool, str)) or not isinstance(value, (int, float)):
         return "give a number"
+    if variable.kind == "Float32" and abs(value) > LARGEST_FLOAT32:
+        return f"give a number from {-LARGEST_FLOAT32:g} to {LARGEST_FLOAT32:g}"
     if variable.kind in NUMBERS:
         return None
     least, most = INTEGERS.get(variable.kind, INTEGERS["Int64"])

@@ -134,6 +134,7 @@ def test_a_start_value_is_no_statement() -> None:
         {"acc_enable": 1},
         {"acc_enable": True, "T": 1.5, "n": 3, "mode": "sport", "label": "text"},
         {"acc_enable": False, "mode": 2},
+        {"acc_enable": True, "T": 2.1e11, "v_set": -1e300, "n": 127, "label": "a" * 255},
     ],
 )
 def test_constants_that_fit_pass(description: str, constants: dict[str, Any]) -> None:
@@ -167,6 +168,21 @@ def test_constants_that_do_not_fit_are_refused_by_name(description: str, name: s
 def test_whole_numbers_are_in_the_range_of_their_type() -> None:
     assert notes(problem(constants={"acc_enable": True, "n": 300}), SECOND) == ()
     assert "127" in faults(problem(constants={"acc_enable": True, "n": 300}), THIRD)["simulator.controller.constants.n"]
+
+
+def test_constants_have_the_range_of_their_type() -> None:
+    given = problem(constants={"acc_enable": True, "n": 2**31 - 1, "v_min": 1e300})
+    assert notes(given, SECOND) == ()
+    single = THIRD.replace('<Float64 name="v_min"', '<Float32 name="v_min"')
+    assert faults(given, single).keys() == {f"simulator.controller.constants.{name}" for name in ("n", "v_min")}
+    assert notes(problem(constants={"acc_enable": True, "v_min": 3.4e38}), single) == ()
+
+
+@pytest.mark.parametrize("value", [1e301, float("inf"), "", "a" * 256, "two\nlines"])
+def test_constants_beyond_all_types_are_refused(value: Any) -> None:
+    with pytest.raises(InvalidInputError) as refusal:
+        checked(problem(constants={"acc_enable": value}))
+    assert all("acc_enable" in entry.field for entry in refusal.value.problems)
 
 
 @both
