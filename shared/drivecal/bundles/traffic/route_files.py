@@ -110,8 +110,9 @@ class RouteFile:
         driver = self._types.driver(self._types.drawn(element, element.text("id")), element)
         edges, start = self._edges(element), _start(element, driver["length"])
         base = driver | {"id": self._name(element.text("id"), element), "edge": edges[0], "route": edges}
-        # After a warm-up the road is not empty, and SUMO looks for a place.
-        if clock.warm_up == 0.0 and begin <= clock.begin and (placed := self._placed(start, edges[0], driver["length"])):
+        # After a warm-up the road is not empty: SUMO looks for a place if the file names none.
+        is_there = begin == clock.begin and (clock.warm_up == 0.0 or not isinstance(start["s"], str))
+        if is_there and (placed := self._placed(start, edges[0], driver["length"])):
             self.entries.append(Entry("traffic", base | placed, element))
         else:
             self.entries.append(Entry("flows", base | start | self._alone(begin), element))

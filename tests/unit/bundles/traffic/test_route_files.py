@@ -210,11 +210,15 @@ def test_times_of_the_file_begin_at_the_scenario_s_begin() -> None:
     assert any("25220 s" in note for note in described.notes)
 
 
-def test_vehicles_enter_in_the_warm_up_and_none_is_placed() -> None:
-    described = with_routes(file(day(24_800, 24_899.5, 24_900, 25_199, 25_200)), begin=25_200, warm_up=300)
-    assert described.scenario.traffic == []
-    assert [flow.begin for flow in described.scenario.flows] == [-300.0, -1.0, 0.0]
-    assert [note for note in described.notes if "2 of 5" in note and "before 24900 s" in note] == [described.notes[-1]]
+def test_vehicles_enter_in_the_warm_up_and_those_with_a_place_are_there_at_its_end() -> None:
+    without = '<vehicle id="base" route="r" depart="25200" departSpeed="20"/><vehicle id="free" route="r" depart="25200" departPos="free"/>'
+    content = file(day(24_800, 24_899.5, 24_900, 25_199, 25_200) + without)
+    described = with_routes(content, begin=25_200, warm_up=300)
+    assert [vehicle.id for vehicle in described.scenario.traffic] == ["v25200"]
+    assert described.scenario.traffic == with_routes(content, begin=25_200).scenario.traffic[:1]
+    assert [flow.id for flow in described.scenario.flows] == ["v24900", "v25199", "base", "free"]
+    assert [flow.begin for flow in described.scenario.flows] == [-300.0, -1.0, 0.0, 0.0]
+    assert [note for note in described.notes if "2 of 7" in note and "before 24900 s" in note] == [described.notes[-1]]
     assert list(scenario_problems("x", described.scenario, 0.1, is_whole=True)) == []
 
 

@@ -133,7 +133,7 @@ def test_a_vehicle_that_changes_into_the_lane_of_the_ego_vehicle_leaves_it_room(
     flow = FLOW | {"lane_change": "LC2013"}
     subject = traffic(road, tmp_path, flow, warm_up=60)
     subject.reset(is_warm=False)
-    changing = []
+    changing: list[str] = []
     while not changing:
         sumo.STEP()
         others = [name for name in sumo.vehicle.getIDList() if name != "ego"]
