@@ -71,7 +71,7 @@ def _read_archived(files: Mapping[str, BundleFile]) -> tuple[Manifest, tuple[str
     """Returns manifest and notes on the roads of its scenarios. Raises InvalidInputError as `read_manifest`."""
 
     def whole(document: Any) -> tuple[Manifest, tuple[str, ...]]:
-        manifest = _whole(document, files)
+        manifest, _ = _whole_with_fmus(document, files)
         if not isinstance(manifest.simulator, HighwaySimulator):
             return manifest, ()
         from drivecal.bundles.highway_roads import check_roads

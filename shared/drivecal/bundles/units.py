@@ -6,13 +6,18 @@ from collections.abc import Mapping
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _FACTOR = re.compile(r"([/.*·]?)([^\W\d_]+|[%°]\w*|1)(?:(?:\^|\*\*)?(?:\((-?\d{1,2})\)|(-?\d{1,2})))?")
 _GROUP = re.compile(r"/\(([^()/]+)\)")
+LONGEST = 200
+"""Characters of a unit that is read: files of others have any number of spaces."""
 WITHOUT = frozenset({"", "-", "1"})
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
 
 
 def powers(unit: str) -> Mapping[str, int] | None:
-    """Returns the power of each symbol of a unit, e.g. m: 1 and s: -2; radians count as 1. None if the text is no product of powers."""
+    """Returns the power of each symbol of a unit, e.g. m: 1 and s: -2; radians count as 1. None if the text is no product of
+    powers, or longer than `LONGEST`."""
+    if len(unit) > LONGEST:
+        return None
     text = "" if unit.strip() in WITHOUT else unit.strip().translate(_SUPERSCRIPTS)
     text = _GROUP.sub(lambda match: "/" + re.sub(r"[.*· ]", "/", match[1].replace("**", "^")), text)
     text = re.sub(r"\s*([/*·.])\s*", r"\1", text).replace(" ", ".")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from io import BytesIO
+from itertools import islice
 
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.fmus.checks import input_notes, section_problems, unit_notes, unit_problems
@@ -9,6 +10,9 @@ from drivecal.bundles.fmus.description import read_fmu
 from drivecal.bundles.highway import FmuController, FmuVehicle, HighwaySimulator
 from drivecal.bundles.manifest import FmuSimulator, Manifest
 from drivecal.domain.errors import InvalidInputError, Problem
+
+MOST_PROBLEMS = 100
+"""Problems and notes of an FMU, which may have a hundred thousand inputs."""
 
 
 def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str, ...]:
@@ -27,8 +31,8 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
         if isinstance(section, FmuSimulator):
             problems += unit_problems(description, parameters)
         else:
-            problems += section_problems(field, section.model_dump(), description, parameters)
-            notes += input_notes(field, section.model_dump(), description)
+            problems += islice(section_problems(field, section.model_dump(), description, parameters), MOST_PROBLEMS)
+            notes += islice(input_notes(field, section.model_dump(), description), MOST_PROBLEMS)
         notes += unit_notes(description, parameters)
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))

@@ -16,6 +16,8 @@ SETTABLE = frozenset({"input", "parameter"})
 """Causalities of variables that constants may give."""
 COMPUTED = frozenset({"output", "calculatedParameter", "independent"})
 """Causalities of variables that the FMU gives."""
+MOST_COMPARED = 1000
+"""Names that are compared with a wrong one: an FMU may have a hundred thousand."""
 LARGEST_FLOAT32 = (2 - 2**-23) * 2.0**127
 
 
@@ -89,7 +91,7 @@ def _constants(
         at = f"{field}.constants.{shown(name)}"
         if name not in variables:
             settable = [variable.name for variable in variables.values() if variable.causality in SETTABLE]
-            similar = get_close_matches(name, settable, 3) or sorted(settable)[:5]
+            similar = get_close_matches(name, settable[:MOST_COMPARED], 3) or sorted(settable)[:5]
             remedy = (
                 f"give inputs or parameters of the FMU, e.g. {', '.join(map(shown, similar))}" if similar else "leave it out"
             )

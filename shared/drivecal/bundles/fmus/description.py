@@ -1,6 +1,8 @@
 """Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units, and the default experiment."""
 
+import lzma
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -24,7 +26,18 @@ INTEGERS: Mapping[str, tuple[int, int]] = {
 """Smallest and largest value of each type of integers."""
 _WHOLE = {*INTEGERS, "Enumeration", "Boolean"}
 _TYPES = NUMBERS | _WHOLE | {"String", "Binary", "Clock"}
-_FAULTS = (zipfile.BadZipFile, zlib.error, KeyError, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
+_FAULTS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    KeyError,
+    OSError,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +153,11 @@ class _Reader:
     @property
     def description(self) -> FmuDescription:
         """The whole, once everything is read."""
+        items = {
+            name: tuple(texts) for name, texts in self._items.items()
+        }  # once: types may have as many as there are variables
         self._description.variables = [
-            self._variable(kind, attributes, is_array=index in self._arrays)
+            self._variable(kind, attributes, items, is_array=index in self._arrays)
             for index, (kind, attributes) in enumerate(self._variables)
         ]
         return self._description
@@ -189,7 +205,10 @@ class _Reader:
             raise ValueError(f"it has more than {MOST_VARIABLES:,} variables")
         self._variables.append((kind, attributes))
 
-    def _variable(self, kind: str, attributes: Mapping[str, str], *, is_array: bool) -> FmuVariable:
+    def _variable(
+        self, kind: str, attributes: Mapping[str, str], items: Mapping[str, tuple[str, ...]], *, is_array: bool
+    ) -> FmuVariable:
+        """`items`: names of the values of each enumeration."""
         lower, upper = ("0", "1") if kind == "Boolean" else (attributes.get("min"), attributes.get("max"))
         declared = attributes.get("declaredType", "")
         unit = attributes.get("unit") or self._type_units.get(declared) or "1"
@@ -203,7 +222,7 @@ class _Reader:
             unit,
             attributes.get("description", ""),
             kind=kind,
-            items=tuple(self._items.get(declared, ())) if kind == "Enumeration" else (),
+            items=items.get(declared, ()) if kind == "Enumeration" else (),
             spellings=units.spellings(unit, self._base_units.get(unit)),
             is_array=is_array,
         )

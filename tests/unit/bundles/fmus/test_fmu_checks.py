@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import time
 import zipfile
 from io import BytesIO
 from pathlib import Path
@@ -12,12 +13,12 @@ import pytest
 import yaml
 from tests.support.fmus import archive
 
-from drivecal.bundles.archives import BundleFile
+from drivecal.bundles.archives import BundleFile, files_of, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
-from drivecal.bundles.fmus.bundles import check_fmus, fields_of_resets
+from drivecal.bundles.fmus.bundles import MOST_PROBLEMS, check_fmus, fields_of_resets
 from drivecal.bundles.fmus.description import parse_description
-from drivecal.client.problems import read_bundle_with_notes
+from drivecal.client.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 
 SECOND = """<fmiModelDescription fmiVersion="2.0" modelName="acc" guid="1"><CoSimulation modelIdentifier="acc"/>
@@ -230,8 +231,14 @@ def test_the_inputs_of_a_vehicle_need_values_as_well() -> None:
     assert check_fmus(checked(given), files) == ()
 
 
-def test_an_fmu_that_cannot_be_read_is_left_to_the_worker() -> None:
-    for content in (b"no archive", file_of("<a").content):
+@pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> None:
+    whole = BytesIO()
+    with zipfile.ZipFile(whole, "w", compression) as target:
+        target.writestr("modelDescription.xml", SECOND)
+    place = 30 + len("modelDescription.xml")
+    damaged = [whole.getvalue()[:at] + b"\xff" * 20 + whole.getvalue()[at + 20 :] for at in range(place, place + 60, 3)]
+    for content in (b"no archive", file_of("<a").content, *damaged):
         assert check_fmus(checked(problem()), {"acc.fmu": BundleFile(content, False)}) == ()
 
 
@@ -266,6 +273,34 @@ def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) 
     with pytest.raises(InvalidInputError) as refusal:
         read_bundle_with_notes(tmp_path)
     assert "line" in refusal.value.problems[0].field
+
+
+def test_an_archive_is_checked_as_a_folder_is(tmp_path: Path) -> None:
+    archive(tmp_path / "acc.fmu", SECOND, {})
+    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "m/s"}) | {"simulator": SYSTEM}))
+    with pytest.raises(InvalidInputError) as refusal:
+        read_archived(files_of(pack(tmp_path)))
+    assert ["parameters.v_set.unit" in entry.field for entry in refusal.value.problems] == [True]
+
+
+def test_an_fmu_of_a_stranger_is_checked_in_seconds() -> None:
+    """A server checks what is pushed: a long unit, many items, many inputs."""
+    unit = "m" + " " * 200_000 + "s"
+    enumeration = '<EnumerationType name="Modes">' + '<Item name="i" value="1"/>' * 20_000 + "</EnumerationType>"
+    inputs = "".join(
+        f'<Enumeration name="i{index}" valueReference="{index}" causality="input" declaredType="Modes"/>'
+        for index in range(20_000)
+    )
+    hostile = (
+        THIRD.replace('unit="s"', f'unit="{unit}"')
+        .replace("<EnumerationType", f"{enumeration}<EnumerationType", 1)
+        .replace("<ModelVariables>", f"<ModelVariables>{inputs}")
+    )
+    start = time.monotonic()
+    with pytest.raises(InvalidInputError) as refusal:
+        notes(problem(constants={f"a{index}": 1 for index in range(20)}), hostile)
+    assert len(refusal.value.problems) == MOST_PROBLEMS
+    assert time.monotonic() - start < 20.0
 
 
 def test_new_fields_are_part_of_a_setup_only_if_they_are_used() -> None:
