@@ -72,8 +72,11 @@ def test_a_small_campaign_outlives_its_database(
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_campaigns_on_sqlite_outlive_what_carries_them(server_on: MakeServer, without_faults: dict[str, Found]) -> None:
-    noticed = [and_ready_again(fault) for fault in (kill_api, kill_dispatcher)]  # before the supervisor's own end
-    plan = [(Moment(0.1, 0.0), noticed[0]), (Moment(0.3, 0.1), noticed[1]), (Moment(0.6, 0.0), kill_supervisor)]
+    plan: list[tuple[Moment, Fault]] = [
+        (Moment(0.1, 0.0), and_ready_again(kill_api)),  # noticed before the supervisor's own end
+        (Moment(0.3, 0.1), and_ready_again(kill_dispatcher)),
+        (Moment(0.6, 0.0), kill_supervisor),
+    ]
     server = server_on("sqlite")
     live(server, plan, without_faults)
     log = server.log.read_text()

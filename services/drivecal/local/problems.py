@@ -161,10 +161,10 @@ def _checked(
         return _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell)
 
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
-    units = {**manifest.measures, **manifest.series}
+    units = {**manifest.reported, **manifest.series}
     parameter_units = {name: entry.unit for name, entry in manifest.parameters.items()}
     declared = Declared(
-        manifest.problem, tuple(manifest.measures), manifest.failures, tuple(manifest.series), units, parameter_units
+        manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units
     )
 
     def opened() -> SimulatorSession:
@@ -202,7 +202,7 @@ def _checked(
     scores, undefined, cut = _rated(manifest, first)
     return CheckedScenario(
         scenario=scenario,
-        measures=dict(first.measures),
+        measures=_declared(manifest, first),
         failure=first.failure,
         scores=scores,
         undefined=undefined,
@@ -228,13 +228,17 @@ def _tried(
         outcome = session.evaluate(parameters)
     except (NoMeasuresError, OSError) as error:
         return OtherRun(error=str(error)), None
-    return OtherRun(dict(outcome.measures), outcome.failure, *_rated(manifest, outcome)), _bits(outcome)
+    return OtherRun(_declared(manifest, outcome), outcome.failure, *_rated(manifest, outcome)), _bits(outcome)
 
 
 def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
     began = time.perf_counter()
     outcome = session.evaluate(parameters, series=series)
     return outcome, time.perf_counter() - began
+
+
+def _declared(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
+    return {name: value for name, value in outcome.measures.items() if name in manifest.measures}
 
 
 def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str], dict[str, float]]:

@@ -29,9 +29,13 @@ NARROWEST = 0.9
 WHOLE_DEGREE = 1.0
 """Shortest route (m) on small coordinates that are no degrees."""
 LARGEST_DIFFERENCE = 0.04
-"""Share by which a lane's length may differ from its shape's, as do speed and way of SUMO's vehicles in it: SUMO averages lengths over the
-lanes of an edge, which differ in curves. The networks of eclipse-sumo's A10KW, ramp and highway keep 0.035, and 0.021 in lanes of more than
-100 m. Without lanes inside of junctions, the gap between two edges may be part of a length."""
+"""Share by which the mean length of an edge's lanes may differ from that of their shapes, as do speed and way of SUMO's vehicles. The
+networks of eclipse-sumo's A10KW, ramp and highway keep 0.035 in each lane, and 0.021 in lanes of more than 100 m."""
+LARGEST_IN_CURVES = 0.1
+"""The same of a single lane: netconvert gives all lanes of an edge the mean of their lengths, which differ in curves."""
+OUTER_GAP = 30.0
+"""Metres of a junction that may be part of the first or last edge's length. Without lanes inside of junctions, the gaps between edges are
+part of their lengths."""
 SHORT = 100.0
 """Metres of a lane; shorter ones may differ by as much as lanes of this length."""
 MOST_TRACKS = 128
@@ -295,19 +299,33 @@ def _check_lengths(network: Network, lanes: Lanes) -> None:
     """Raises InvalidInputError if the length of a lane is not that of its shape: SUMO moves vehicles by the length, and their places are
     read from the shape."""
     gaps = np.zeros(len(lanes.edges) + 1)
+    if not any(name.startswith(":") for name in network.edges):
+        gaps[0] = gaps[-1] = OUTER_GAP
     for chain in lanes.chains:
         for number, (before, after) in enumerate(pairwise(chain.lanes)):
             if not chain.inside[number]:
                 index = chain.first + number + 1
                 gaps[index] = max(gaps[index], float(np.hypot(*(after.shape[0] - before.shape[-1]))))
+    jumped = gaps[:-1] + gaps[1:]
     for index, lane in sorted(_on_route(lanes), key=lambda entry: entry[0]):
         size = float(lengths(lane.shape)[-1])
-        jumped = 0.0 if lane.edge.startswith(":") else gaps[index] + gaps[index + 1]
-        allowed = LARGEST_DIFFERENCE * max(size, SHORT)
-        if not -allowed <= lane.length - size <= allowed + jumped:
+        if not _fits(lane.length, size, LARGEST_IN_CURVES, 0.0 if lane.edge.startswith(":") else jumped[index]):
             where = f"line {lane.line}, the lane {lane.index} of the edge {shown(lane.edge, 80)}"
             message = f"{where}: its length is {lane.length:.2f} m, but its shape is {size:.2f} m long"
+            raise refusal(index, network, message, "leave the edge out of the route, or build the network again")
+    for index, edge in enumerate(lanes.edges):
+        size = float(np.mean([lengths(lane.shape)[-1] for lane in edge.lanes]))
+        length = float(np.mean([lane.length for lane in edge.lanes]))
+        if not _fits(length, size, LARGEST_DIFFERENCE, jumped[index]):
+            where = f"line {edge.line}, the edge {shown(edge.id, 80)}"
+            message = f"{where}: its lanes are {length:.2f} m long, but their shapes {size:.2f} m"
             raise refusal(index, network, message, "build the network again")
+
+
+def _fits(length: float, size: float, share: float, jumped: float) -> bool:
+    """Whether a length belongs to a shape of this size, all m. `jumped`: what it may have of junctions."""
+    allowed = share * max(size, SHORT)
+    return -allowed <= length - size <= allowed + jumped
 
 
 def _on_route(lanes: Lanes) -> Iterator[tuple[int, Lane]]:

@@ -200,7 +200,7 @@ def test_lengths_that_contradict_the_shape_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("edge", "lane", "factor"), [("beside", 0, 1.05), ("beside", 2, 0.95), (":b_1", 1, 1.6), ("after", 1, 1.042)]
+    ("edge", "lane", "factor"), [("beside", 0, 1.105), ("beside", 2, 0.895), (":b_1", 1, 3.0), ("after", 1, 1.105)]
 )
 def test_every_lane_beside_the_route_has_the_length_of_its_shape(edge: str, lane: int, factor: float) -> None:
     """SUMO moves vehicles by the length: others would come closer at another speed than the one that is observed."""
@@ -210,8 +210,18 @@ def test_every_lane_beside_the_route_has_the_length_of_its_shape(edge: str, lane
     field, message = refused(changed(entrance(), pattern, rf'\g<1>{wrong}"'), "before", "beside", "after")
     assert field == f"route[{['before', 'beside', 'after'].index(edge.replace(':b_1', 'beside'))}]"
     assert all(part in message for part in (edge, f"lane {lane}", wrong))
-    near = f"{(1 + 0.9 * (factor - 1)) * float(text):.2f}" if edge == "after" else f"{1.01 * float(text):.2f}"
+    near = f"{(1 + 0.5 * (factor - 1)) * float(text):.2f}" if edge == "after" else f"{1.01 * float(text):.2f}"
     drive(changed(entrance(), pattern, rf'\g<1>{near}"'), "before", "beside", "after")
+
+
+def test_the_lanes_of_a_curve_share_a_length_but_those_of_an_edge_are_not_all_wrong() -> None:
+    """netconvert gives each lane the mean of the lengths of all."""
+    pattern = r'(<lane id="beside_\d"[^>]*? length=")([^"]*)"'
+    lengths = [float(text) for _, text in re.findall(pattern, entrance().decode())]
+    wrong = changed(entrance(), pattern, rf'\g<1>{1.06 * lengths[0]:.2f}"')
+    field, message = refused(wrong, "before", "beside", "after")
+    assert field == "route[1]"
+    assert "edge beside" in message
 
 
 def test_a_length_may_hold_the_gaps_of_a_network_without_lanes_inside_of_junctions() -> None:
