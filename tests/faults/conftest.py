@@ -64,15 +64,15 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Tells what was done to servers and what came of it, and keeps it, if the long forms ran."""
     if not LONG:
         return
-    ended = [one for reports in terminalreporter.stats.values() for one in reports if isinstance(one, pytest.TestReport)]
-    failed = {one.nodeid for one in ended if one.failed}
+    ended = [test for reports in terminalreporter.stats.values() for test in reports if isinstance(test, pytest.TestReport)]
+    failed = {test.nodeid for test in ended if test.failed}
     seconds: dict[str, float] = {}
-    for one in ended:
-        seconds[one.nodeid] = seconds.get(one.nodeid, 0.0) + one.duration
+    for test in ended:
+        seconds[test.nodeid] = seconds.get(test.nodeid, 0.0) + test.duration
     lives = {
-        one.nodeid: report.CARRIED.validate_json(str(dict(one.user_properties).get(report.PROPERTY, "[]")))
-        for one in ended
-        if one.when == "teardown"
+        test.nodeid: report.CARRIED.validate_json(str(dict(test.user_properties).get(report.PROPERTY, "[]")))
+        for test in ended
+        if test.when == "teardown"
     }
     tests = [
         report.Told(name.partition("[")[0].rpartition("/")[2], name not in failed, seconds[name], lives.get(name, []))

@@ -43,8 +43,6 @@ MERGE = {
     "ego": {"lane": 0, "s": 60, "speed": 28},
     "routes": "merge.rou.xml",
 }
-
-
 PEAK = {
     "network": "road.net.xml",
     "route": ["e0", "e1", "e2"],

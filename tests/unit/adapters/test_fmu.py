@@ -142,12 +142,17 @@ def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section:
         pass
 
 
-def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> None:
-    with_unit = SECOND_DESCRIPTION.replace('variability="continuous"><Real/>', 'variability="continuous"><Real unit="m/s"/>')
-    assert with_unit != SECOND_DESCRIPTION
+def described_anew(folder: Path, target: Path, old: str, new: str) -> None:
+    """Writes `unit.fmu`: the second trial with another text in its description."""
+    description = SECOND_DESCRIPTION.replace(old, new)
+    assert description != SECOND_DESCRIPTION
     with zipfile.ZipFile(folder / "trial2.fmu") as whole:
-        library = Path(whole.extract("binaries/linux64/trial.so", tmp_path))
-    archive(tmp_path / "unit.fmu", with_unit, {"binaries/linux64/trial.so": library})
+        library = Path(whole.extract("binaries/linux64/trial.so", target))
+    archive(target / "unit.fmu", description, {"binaries/linux64/trial.so": library})
+
+
+def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> None:
+    described_anew(folder, tmp_path, 'variability="continuous"><Real/>', 'variability="continuous"><Real unit="m/s"/>')
     own = {"end": "m.s-1", "area": "m", "usual": "1"}
     with run(tmp_path, "unit.fmu", replace(DECLARED, units=own)) as session:
         assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
@@ -158,11 +163,7 @@ def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> 
 
 
 def test_a_parameter_has_the_unit_of_its_variable(folder: Path, tmp_path: Path) -> None:
-    with_unit = SECOND_DESCRIPTION.replace('"tunable"><Real start="1"/>', '"tunable"><Real start="1" unit="km/h"/>')
-    assert with_unit != SECOND_DESCRIPTION
-    with zipfile.ZipFile(folder / "trial2.fmu") as whole:
-        library = Path(whole.extract("binaries/linux64/trial.so", tmp_path))
-    archive(tmp_path / "unit.fmu", with_unit, {"binaries/linux64/trial.so": library})
+    described_anew(folder, tmp_path, '"tunable"><Real start="1"/>', '"tunable"><Real start="1" unit="km/h"/>')
     for unit in ("km/h", "1"):
         with run(tmp_path, "unit.fmu", replace(DECLARED, parameters={"rate": unit})) as session:
             assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)

@@ -16,7 +16,7 @@ from drivecal.storage.engine import cursors
 
 ROWS_AT_A_TIME = 2000
 ROWS_AT_FIRST = 250
-"""Of CSV: who reads it as it comes, as the page does, sees the first rows after an eighth of the time."""
+"""Of CSV: readers that take it as it comes, as the page does, have the first rows after an eighth of the time."""
 
 Rows = Sequence[BaseModel] | Sequence[Row]
 """Models, or plain rows that are the same in JSON and in a file."""
