@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ def test_a_part_that_is_not_reset_has_a_child_for_each_run(
 ) -> None:
     opened: list[dict[str, Any]] = []
     monkeypatch.setattr(highway, "ProcessSession", lambda *_, **settings: opened.append(settings))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # nobody removes the folder of a session that does not open
     for name in ("acc.fmu", "acc.py", "car.fmu", "road.net.xml"):
         (tmp_path / name).touch()
     section = {"controller": controller, "vehicle": vehicle, "timeout": 1.0, "memory_mb": 100}
