@@ -6,7 +6,7 @@ import csv
 import gzip
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -16,12 +16,14 @@ import httpx
 import pyarrow.parquet as pq
 import pytest
 from tests.support.computed import ComputedBackend, computed
+from tests.support.problems import REPLAY, ROADS, replayed, store
 from tests.support.runs import dispatcher, get, run, submit
 from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
 
 from drivecal.cli.views import traces as files
-from drivecal.contracts.evaluation import TraceAnswer
+from drivecal.client import Client
+from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Breakdown
@@ -66,9 +68,9 @@ def api(tmp_path: Path) -> Iterator[RunningApi]:
         yield running
 
 
-def work(api: RunningApi) -> ComputedBackend:
+def work(api: RunningApi, answer: Callable[[str, Cell], CellResult] = traced) -> ComputedBackend:
     """Everything that waits is carried out."""
-    backend = ComputedBackend(answer=traced)
+    backend = ComputedBackend(answer=answer)
     one = dispatcher(api.database, backend)
     while True:
         with api.database.read() as connection:
@@ -238,3 +240,20 @@ def test_a_scenario_has_what_one_needs_to_draw_it(api: RunningApi) -> None:
     assert [vehicle["id"] for vehicle in found["traffic"]] == [vehicle.id for vehicle in scenario.traffic]
     assert api.http.get("/api/v1/scenarios/S9").status_code == 404
     assert api.http.get("/api/v1/scenarios/S6?catalogue=other").status_code == 404
+
+
+def test_a_run_on_a_road_network_has_a_replay_with_its_lanes(api: RunningApi) -> None:
+    store(api.database, ROADS)
+    wanted = {"problem": "roads", "parameters": {"v": 25.0}, "scenario": "merge"}
+    answer = api.http.post("/api/v1/evaluations", json=wanted).raise_for_status()
+    work(api, replayed)
+    number = api.http.get(answer.headers["location"]).json()["items"][0]["id"]
+    assert ask(api, number).status_code == 202
+    work(api, replayed)
+    assert ask(api, number).json()["replay"] == REPLAY
+    with Client(api.url) as client:
+        trace = client.trace(str(number))
+    assert isinstance(trace, SeriesAnswer)
+    assert trace.replay is not None
+    assert trace.replay.model_dump() == REPLAY
+    assert (trace.series, trace.measures["distance_m"]) == ({}, 25.0)

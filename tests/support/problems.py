@@ -16,6 +16,7 @@ from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.bundles.archives import content_digest, executables, files_of, manifest_text, pack
 from drivecal.bundles.checks import checked
+from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
 from drivecal.client.problems import read_manifest
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
@@ -56,6 +57,33 @@ MANIFEST: dict[str, Any] = {
     },
 }
 SERIES = {"time": [0.0, 1.0, 2.0], "room": [15.0, 18.0, 20.5], "wanted": [21.0, 21.0, 21.0], "power": [2.0, 1.5, 0.5]}
+
+ROADS: dict[str, Any] = {
+    "problem": "roads",
+    "parameters": {"v": {"lower": 20, "upper": 30}},
+    "simulator": {"kind": "highway", "controller": {"kind": "python", "file": "acc.py", "output": ["acceleration"]}},
+    "scenarios": {"merge": {"network": "road.net.xml", "route": ["a"], "duration": 2, "ego": {"s": 20, "speed": 30}}},
+    "measures": {"distance_m": "m"},
+    "scores": {"far": {"formula": "distance_m", "direction": "maximise", "range": [0, 100]}},
+}
+"""A problem on a road network that declares no time series."""
+STRIP = {"right": [[0.0, -2.0], [90.0, -2.0], [180.0, -2.0]], "left": [[0.0, 2.0], [90.0, 2.0], [180.0, 2.0]]}
+PLACES = {"x_m": [20.0, 50.0, 80.0], "y_m": [0.0, 0.0, 0.0], "heading_rad": [0.0, 0.0, 0.0]}
+REPLAY: dict[str, Any] = {
+    "time_s": [0.0, 1.0, 2.0],
+    "line": [[0.0, 0.0, 0.0], [180.0, 0.0, 0.0]],
+    "route": {"lanes": [STRIP], "edges": [STRIP["right"], STRIP["left"]], "markings": []},
+    "beside": {"lanes": [], "edges": [], "markings": []},
+    "ego": {
+        "length_m": 4.7,
+        "width_m": 1.9,
+        **PLACES,
+        "speed_mps": [30.0] * 3,
+        "position_m": PLACES["x_m"],
+        "offset_m": [0.0] * 3,
+    },
+    "others": [{"id": "leader", "first": 0, "length_m": 5.0, "width_m": 1.8, **PLACES, "x_m": [60.0, 90.0, 120.0]}],
+}
 
 
 def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
@@ -101,3 +129,12 @@ def heated(scenario: str, cell: Cell) -> CellResult:
     trace = {"measures": measures, "failure": failure, "series": SERIES}
     content = gzip.compress(json.dumps(trace).encode(), mtime=0) if cell.trace else None
     return CellResult(cell.id, None, None, measures, failure, 7.0, trace=content)
+
+
+def replayed(scenario: str, cell: Cell) -> CellResult:
+    """Measures of a drive on a road network, and its replay."""
+    del scenario
+    measures = dict.fromkeys(CATALOGUE, 1.0) | {"distance_m": cell.parameters["v"]}
+    trace = {"measures": measures, "failure": None, "series": {}, "replay": REPLAY}
+    content = gzip.compress(json.dumps(trace).encode(), mtime=0) if cell.trace else None
+    return CellResult(cell.id, None, None, measures, None, 7.0, trace=content)

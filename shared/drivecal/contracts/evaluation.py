@@ -82,12 +82,74 @@ class TraceAnswer(Answer):
     plans: list[dict[str, float | list[float]]]
 
 
+class LaneStrip(Answer):
+    """The area of a lane: its `right` and its `left` border, with a row of x, y (m) in each for the same places."""
+
+    right: list[list[float]]
+    left: list[list[float]]
+
+
+class RoadSurface(Answer):
+    """Lanes from above. `edges`: lines beyond which there is no lane; `markings`: lines between two lanes. Rows of x, y (m)."""
+
+    lanes: list[LaneStrip]
+    edges: list[list[list[float]]]
+    markings: list[list[list[float]]]
+
+
+class ReplayVehicle(Answer):
+    """A vehicle near the ego vehicle, as long as it is: its lists begin at number `first` of the replay's times.
+
+    Place of its centre (m), heading (rad), length and width (m). A vehicle that comes back is another entry of the same `id`.
+    """
+
+    id: str
+    first: int
+    length_m: float
+    width_m: float
+    x_m: list[float]
+    y_m: list[float]
+    heading_rad: list[float]
+
+
+class ReplayEgo(Answer):
+    """The controlled vehicle: as `ReplayVehicle`, with its speed, its place along the route and its offset from the lane's centre."""
+
+    length_m: float
+    width_m: float
+    x_m: list[float]
+    y_m: list[float]
+    heading_rad: list[float]
+    speed_mps: list[float]
+    position_m: list[float]
+    offset_m: list[float]
+
+
+class ReplayAnswer(Answer):
+    """A drive on the roads of a network, in its coordinates.
+
+    `line`: rows of x, y (m) and heading (rad) along the route; `route`: its lanes where the vehicle drives; `beside`: other lanes near
+    them, such as ramps and the other carriageway, without their levels. `time_s`: equally spaced but for the last one.
+    """
+
+    time_s: list[float]
+    line: list[list[float]]
+    route: RoadSurface
+    beside: RoadSurface
+    ego: ReplayEgo
+    others: list[ReplayVehicle]
+
+
 class SeriesAnswer(Answer):
-    """A run of a problem bundle with the time series that its simulator reported; the manifest has their units."""
+    """A run of a problem bundle with the time series that its simulator reported; the manifest has their units.
+
+    `replay`: what a run of a simulator `highway` looks like from above; null for other simulators, and if the drive has no length.
+    """
 
     measures: dict[str, float | None]
     failure: str | None
     series: dict[str, list[float]]
+    replay: ReplayAnswer | None = None
 
 
 class Evaluation(Answer):

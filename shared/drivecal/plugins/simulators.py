@@ -6,6 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
+from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
@@ -35,7 +36,7 @@ class RunOutcome:
     """Result of one simulation: `measures` by name, the name of a `failure` of the system under test, and time series by name.
 
     `cpu_seconds`: CPU time of child processes during the run, no part of the result; `start_seconds`: time before the run in which a
-    simulator was started again, which is no run's.
+    simulator was started again, which is no run's. `replay`: the drive from above, reported with the series by `highway` alone.
     """
 
     measures: Mapping[str, float]
@@ -43,6 +44,7 @@ class RunOutcome:
     series: Mapping[str, Sequence[float]] = field(default_factory=dict)
     cpu_seconds: float = field(default=0.0, compare=False)
     start_seconds: float = field(default=0.0, compare=False)
+    replay: ReplayAnswer | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.problems import REPLAY
 from tests.support.simulators import eventually, running
 
 from drivecal.adapters import children, process
+from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -272,6 +274,15 @@ def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, reques
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
     assert result.trace is not None
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
+
+
+def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+    replayed = RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=ReplayAnswer.model_validate(REPLAY))
+    works = worker(tmp_path, ScriptedSimulator({2.0: replayed}))
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
+    assert result.trace is not None
+    assert json.loads(gzip.decompress(result.trace))["replay"] == REPLAY
 
 
 def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

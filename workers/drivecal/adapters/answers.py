@@ -5,6 +5,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
+from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome
 
@@ -25,9 +28,10 @@ def document(content: bytes, source: str) -> dict[str, Any]:
     return value
 
 
-def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> RunOutcome:
+def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, replay: bool = False) -> RunOutcome:
     """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration.
 
+    `replay`: whether the answer may hold one beside its series; other simulators report none.
     A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
     """
     if answer.get("error") is not None:
@@ -46,7 +50,9 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool) -> R
         )
     if failure is None and (missing := [name for name in declared.measures if name not in measures]):
         raise _error(f"the answer lacks measures: {_joined(missing)}; give all that problem.yaml declares, or a `failure`")
-    return RunOutcome(measures, failure, _series(recorded, declared) if series else {})
+    if not series:
+        return RunOutcome(measures, failure)
+    return RunOutcome(measures, failure, _series(recorded, declared), replay=_replay(answer) if replay else None)
 
 
 def _kept(reported: object, has_value: Callable[[object], bool]) -> object:
@@ -93,6 +99,14 @@ def _series(reported: object, declared: Declared) -> dict[str, list[float]]:
     if sum(map(len, reported.values())) > MOST_SERIES_VALUES:
         raise _error(f"the time series have more than {MOST_SERIES_VALUES:,} values")
     return {name: [_number(name, value) for value in values] for name, values in reported.items()}
+
+
+def _replay(answer: Mapping[str, Any]) -> ReplayAnswer | None:
+    """Returns the replay, which a page draws: a controller of the user's runs in the process that reports it."""
+    try:
+        return TypeAdapter(ReplayAnswer | None).validate_python(answer.get("replay"))
+    except ValidationError as error:
+        raise _error(f"the replay cannot be read: {_shown(str(error))}") from None
 
 
 def _error(detail: str) -> NoMeasuresError:

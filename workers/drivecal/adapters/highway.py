@@ -72,7 +72,7 @@ class HighwayAdapter:
         if not all(entry.get("reset", True) for entry in (controller, vehicle)):
             most_runs = 1
         return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs, replays=True
         )
 
 

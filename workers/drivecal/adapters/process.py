@@ -50,13 +50,15 @@ class ProcessSession:
         data: Mapping[str, Any],
         most_runs: float = math.inf,
         advice: str = "",
+        replays: bool = False,
     ) -> None:
         """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready.
 
-        `most_runs`: number of runs after which another child is started. `advice`: what else may help if an answer is late.
+        `most_runs`: number of runs after which another child is started. `advice`: what else may help if an answer is late. `replays`:
+        whether it reports replays beside time series.
         """
         self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
-        self._advice = advice
+        self._advice, self._replays = advice, replays
         self._children = Children(launch, scratch)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
@@ -131,7 +133,7 @@ class ProcessSession:
         except NoMeasuresError:
             self._stop()
             raise
-        outcome = answers.outcome(answer, self._declared, series=series)
+        outcome = answers.outcome(answer, self._declared, series=series, replay=self._replays)
         return replace(outcome, cpu_seconds=-cpu_seconds, start_seconds=wall_seconds)  # `timed` adds the CPU time of both
 
     def _start_again(self) -> Pipes:

@@ -243,7 +243,10 @@ def _refuse_other_parts(setup: BundleRequest) -> None:
 def _series(outcome: RunOutcome) -> bytes:
     """Returns a run with its time series. Raises NoMeasuresError if they are too large or not finite."""
     series = {name: list(values) for name, values in outcome.series.items()}
+    document: dict[str, Any] = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
+    if outcome.replay is not None:
+        document["replay"] = outcome.replay.model_dump()
     try:
-        return compressed({"measures": dict(outcome.measures), "failure": outcome.failure, "series": series})
+        return compressed(document)
     except (ConflictError, ValueError) as error:
         raise NoMeasuresError(Breakdown.ERROR, f"its time series cannot be kept: {error}", outcome.cpu_seconds) from error

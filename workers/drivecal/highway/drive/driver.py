@@ -22,6 +22,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.rehearsal import hold, rehearse
+    from drivecal.highway.drive.replay.drives import DriveRecorder
+    from drivecal.highway.drive.replay.surfaces import neighbouring
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
     from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
@@ -39,6 +41,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     roads = read_network(network.read_bytes(), scenario.network)
     route = corridor(roads, scenario.route, scenario.network, scenario.default_limit)
     road = HighwayRoad(route, other_levels(roads, route), unlimited(roads))
+    beside = neighbouring(roads, route)
     changes = simulator.vehicle.changes if isinstance(simulator.vehicle, VehicleValues) else {}
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
@@ -69,13 +72,16 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
-        outcome = loop.run(request["parameters"])
+        recorder = DriveRecorder() if "series" in request else None
+        outcome = loop.run(request["parameters"], onlooker=recorder)
         values = measures(outcome.record)
         answer: dict[str, Any] = {"measures": {measure: values[measure] for measure in settings["measures"]}}
         if outcome.failure is not None:
             answer["failure"] = outcome.failure
-        if "series" in request:
+        if recorder is not None:
             answer["series"] = series(outcome.record, settings["series"])
+            replay = recorder.replay(outcome.record, scenario.ego.length, route, beside)
+            answer["replay"] = None if replay is None else replay.model_dump()
         return answer
 
     return evaluate

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -24,6 +24,14 @@ PATH_SPACING = 0.05
 """Seconds between points of the path that the lane keeper follows."""
 PATH_AHEAD = 0.6
 """Seconds of the path beyond a tick: more than the vehicle's reaction."""
+
+
+class Onlooker(Protocol):
+    """Sees a run: the other vehicles' `names`, their `outlines` as in `geometry`, and the ego vehicle's pose, at the start and after each
+    step of the traffic. The next step overwrites the arrays."""
+
+    def __call__(self, names: list[str], outlines: Floats, pose: Floats) -> None:
+        """Sees a moment of the run."""
 
 
 class StartError(DrivecalError):
@@ -124,7 +132,7 @@ class Loop:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
                 raise StartError(f"scenarios.{self._name}: {message}")
 
-    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True) -> FinishedRun:
+    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True, onlooker: Onlooker | None = None) -> FinishedRun:
         """Runs one parameter set. `is_warm`: as of `Traffic.reset`. Raises ControllerError, TrafficError and others without a result."""
         road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
         line, lanes, ends, size, motion, front, signals = (
@@ -141,6 +149,8 @@ class Loop:
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
         geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, 0.0, self._row_views[0])
+        if onlooker is not None:
+            onlooker(traffic.names, traffic.outlines, pose)
         controller.begin(parameters)
         failure, rows, ticks, recorded = None, 1, 0, 0
         acceleration = lateral = 0.0
@@ -184,6 +194,8 @@ class Loop:
                 )  # fmt: skip
                 rows += 1
                 recorded = ticks
+                if onlooker is not None:
+                    onlooker(traffic.names, traffic.outlines, pose)
                 if hit >= 0:
                     failure = "collision"
                     break

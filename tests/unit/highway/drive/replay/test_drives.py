@@ -1,0 +1,94 @@
+"""Drives as a replay shows them: the ego vehicle, and each other vehicle as long as it is near."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from tests.support.networks import real_corridor
+
+from drivecal.contracts.evaluation import ReplayAnswer
+from drivecal.domain.roads import Floats, to_cartesian
+from drivecal.highway.drive.measures import COLUMNS, Record
+from drivecal.highway.drive.replay import drives
+from drivecal.highway.drive.replay.drives import REACH, DriveRecorder
+
+ROAD = real_corridor("motorway")
+STEP, SPEED = 0.1, 30.0
+
+
+def rows(times: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Rows of a record along the route from s = 100 on."""
+    table = np.zeros((len(times), len(COLUMNS)))
+    for row, time in zip(table, times.tolist(), strict=True):
+        s = 100.0 + SPEED * time
+        row[: len(COLUMNS)] = 0.0
+        row[:5] = (time, *to_cartesian(ROAD.line, s, 0.0), s)
+        row[COLUMNS.index("speed_mps")] = SPEED
+    return table
+
+
+def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | None:
+    """The replay of a drive, at whose moments `others` are as far ahead (m) as given by their names."""
+    recorder = DriveRecorder()
+    for row, ahead in zip(table, others, strict=False):
+        places = [
+            (np.nan, np.nan, 0.0) if np.isnan(gap) else to_cartesian(ROAD.line, row[4] + gap, 0.0) for gap in ahead.values()
+        ]
+        outlines = np.array([[*place, 2.5, 0.9, SPEED] for place in places]).reshape(-1, 6)
+        recorder(list(ahead), outlines, row[1:4])
+        outlines[:] = np.nan  # the next step overwrites it
+    record = Record(table, np.zeros((0, 5)), 1.0, 1.0, 2000.0, 1.9)
+    return recorder.replay(record, 4.7, ROAD, ())
+
+
+def test_a_vehicle_that_comes_back_is_there_twice() -> None:
+    near, far = {"a": 20.0, "b": 50.0}, {"a": 20.0, "b": REACH + 50.0}
+    replay = recorded(rows(np.arange(6) * STEP), [near, near, far, far, near, near])
+    assert replay is not None
+    assert [(vehicle.id, vehicle.first, len(vehicle.x_m)) for vehicle in replay.others] == [
+        ("a", 0, 6),
+        ("b", 0, 2),
+        ("b", 4, 2),
+    ]
+    assert (replay.others[0].length_m, replay.others[0].width_m) == (5.0, 1.8)
+    assert (replay.ego.length_m, replay.ego.width_m, len(replay.ego.x_m)) == (4.7, 1.9, 6)
+    assert replay.time_s == pytest.approx(np.arange(6) * STEP)
+
+
+def test_vehicles_on_other_levels_are_left_out() -> None:
+    replay = recorded(rows(np.arange(3) * STEP), [{"above": np.nan, "a": 20.0}] * 3)
+    assert replay is not None
+    assert [vehicle.id for vehicle in replay.others] == ["a"]
+
+
+def test_a_run_that_ends_within_a_step_shows_the_others_at_its_end() -> None:
+    replay = recorded(rows(np.array([0.0, 0.1, 0.2, 0.25])), [{"a": 20.0}] * 3)
+    assert replay is not None
+    (other,) = replay.others
+    assert len(other.x_m) == len(replay.ego.x_m) == 4
+    ways = np.hypot(np.diff(other.x_m), np.diff(other.y_m))
+    assert ways == pytest.approx([3.0, 3.0, 1.5], abs=0.03)
+
+
+def test_an_unstable_vehicle_is_shown_up_to_its_last_place() -> None:
+    table = rows(np.arange(4) * STEP)
+    table[3, 1:5] = np.nan
+    replay = recorded(table, [{}] * 4)
+    assert replay is not None
+    assert len(replay.time_s) == 3
+    table[1, 1] = np.inf
+    assert recorded(table, [{}] * 4) is None
+
+
+def test_long_and_full_runs_are_shown_at_fewer_moments(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drives, "MOST_POSES", 40)
+    replay = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
+    assert replay is not None
+    assert replay.time_s == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
+    monkeypatch.setattr(drives, "MOST_MOMENTS", 4)
+    fewer = recorded(rows(np.arange(51) * 0.02), [{}] * 51)
+    assert fewer is not None
+    assert fewer.time_s == pytest.approx([0.0, 0.26, 0.52, 0.78, 1.0])

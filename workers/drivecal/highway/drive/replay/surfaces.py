@@ -1,0 +1,202 @@
+"""Roads as a replay draws them: areas of lanes, edges of roads and markings between lanes, in the coordinates of the network.
+
+The lanes of the route have the borders of their corridor. All other lanes have those of their shapes in the network.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil, floor
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import KDTree
+
+from drivecal.contracts.evaluation import LaneStrip, RoadSurface
+from drivecal.domain.roads import Floats
+from drivecal.roads.corridor import Corridor
+from drivecal.roads.lines import lengths
+from drivecal.roads.network import Edge, Lane, Network
+
+ROADS = ("", "internal")
+"""Functions of edges on which vehicles drive."""
+TOLERANCE = 0.03
+"""Largest distance (m) from a border to its simplified polyline."""
+LONGEST = 100.0
+"""Largest distance (m) between two points of a polyline, so that a view finds some on each stretch that it shows."""
+LINE_SPACING = 5.0
+"""Metres between the points of the route's line."""
+SAME = 0.6
+"""Largest distance (m) between the borders of two lanes that share one."""
+ASIDE = 150.0
+"""Metres from the route up to which other lanes are drawn: more than a view shows."""
+SAMPLES = 10.0
+"""Largest distance (m) between the points at which other lanes are cut off."""
+MOST_POINTS = 40_000
+"""Points of other lanes; the nearest lanes come first."""
+DIGITS = 2
+SHARPEST = 0.5
+"""Least cosine of half a corner's angle by which a border is moved outwards; beyond it, a border would stick out far."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbouringLane:
+    """A lane beside the route. `has_right`, `has_left`: whether another lane for cars is there on the same edge."""
+
+    lane: Lane
+    is_road: bool
+    has_right: bool
+    has_left: bool
+
+
+def neighbouring(network: Network, corridor: Corridor) -> tuple[NeighbouringLane, ...]:
+    """Returns the lanes for cars that are not the route's, but in the rectangle around it; the rest of a network may be large."""
+    points = corridor.line[:, 1:3]
+    lower, upper = points.min(axis=0) - ASIDE, points.max(axis=0) + ASIDE
+    return tuple(
+        NeighbouringLane(lane, edge.function == "", _is_driven(edge, lane.index - 1), _is_driven(edge, lane.index + 1))
+        for edge in network.edges.values()
+        if edge.function in ROADS
+        for lane in edge.lanes
+        if lane.for_cars
+        and (lane.edge, lane.index) not in corridor.places
+        and (lane.shape.max(axis=0) >= lower).all()
+        and (lane.shape.min(axis=0) <= upper).all()
+    )
+
+
+def _is_driven(edge: Edge, index: int) -> bool:
+    return 0 <= index < len(edge.lanes) and edge.lanes[index].for_cars
+
+
+def rows_between(corridor: Corridor, first: float, last: float) -> slice:
+    """Returns the rows of the line from s = `first` to `last`, at least two."""
+    spacing, count = corridor.line.item(1, 0), len(corridor.line)
+    begin = min(max(floor(first / spacing), 0), count - 2)
+    return slice(begin, max(min(ceil(last / spacing) + 1, count), begin + 2))
+
+
+def line_of(corridor: Corridor, rows: slice) -> list[list[float]]:
+    """Returns x, y and heading along the route."""
+    line = corridor.line[rows]
+    chosen = np.unique(np.r_[0 : len(line) : max(1, round(LINE_SPACING / corridor.line.item(1, 0))), len(line) - 1])
+    return np.column_stack([line[chosen, 1:3].round(DIGITS), line[chosen, 3].round(4)]).tolist()
+
+
+def route_surface(corridor: Corridor, rows: slice) -> RoadSurface:
+    """Returns the lanes of the route. A border of two lanes is a marking; one inside of another lane, where two join, is not drawn."""
+    line, half = corridor.line[rows], 0.5 * corridor.widths[rows]
+    right, left = corridor.centres[rows] - half, corridor.centres[rows] + half
+    surface = RoadSurface(lanes=[], edges=[], markings=[])
+    for track in range(right.shape[1]):
+        exists = ~np.isnan(right[:, track])
+        borders = _points(line, right[:, track]), _points(line, left[:, track])
+        for run in _runs(exists):
+            # A lane begins and ends between two rows: one more row leaves no gap to the lane before or behind it.
+            longer = np.arange(max(run.start - 1, 0), min(run.stop + 1, len(line)))
+            known = np.clip(longer, run.start, run.stop - 1)
+            surface.lanes.append(_strip(_points(line[longer], right[known, track]), _points(line[longer], left[known, track])))
+        for border, side, facing in ((0, right[:, track], left), (1, left[:, track], right)):
+            others = np.arange(right.shape[1]) != track
+            shared = (np.abs(facing[:, others] - side[:, None]) <= SAME).any(axis=1)
+            covered = (right[:, others] + SAME < side[:, None]) & (side[:, None] < left[:, others] - SAME)
+            is_edge = exists & ~shared & ~covered.any(axis=1)
+            surface.edges.extend(_polyline(borders[border][run]) for run in _runs(is_edge))
+            if border == 1:  # the right border of its neighbour is the same one
+                is_marking = exists & shared & ~covered.any(axis=1)
+                surface.markings.extend(_polyline(borders[border][run]) for run in _runs(is_marking))
+    return surface
+
+
+def surface_beside(lanes: Sequence[NeighbouringLane], corridor: Corridor, rows: slice) -> RoadSurface:
+    """Returns lanes beside the route as far as they are near these rows, the nearest ones first up to `MOST_POINTS`."""
+    surface = RoadSurface(lanes=[], edges=[], markings=[])
+    tree = KDTree(corridor.line[rows, 1:3][:: max(1, round(LINE_SPACING / corridor.line.item(1, 0)))])
+    pieces = [(lane, *piece) for lane in lanes for piece in _pieces(lane.lane, tree)]
+    points = 0
+    for lane, _, right, left in sorted(pieces, key=lambda piece: piece[1]):
+        points += len(right)
+        if points > MOST_POINTS:
+            break
+        surface.lanes.append(_strip(right, left))
+        if lane.is_road:
+            if not lane.has_right:
+                surface.edges.append(_polyline(right))
+            (surface.markings if lane.has_left else surface.edges).append(_polyline(left))
+    return surface
+
+
+def _pieces(lane: Lane, tree: KDTree) -> Iterator[tuple[float, Floats, Floats]]:
+    """Yields the least distance from the route and both borders of each part of a lane that is near it."""
+    shape = lane.shape[np.concatenate([[True], np.hypot(*np.diff(lane.shape, axis=0).T) > 1e-3])]
+    if len(shape) < 2:
+        return
+    s = lengths(shape)
+    positions = np.unique(np.concatenate([s, np.linspace(0.0, s[-1], max(2, ceil(s[-1] / SAMPLES) + 1))]))
+    positions = positions[np.concatenate([[True], np.diff(positions) > 1e-3])]
+    points = np.column_stack([np.interp(positions, s, column) for column in shape.T])
+    if len(points) < 2:
+        return
+    distances = np.asarray(tree.query(points, distance_upper_bound=ASIDE)[0])
+    widths = lane.width if lane.widths is None else np.interp(positions / s[-1], *lane.widths.T)
+    right, left = beside(points, -0.5 * widths), beside(points, 0.5 * widths)
+    for run in _runs(np.isfinite(distances)):
+        yield float(distances[run].min()), right[run], left[run]
+
+
+def beside(points: Floats, offsets: Floats | float) -> Floats:
+    """Returns a polyline (n, 2) at these distances to the left of another one, whose points differ."""
+    ways = np.diff(points, axis=0)
+    ways /= np.hypot(*ways.T)[:, None]
+    middle = np.vstack([ways[:1], ways[:-1] + ways[1:], ways[-1:]])
+    size = np.hypot(*middle.T)
+    middle[size > 1e-9] /= size[size > 1e-9, None]
+    cosines = np.concatenate([[1.0], 0.5 * size[1:-1], [1.0]])
+    out = np.broadcast_to(offsets, len(points)) / np.maximum(cosines, SHARPEST)
+    return np.asarray(points + out[:, None] * np.column_stack([-middle[:, 1], middle[:, 0]]))
+
+
+def simplified(points: Floats) -> Floats:
+    """Returns rows of a polyline (n, k) from which the rest differs by at most `TOLERANCE`, at most `LONGEST` apart.
+
+    The first two columns are x and y; all columns are kept within the tolerance (Douglas and Peucker 1973).
+    """
+    s = lengths(points[:, :2])
+    kept = {0, len(points) - 1} | set(np.unique((s // (0.9 * LONGEST)).astype(np.int64), return_index=True)[1].tolist())
+    ends = sorted(kept)
+    open_ = list(pairwise(ends))
+    while open_:
+        first, last = open_.pop()
+        if last - first < 2:
+            continue
+        span = slice(first + 1, last)
+        share = (s[span] - s[first]) / max(s.item(last) - s.item(first), 1e-9)
+        off = np.abs(points[first] + share[:, None] * (points[last] - points[first]) - points[span]).max(axis=1)
+        if off.max() > TOLERANCE:
+            worst = first + 1 + int(off.argmax())
+            kept.add(worst)
+            open_ += [(first, worst), (worst, last)]
+    return points[sorted(kept)]
+
+
+def _points(line: Floats, d: Floats) -> Floats:
+    """Returns the points (n, 2) at the offsets d of a line's rows."""
+    return line[:, 1:3] + d[:, None] * np.column_stack([-np.sin(line[:, 3]), np.cos(line[:, 3])])
+
+
+def _strip(right: Floats, left: Floats) -> LaneStrip:
+    rows = simplified(np.hstack([right, left])).round(DIGITS)
+    return LaneStrip(right=rows[:, :2].tolist(), left=rows[:, 2:].tolist())
+
+
+def _polyline(points: Floats) -> list[list[float]]:
+    rows: list[list[float]] = simplified(points).round(DIGITS).tolist()
+    return rows
+
+
+def _runs(there: npt.NDArray[np.bool_]) -> Iterator[slice]:
+    """Yields the stretches of at least two rows that are there."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
+    for begin, end in changes.reshape(-1, 2).tolist():
+        if end - begin > 1:
+            yield slice(begin, end)
