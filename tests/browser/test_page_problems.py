@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Page, expect
 from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, leave, show, too_wide
 from tests.support.computed import ComputedBackend
-from tests.support.problems import MANIFEST, heated, push
+from tests.support.problems import MANIFEST, ROADS, heated, push, replayed, store
 from tests.support.runs import run, submit, working
 from tests.support.server import RunningApi, serving
 
@@ -191,6 +191,24 @@ def test_an_evaluation_without_declared_series_is_not_simulated_again(
         page = opening(f"{api.url}/#/evaluations/1")
         expect(page.get_by_text("declares no time series")).to_be_visible()
         assert api.http.get("/api/v1/campaigns").json()["items"][0]["kind"] == "calibration"
+        page.close()
+
+
+def test_a_drive_on_a_road_network_is_replayed_without_declared_series(
+    opening: Opening, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    folder = tmp_path_factory.mktemp("roads")
+    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
+        store(api.database, ROADS)
+        roads = {"problem": "roads", "sensitivity": None, "optimizer": {"kind": "random", "population": 4, "iterations": 1}}
+        run(api.database, submit(api.database, **SPEC | roads), ComputedBackend(answer=replayed))
+        page = opening(f"{api.url}/#/evaluations/1")
+        with working(api.database, ComputedBackend(answer=replayed)):
+            expect(page.get_by_role("img", name="Top view of the road at 0 s, the ego vehicle and 1 others")).to_be_visible()
+        page.get_by_role("button", name="A step ahead").click()
+        expect(page.get_by_role("img", name=re.compile("Top view of the road at 1 s"))).to_be_visible()
+        expect(page.get_by_text("108 km/h")).to_be_visible()
+        assert barriers(page) == []
         page.close()
 
 

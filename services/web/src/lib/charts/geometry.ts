@@ -44,7 +44,17 @@ export function at(times: readonly number[], values: readonly number[], moment: 
 
 export function poseAt(times: readonly number[], series: Record<string, number[]>, moment: number): Pose {
   const value = (name: string): number => at(times, series[name] ?? [], moment);
-  return { x: value("x_m"), y: value("y_m"), heading: value("heading_rad") };
+  return { x: value("x_m"), y: value("y_m"), heading: headingAt(times, series["heading_rad"] ?? [], moment) };
+}
+
+/** A heading at a moment, by the shorter turn: headings jump by a whole turn. */
+function headingAt(times: readonly number[], headings: readonly number[], moment: number): number {
+  const before = lastBefore(times, moment);
+  const [heading, next] = [headings[before], headings[before + 1]];
+  if (heading === undefined || next === undefined) return at(times, headings, moment);
+  const turn = next - heading - 2 * Math.PI * Math.round((next - heading) / (2 * Math.PI));
+  const from = times[before] as number;
+  return heading + (turn * (moment - from)) / ((times[before + 1] as number) - from);
 }
 
 /** The plan that is followed at a moment: the newest that was made by then. */

@@ -1,14 +1,8 @@
 /** The road from above at a moment of a replay, as shapes: painted on a canvas many times a second, or written as an SVG once. */
 
 import { SERIES, onGround } from "./palette";
-import { camera, planAt, poseAt, type Pose, type Trace } from "./geometry";
-
-export interface Scene {
-  road: { length_m: number; lanes: number; lane_width_m: number; reference_line: number[][]; boundaries: number[][][] };
-  ego: { length_m: number; width_m: number };
-  traffic: { id: string; length_m: number; width_m: number }[];
-  duration: number;
-}
+import type { Drive, Vehicle } from "./drive";
+import { camera, planAt, poseAt, type Pose } from "./geometry";
 
 type Point = readonly [number, number];
 
@@ -37,10 +31,9 @@ export const HEIGHT = 240;
 const AHEAD = 95;
 const BEHIND = 60;
 const SMALLEST = 4.6;
-/** Pixels beyond the view at which a line is not followed any more. */
+/** Pixels and metres beyond the view at which a line is not followed any more: more than there is between two points of it. */
 const BEYOND = 1200;
-/** A car with a known place and nothing else. */
-const USUAL = { length_m: 4.6, width_m: 1.9 };
+const BEYOND_METRES = 130;
 
 /** `own`: the colour of an ego vehicle that is shown beside others. The plan never has it. */
 export function colours(dark: boolean, own?: string) {
@@ -53,48 +46,77 @@ export function colours(dark: boolean, own?: string) {
 }
 
 /** The picture at a moment, from the ground up; the view looks along the road at the ego vehicle. */
-export function seen(trace: Trace, scene: Scene, moment: number, width: number, colour: Colours): Shape[] {
+export function seen(drive: Drive, moment: number, width: number, colour: Colours): Shape[] {
   const scale = Math.max(SMALLEST, width / (AHEAD + BEHIND));
-  const ego = poseAt(trace.time_s, trace.ego, moment);
-  const turn = headingOfRoad(scene, ego);
+  const ego = poseAt(drive.ego.time_s, drive.ego.places, moment);
+  const turn = headingOfRoad(drive.line, ego);
   const look = camera(ego, scale, [width * (BEHIND / (AHEAD + BEHIND)), HEIGHT * 0.56], turn);
-  const trail = (points: readonly (readonly number[])[]): Point[] => points.map(([x = 0, y = 0]) => look(x, y)).filter(([x]) => x > -BEYOND && x < width + BEYOND);
-  const line = (series: readonly number[], other: readonly number[]): Point[] => trail(series.map((x, index) => [x, other[index] ?? 0]));
+  const beyond = Math.max(BEYOND, BEYOND_METRES * scale);
+  const visible = ([x, y]: Point): boolean => x > -beyond && x < width + beyond && y > -beyond && y < HEIGHT + beyond;
+  const views = (points: readonly (readonly number[])[]): Point[] => points.map(([x = 0, y = 0]) => look(x, y));
+  const trail = (xs: readonly number[], ys: readonly number[]): Point[] => views(xs.map((x, index) => [x, ys[index] ?? 0])).filter(visible);
 
-  const { boundaries } = scene.road;
-  const shapes: Shape[] = [
-    { points: [[0, 0], [width, 0], [width, HEIGHT], [0, HEIGHT]], fill: colour.ground },
-    { points: [...trail(boundaries[0] ?? []), ...trail(boundaries.at(-1) ?? []).reverse()], fill: colour.road },
-  ];
-  boundaries.forEach((points, index) => {
-    const edge = index === 0 || index === boundaries.length - 1;
-    // Dashes stay where they are on the road.
-    shapes.push(
-      edge
-        ? { points: trail(points), stroke: colour.line, width: 2 }
-        : { points: trail(points), stroke: colour.mark, width: 1.4, dash: [6 * scale, 12 * scale], dashOffset: begun(points, look, width) * scale },
-    );
-  });
-  shapes.push({ points: line(trace.ego["x_m"] ?? [], trace.ego["y_m"] ?? []), stroke: colour.way, width: 1.5, opacity: 0.35 });
-  const plan = planAt(trace.plans, moment);
-  if (plan) shapes.push({ points: line(plan.x_m, plan.y_m), stroke: colour.plan, width: 3 });
+  const shapes: Shape[] = [{ points: [[0, 0], [width, 0], [width, HEIGHT], [0, HEIGHT]], fill: colour.ground }];
+  for (const { lanes, edges, markings } of drive.surfaces) {
+    for (const lane of lanes) {
+      const [right, left] = [views(lane.right), views(lane.left)];
+      for (const [from, to] of stretches(right.map((point, index) => visible(point) || visible(left[index] ?? point)))) {
+        // The stroke closes the gap to the next lane.
+        shapes.push({ points: [...right.slice(from, to), ...left.slice(from, to).reverse()], fill: colour.road, stroke: colour.road, width: 1 });
+      }
+    }
+    for (const line of edges) {
+      const points = views(line);
+      for (const [from, to] of stretches(points.map(visible))) shapes.push({ points: points.slice(from, to), stroke: colour.line, width: 2 });
+    }
+    for (const line of markings) {
+      const points = views(line);
+      for (const [from, to] of stretches(points.map(visible))) {
+        // Dashes stay where they are on the road.
+        shapes.push({ points: points.slice(from, to), stroke: colour.mark, width: 1.4, dash: [6 * scale, 12 * scale], dashOffset: length(line.slice(0, from + 1)) * scale });
+      }
+    }
+  }
+  shapes.push({ points: trail(drive.ego.places["x_m"] ?? [], drive.ego.places["y_m"] ?? []), stroke: colour.way, width: 1.5, opacity: 0.35 });
+  const plan = planAt(drive.plans, moment);
+  if (plan) shapes.push({ points: trail(plan.x_m, plan.y_m), stroke: colour.plan, width: 3 });
 
-  const car = (pose: Pose, shape: { length_m: number; width_m: number }, fill: string, name: string): void => {
+  const car = (vehicle: Vehicle, pose: Pose, fill: string): void => {
     if (Number.isNaN(pose.x)) return;
     const [x, y] = look(pose.x, pose.y);
     if (x < -80 || x > width + 80) return;
-    const [long, wide] = [shape.length_m * scale, shape.width_m * scale];
+    const [long, wide] = [vehicle.length_m * scale, vehicle.width_m * scale];
     const box = (back: number, front: number, side: number): Point[] => [[back, -side], [front, -side], [front, side], [back, side]].map(([a = 0, b = 0]) => turned(x, y, a, b, turn - pose.heading));
     // Round corners: the outline is as wide as the corner is round.
     shapes.push({ points: box(2 - long / 2, long / 2 - 2, wide / 2 - 2), fill, stroke: fill, width: 4 });
     shapes.push({ points: box(long * 0.14, long * 0.26, wide * 0.36), fill: colour.glass, opacity: 0.55 });
-    if (name) shapes.push({ text: name, at: [x, y - wide / 2 - 5], colour: colour.name });
+    if (vehicle.name) shapes.push({ text: vehicle.name, at: [x, y - wide / 2 - 5], colour: colour.name });
   };
-  for (const [name, series] of Object.entries(trace.neighbours)) {
-    car(poseAt(trace.time_s, series, moment), scene.traffic.find((entry) => entry.id === name) ?? USUAL, colour.other, name);
+  const now = Math.min(Math.max(moment, drive.time_s[0] ?? 0), drive.time_s.at(-1) ?? 0);
+  for (const vehicle of drive.others) {
+    if (now >= (vehicle.time_s[0] ?? 0) - 1e-9 && now <= (vehicle.time_s.at(-1) ?? 0) + 1e-9) car(vehicle, poseAt(vehicle.time_s, vehicle.places, moment), colour.other);
   }
-  car(ego, scene.ego, colour.ego, "");
+  car(drive.ego, ego, colour.ego);
   return shapes;
+}
+
+/** The places of at least two neighbours that are there, as begin and end of slices. */
+function stretches(there: readonly boolean[]): [number, number][] {
+  const found: [number, number][] = [];
+  for (let from = 0; from < there.length; ) {
+    let to = from;
+    while (there[to]) to++;
+    if (to - from > 1) found.push([from, to]);
+    from = to + 1;
+  }
+  return found;
+}
+
+function length(points: readonly (readonly number[])[]): number {
+  return points.reduce((metres, [x = 0, y = 0], index) => {
+    const [a = x, b = y] = points[index - 1] ?? [];
+    return metres + Math.hypot(x - a, y - b);
+  }, 0);
 }
 
 /** A point of a car, ahead and to the right of its middle, where the car is turned. */
@@ -102,31 +124,19 @@ function turned(x: number, y: number, ahead: number, right: number, angle: numbe
   return [x + ahead * Math.cos(angle) - right * Math.sin(angle), y + ahead * Math.sin(angle) + right * Math.cos(angle)];
 }
 
-/** The heading of the road where the ego vehicle is. */
-function headingOfRoad(scene: Scene, ego: Pose): number {
+/** The heading of the road where the ego vehicle is, between two rows of its line. */
+function headingOfRoad(line: Drive["line"], ego: Pose): number {
   let best = 0;
   let nearest = Infinity;
-  for (const [, x = 0, y = 0, heading = 0] of scene.road.reference_line) {
+  line.forEach(([x = 0, y = 0], index) => {
     const distance = (x - ego.x) ** 2 + (y - ego.y) ** 2;
-    if (distance < nearest) {
-      nearest = distance;
-      best = heading;
-    }
-  }
-  return best;
-}
-
-/** How far along a line, in metres, it begins to be drawn. */
-function begun(points: number[][], look: (x: number, y: number) => [number, number], width: number): number {
-  let metres = 0;
-  for (let index = 0; index < points.length; index++) {
-    const [x = 0, y = 0] = points[index] ?? [];
-    const [a] = look(x, y);
-    if (a > -BEYOND && a < width + BEYOND) return metres;
-    const [nextX = x, nextY = y] = points[index + 1] ?? [];
-    metres += Math.hypot(nextX - x, nextY - y);
-  }
-  return 0;
+    if (distance < nearest) [nearest, best] = [distance, index];
+  });
+  const [x = 0, y = 0, heading = 0] = line[best] ?? [];
+  const ahead = (ego.x - x) * Math.cos(heading) + (ego.y - y) * Math.sin(heading);
+  const [nextX = x, nextY = y, next = heading] = line[best + (ahead < 0 ? -1 : 1)] ?? [];
+  const step = Math.hypot(nextX - x, nextY - y);
+  return step === 0 ? heading : heading + Math.min(1, Math.abs(ahead) / step) * (next - heading);
 }
 
 export function paint(pen: CanvasRenderingContext2D, shapes: readonly Shape[]): void {

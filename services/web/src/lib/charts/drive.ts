@@ -1,0 +1,85 @@
+/** A drive from above, whatever reports it: a trace of the built-in motorway with its scenario, or the replay of a simulator on a road network. */
+
+import type { ReplayAnswer, RoadSurface } from "../server/types";
+import type { Trace } from "./geometry";
+
+export interface Scene {
+  road: { length_m: number; lanes: number; lane_width_m: number; reference_line: number[][]; boundaries: number[][][] };
+  ego: { length_m: number; width_m: number };
+  traffic: { id: string; length_m: number; width_m: number }[];
+  duration: number;
+}
+
+export interface Vehicle {
+  name: string;
+  length_m: number;
+  width_m: number;
+  /** The times of its places; it is not there before and after them. */
+  time_s: readonly number[];
+  /** `x_m`, `y_m` and `heading_rad`. */
+  places: Record<string, number[]>;
+}
+
+export interface Drive {
+  time_s: readonly number[];
+  /** Rows of x, y and heading along the road. */
+  line: readonly (readonly number[])[];
+  /** What lies on the ground, the lowest first. */
+  surfaces: readonly RoadSurface[];
+  ego: Vehicle;
+  others: readonly Vehicle[];
+  plans: Trace["plans"];
+  /** The ego vehicle's speed (m/s), its place along the road and its offset (m). */
+  speed: readonly number[];
+  along: readonly number[];
+  offset: readonly number[];
+}
+
+/** A car with a known place and nothing else. */
+const USUAL = { length_m: 4.6, width_m: 1.9 };
+
+export function driveOf(trace: Trace, scene: Scene): Drive {
+  const { boundaries, reference_line } = scene.road;
+  return {
+    time_s: trace.time_s,
+    line: reference_line.map(([, x = 0, y = 0, heading = 0]) => [x, y, heading]),
+    surfaces: [
+      {
+        lanes: boundaries.slice(1).map((left, index) => ({ right: boundaries[index] ?? [], left })),
+        edges: boundaries.length > 1 ? [boundaries[0] ?? [], boundaries.at(-1) ?? []] : [],
+        markings: boundaries.slice(1, -1),
+      },
+    ],
+    ego: { name: "", ...scene.ego, time_s: trace.time_s, places: trace.ego },
+    others: Object.entries(trace.neighbours).map(([name, places]) => {
+      const { length_m, width_m } = scene.traffic.find((entry) => entry.id === name) ?? USUAL;
+      return { name, length_m, width_m, time_s: trace.time_s, places };
+    }),
+    plans: trace.plans,
+    speed: trace.ego["speed_mps"] ?? [],
+    along: trace.ego["s_m"] ?? [],
+    offset: trace.ego["d_m"] ?? [],
+  };
+}
+
+export function driveIn(replay: ReplayAnswer): Drive {
+  const { time_s, line, ego } = replay;
+  const places = ({ x_m, y_m, heading_rad }: { x_m: number[]; y_m: number[]; heading_rad: number[] }) => ({ x_m, y_m, heading_rad });
+  return {
+    time_s,
+    line,
+    surfaces: [replay.beside, replay.route],
+    ego: { name: "", length_m: ego.length_m, width_m: ego.width_m, time_s, places: places(ego) },
+    others: replay.others.map((vehicle) => ({
+      name: vehicle.id,
+      length_m: vehicle.length_m,
+      width_m: vehicle.width_m,
+      time_s: time_s.slice(vehicle.first, vehicle.first + vehicle.x_m.length),
+      places: places(vehicle),
+    })),
+    plans: [],
+    speed: ego.speed_mps,
+    along: ego.position_m,
+    offset: ego.offset_m,
+  };
+}
