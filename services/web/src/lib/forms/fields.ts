@@ -12,11 +12,15 @@ export type Choices = Readonly<Record<string, readonly string[]>>;
 export const BUILT_IN: Choices = fields.names;
 const HELP: Readonly<Record<string, string>> = fields.help;
 
-/** The scores and measures that goals of a problem can name. */
-export function goalChoices(shape: Pick<Shape, "goals"> | null): Choices {
+/** More scenarios are written, not ticked. */
+const TICKED = 24;
+
+/** The scores, measures and scenarios that goals of a problem can name. */
+export function goalChoices(shape: Pick<Shape, "goals" | "scenarios"> | null): Choices {
   if (!shape) return {};
   const { scores, measures } = shape.goals;
-  return Object.fromEntries(["objectives", "constraints"].flatMap((field) => [[`${field}[].score`, scores], [`${field}[].measure`, measures]]));
+  const scenarios = shape.scenarios.length > TICKED ? [] : shape.scenarios.map((scenario) => scenario.id);
+  return Object.fromEntries(["objectives", "constraints"].flatMap((field) => [[`${field}[].score`, scores], [`${field}[].measure`, measures], [`${field}[].scenarios`, scenarios]]));
 }
 
 /** The names that can be chosen at a path. */

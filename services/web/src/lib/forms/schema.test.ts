@@ -1,5 +1,6 @@
 import { expect, test } from "vitest";
-import { changed, describe, differences, listText, others, withDefault, written, writtenList, type Definitions } from "./schema";
+import { Broken } from "../server/problems";
+import { changed, describe, differences, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -18,6 +19,27 @@ test("a schema says what field it wants", () => {
   expect(kind({ type: "array", items: { type: "integer" } })).toBe("list");
   expect(kind({ type: "array", items: { $ref: "#/components/schemas/Search" } })).toBe("objects");
   expect(kind({ type: "array", items: { type: "object", patternProperties: {} } })).toBe("json");
+});
+
+test("a word or a number may stand for a list, and an object for a choice", () => {
+  const of = (...anyOf: object[]) => describe({ anyOf }, { Quantile: { properties: { quantile: { type: "number" } } } });
+  const names = { type: "array", items: { type: "string" } };
+  expect(of({ type: "string", const: "all" }, names)).toMatchObject({ kind: "list", choices: ["all"], single: false });
+  expect(of({ type: "number" }, { type: "array", items: { type: "number" } })).toMatchObject({ kind: "list", choices: [], single: true });
+  expect(of({ type: "string" }, names).kind).toBe("json");
+  const choice = of({ type: "string", enum: ["mean", "min"] }, { $ref: "#/components/schemas/Quantile" }, { type: "null" });
+  expect([choice.kind, choice.choices, choice.optional, Object.keys(choice.instead?.properties ?? {})]).toEqual(["choice", ["mean", "min"], true, ["quantile"]]);
+  expect(of({ type: "number" }, { type: "string", const: "auto" }, { $ref: "#/components/schemas/Quantile" }).kind).toBe("json");
+  const all = { choices: ["all"], single: true };
+  expect([writtenList("all", all), writtenList("S1", all), writtenList("S1, all", all), writtenList("2", all), writtenList("2, 3", all)]).toEqual(["all", ["S1"], ["S1", "all"], 2, [2, 3]]);
+  expect([listText("all"), listText(2)]).toEqual(["all", "2"]);
+});
+
+test("numbers by name are written as on the command line, or as JSON", () => {
+  expect(describe({ type: "object", patternProperties: { "^S": { type: "number" } } }, {}).kind).toBe("pairs");
+  expect([writtenPairs("S1=2, S2 = 0.5\nS3=0"), writtenPairs('{"S1": 2}'), writtenPairs(" ")]).toEqual([{ S1: 2, S2: 0.5, S3: 0 }, { S1: 2 }, undefined]);
+  for (const text of ["S1", "S1=", "=2", "S1=two", "S1=1=2", '{"S1"']) expect(writtenPairs(text)).toBeInstanceOf(Broken);
+  expect([pairsText({ S1: 2, S2: 0.5 }), pairsText(undefined), pairsText(writtenPairs("S1="))]).toEqual(["S1=2, S2=0.5", "", "S1="]);
 });
 
 test("objects are described behind references and choices, and whether they may be left out", () => {

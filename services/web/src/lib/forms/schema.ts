@@ -27,15 +27,20 @@ export interface Schema {
 
 export type Definitions = Record<string, Schema>;
 
-/** `list`: of words and numbers; `objects`: of objects, each with fields of its own. */
-export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "objects" | "json";
+/** `list`: of words and numbers; `pairs`: numbers by name; `objects`: of objects, each with fields of its own. */
+export type Kind = "choice" | "truth" | "whole" | "number" | "text" | "object" | "list" | "pairs" | "objects" | "json";
 
 export interface Described {
   kind: Kind;
   /** May be null: it can be left out altogether. */
   optional: boolean;
+  /** Of a list the words that can stand for it, as `all`. */
   choices: unknown[];
   schema: Schema;
+  /** What can be given instead of a choice. */
+  instead?: Schema;
+  /** A number can stand for the list. */
+  single?: boolean;
 }
 
 export function resolve(schema: Schema, definitions: Definitions): Schema {
@@ -58,18 +63,31 @@ export function describe(given: Schema, definitions: Definitions): Described {
   const only = known.length === 1 ? known[0] : undefined;
   // Of several kinds of objects the first is the usual one; the others can be written as JSON.
   if (objects[0] && plain.length === 0) return make("object", objects[0]);
-  if (!only) return make("json", schema);
+  if (objects.length === 1 && objects[0] && plain.length === 1 && plain[0]?.enum) return { ...make("choice", plain[0], plain[0].enum), instead: objects[0] };
+  if (!only) {
+    const lists = known.filter((entry) => isWords(entry, definitions));
+    const rest = known.filter((entry) => entry !== lists[0]);
+    const stand = rest.every((entry) => entry.const !== undefined || entry.type === "number");
+    if (lists[0] && stand) return { ...make("list", lists[0], rest.flatMap((entry) => (entry.const === undefined ? [] : [entry.const]))), single: rest.some((entry) => entry.type === "number") };
+    return make("json", schema);
+  }
   if (only.enum) return make("choice", only, only.enum);
   if (only.type === "boolean") return make("truth", only);
   if (only.type === "integer") return make("whole", only);
   if (only.type === "number") return make("number", only);
   if (only.type === "string") return make("text", only);
-  if (only.type === "array" && only.items) {
-    const item = resolve(only.items, definitions);
-    if (item.properties) return make("objects", only);
-    if (!item.patternProperties) return make("list", only);
-  }
+  if (only.type === "array" && only.items && resolve(only.items, definitions).properties) return make("objects", only);
+  if (isWords(only, definitions)) return make("list", only);
+  const named = Object.values(only.patternProperties ?? {});
+  if (named.length > 0 && named.every((entry) => entry.type === "number")) return make("pairs", only);
   return make("json", only);
+}
+
+/** Whether it is a list of words or numbers. */
+function isWords(schema: Schema, definitions: Definitions): boolean {
+  if (schema.type !== "array" || !schema.items) return false;
+  const item = resolve(schema.items, definitions);
+  return !item.properties && !item.patternProperties;
 }
 
 /** The definitions with another default of a property that depends on other settings. */
@@ -79,18 +97,35 @@ export function withDefault(definitions: Definitions, model: string, property: s
   return { ...definitions, [model]: { ...known, properties: { ...known.properties, [property]: { ...known.properties[property], default: value } } } };
 }
 
-/** Words and numbers as people write them, `100, 200`; JSON for lists that hold anything else. */
-export function writtenList(text: string): unknown[] | Broken | undefined {
+/** Words and numbers as people write them, `100, 200`; JSON for lists that hold anything else. One of the `choices` stands for itself, and
+ * a `single` number, too. */
+export function writtenList(text: string, { choices, single = false }: Pick<Described, "choices" | "single"> = { choices: [] }): unknown {
   if (text.trim() === "") return undefined;
   const parsed = /^\s*[[{]/.test(text) ? written(text) : undefined;
   if (Array.isArray(parsed) || parsed instanceof Broken) return parsed;
-  return text.split(",").map((part) => part.trim()).filter(Boolean).map(written);
+  const values = text.split(",").map((part) => part.trim()).filter(Boolean).map(written);
+  return values.length === 1 && (choices.includes(values[0]) || (single && typeof values[0] === "number")) ? values[0] : values;
 }
 
 export function listText(value: unknown): string {
   if (value instanceof Broken) return value.text;
-  if (!Array.isArray(value)) return "";
+  if (!Array.isArray(value)) return typeof value === "string" || typeof value === "number" ? String(value) : "";
   return value.some((entry) => typeof entry === "object") ? JSON.stringify(value) : value.join(", ");
+}
+
+/** Numbers by name as on the command line, `S1=2, S2=0.5`; JSON is taken, too. */
+export function writtenPairs(text: string): unknown {
+  if (text.trim() === "") return undefined;
+  if (/^\s*[[{]/.test(text)) return written(text);
+  const pairs = text.split(/[,\n]/).map((part) => part.trim()).filter(Boolean).map((part) => part.split("=").map((side) => side.trim()));
+  const wrong = pairs.find(([name, value, ...more]) => !name || !value || more.length > 0 || Number.isNaN(Number(value)));
+  if (wrong) return new Broken(text, `${wrong.join("=")} is no name with a number`, "write S1=2, S2=0.5, for example");
+  return Object.fromEntries(pairs.map(([name = "", value]) => [name, Number(value)]));
+}
+
+export function pairsText(value: unknown): string {
+  if (value instanceof Broken) return value.text;
+  return typeof value === "object" && value !== null ? Object.entries(value).map(([name, number]) => `${name}=${String(number)}`).join(", ") : "";
 }
 
 /** What an object holds besides the fields that its schema names: settings of a plug-in, for example. */
@@ -104,7 +139,7 @@ export function written(text: string): unknown {
   try {
     return JSON.parse(text) as unknown;
   } catch (error) {
-    return /^\s*[[{]/.test(text) ? new Broken(text, error instanceof Error ? error.message : String(error)) : text;
+    return /^\s*[[{]/.test(text) ? new Broken(text, `this is not valid JSON: ${error instanceof Error ? error.message : String(error)}`, "what begins with [ or { has to be complete") : text;
   }
 }
 

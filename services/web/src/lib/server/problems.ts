@@ -1,12 +1,13 @@
-/** What is wrong with a form: what the API says of its fields, and invalid JSON. */
+/** What is wrong with a form: what the API says of its fields, and text that no value can be made of. */
 
 import type { FieldProblem } from "./types";
 
-/** Invalid JSON in a field; it is never sent. */
+/** Text in a field that no value can be made of; it is never sent. */
 export class Broken {
   constructor(
     readonly text: string,
     readonly reason: string,
+    readonly remedy: string,
   ) {}
 
   toJSON(): string {
@@ -29,9 +30,9 @@ export function at(problems: readonly FieldProblem[], path: string, fields = fal
   return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${problem.field.slice(path.length).replace(/^\./, "")}: ${said(problem)}`] : []));
 }
 
-/** The fields of a form with invalid JSON. */
+/** The fields of a form with such text. */
 export function brokenIn(value: unknown, path = ""): FieldProblem[] {
-  if (value instanceof Broken) return [{ field: path, message: `this is not valid JSON: ${value.reason}`, remedy: "what begins with [ or { has to be complete" }];
+  if (value instanceof Broken) return [{ field: path, message: value.reason, remedy: value.remedy }];
   if (Array.isArray(value)) return value.flatMap((entry, place) => brokenIn(entry, `${path}[${place}]`));
   if (typeof value !== "object" || value === null) return [];
   return Object.entries(value).flatMap(([name, entry]) => brokenIn(entry, path === "" ? name : `${path}.${name}`));
