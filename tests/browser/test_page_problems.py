@@ -265,7 +265,7 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     limit.get_by_label("weights", exact=True).fill("winter=2, spring=0.5")
     with page.expect_request(lambda request: request.method == "POST" and '"at_most":9' in (request.post_data or "")) as asked:
         limit.get_by_label("at most").fill("9")
-    goals = asked.value.post_data_json
+    goals: Any = asked.value.post_data_json
     quantile = {"measure": "energy_kwh", "direction": "minimise", "scenarios": ["winter"], "aggregate": {"quantile": 0.9}}
     assert goals["objectives"] == [quantile]
     assert goals["constraints"] == [{"measure": "energy_kwh", "weights": {"winter": 2, "spring": 0.5}, "at_most": 9}]

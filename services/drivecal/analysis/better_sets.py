@@ -77,7 +77,7 @@ def of_earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
         )
         yield Reason(light="amber", about="earlier", text=text)
         return
-    weights = ",".join(f"{name}={value_text(weight, 16)}" for name, weight in earlier.weights.items())
+    weights = ",".join(f"{name}={value_text(weight, None)}" for name, weight in earlier.weights.items())
     score = "" if earlier.score is None else f" --score {earlier.score}"
     values = f"{objective_text(earlier.objective)}{copied} beside {objective_text(campaign.best.objective)}"
     text = (

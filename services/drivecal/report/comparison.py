@@ -13,7 +13,7 @@ from drivecal.contracts.tables import Generation
 from drivecal.domain.scales import objective_text
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
-from drivecal.report.markup import document, files, paragraph, table, verbatim
+from drivecal.report.markup import bullets, document, files, paragraph, table, verbatim
 from drivecal.report.rows import Number, compared_groups, fixed, objective_number, percent, reduction_effect
 
 SPECIFICATION = "comparison.json"
@@ -89,6 +89,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
     believed = [paragraph(BELIEVED)] if doubted else []
     sections = {
         "Summary": [paragraph(text, "key") for text in summary(comparison)],
+        "Notes": [bullets(campaign.notes)] if campaign.notes else [],
         "Problem": [_problem(campaign)],
         "Optimizers": [
             _final_optima(comparison.groups, several=several),
@@ -105,7 +106,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
     ended = "" if campaign.ended_at is None else f", ended {campaign.ended_at:%Y-%m-%d %H:%M} UTC"
     spent = f"{campaign.seconds.wall:,.0f} s, CPU time of all simulations {campaign.seconds.simulating:,.0f} s"
     subtitle = f"comparison {campaign.id}, {campaign.state}{ended} after {spent}; drivecal {version('drivecal')}"
-    return document(campaign.name, subtitle, (campaign.error, campaign.degraded, *campaign.notes), sections)
+    return document(campaign.name, subtitle, (campaign.error, campaign.degraded), sections)
 
 
 def summary(comparison: ComparisonData) -> list[str]:

@@ -15,6 +15,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
     campaign = findings.campaign
     sections = {
         "Summary": results.summary(findings),
+        "Notes": [bullets(campaign.notes)] if campaign.notes else [],
         "Trust": results.trust(findings),
         "Problem": problem.setting(findings),
         "Where parameters matter": _influence(findings, drawn),
@@ -29,7 +30,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         "Files": [files(names)],
     }
     subtitle = f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}"
-    return document(campaign.name, subtitle, (campaign.error, campaign.degraded, *campaign.notes), sections)
+    return document(campaign.name, subtitle, (campaign.error, campaign.degraded), sections)
 
 
 def _when(campaign: Campaign) -> str:

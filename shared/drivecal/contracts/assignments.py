@@ -7,9 +7,11 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 
-def value_text(value: float | str, digits: int = 6) -> str:
-    """Returns a number with so many significant digits, or the text of a choice."""
-    return value if isinstance(value, str) else f"{value:.{digits}g}"
+def value_text(value: float | str, digits: int | None = 6) -> str:
+    """Returns a number with so many significant digits, or the text of a choice. None: as few digits as give the number again."""
+    if isinstance(value, str):
+        return value
+    return repr(float(value)).removesuffix(".0") if digits is None else f"{value:.{digits}g}"
 
 
 def settings(parts: Iterable[str], field: str) -> dict[str, float | str]:

@@ -23,7 +23,7 @@ def test_what_is_no_number_is_a_text() -> None:
 
 @given(CHOICE | st.floats(-1e6, 1e6))
 def test_a_written_value_is_read_as_it_was(value: float | str) -> None:
-    read = settings([f"x={value_text(value, 17)}"], "parameters")["x"]
+    read = settings([f"x={value_text(value, None)}"], "parameters")["x"]
     if isinstance(value, float) or isinstance(read, str):
         assert read == value
 
@@ -38,3 +38,13 @@ def test_what_is_no_assignment_is_refused(parts: list[str]) -> None:
 def test_weights_stay_numbers() -> None:
     with pytest.raises(InvalidInputError):
         assignments(["S1=eco"], "weights")
+
+
+def test_a_value_has_the_digits_that_give_it_again() -> None:
+    assert [value_text(value, None) for value in (8.2, 28.0, 1e-7, 0.1 + 0.2, "eco")] == [
+        "8.2",
+        "28",
+        "1e-07",
+        "0.30000000000000004",
+        "eco",
+    ]

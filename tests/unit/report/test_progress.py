@@ -34,7 +34,7 @@ def test_the_population_is_drawn_as_it_was() -> None:
     np.testing.assert_equal(line(figure, "population.alternatives").get_ydata(), [2, 2, 7])
     np.testing.assert_equal(line(figure, "population.baseline").get_ydata(), [4.5, 4.5])
     text = svg(figure, "test")
-    assert "Alternative optima, F(ps) = 7.000" in text
+    assert "Sets with the best objective, 7.000" in text
     for label in ("best", "mean", "worst", "baseline", "number of parameter sets"):
         assert f">{label}</text>" in text
 
@@ -50,12 +50,12 @@ def test_an_iteration_that_is_not_answered_yet_has_no_point() -> None:
     figure = population_figure([generation(0), pending])
     for name, value in (("best", 5), ("alternatives", 2)):
         np.testing.assert_equal(line(figure, f"population.{name}").get_ydata(), [value, np.nan])
-    assert "Alternative optima, F(ps) = 5.000" in svg(figure, "test")
+    assert "Sets with the best objective, 5.000" in svg(figure, "test")
 
 
 def test_a_campaign_without_any_result_can_be_drawn() -> None:
     empty = generation(0, best=None, mean=None, minimum=None, alternatives=0)
-    assert ">Alternative optima</text>" in svg(population_figure([empty]), "test")
+    assert ">Sets with the best objective</text>" in svg(population_figure([empty]), "test")
 
 
 @pytest.mark.parametrize("iterations", [1, 2, 300])

@@ -121,7 +121,7 @@ def units_of(client: Client, problem: str) -> dict[str, str]:
 
 def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | SeriesAnswer, problem: str) -> bytes:
     facts = {"evaluation": evaluation.id, "problem": problem, "scenario": evaluation.scenario or ""}
-    facts |= {f"parameter {name}": value_text(value, 17) for name, value in evaluation.parameters.items()}
+    facts |= {f"parameter {name}": value_text(value, None) for name, value in evaluation.parameters.items()}
     recording = RecordedScenario(
         evaluation.scenario or "", trace, run_facts(evaluation.score, evaluation.failure), units_of(client, problem)
     )

@@ -259,7 +259,7 @@ def _time_series(client: Client, identifier: str, table: TableName, row: int, qu
         known |= {"origin of the score": "taken from a reference"} if scenario in chosen.reused else {}
         recordings.append(RecordedScenario(scenario, trace, known, units))
     facts = {"campaign": campaign.id, "name": campaign.name, "set": f"{row} of {table}", "problem": problem}
-    facts |= {f"parameter {name}": value_text(value, 17) for name, value in chosen.parameters.items()}
+    facts |= {f"parameter {name}": value_text(value, None) for name, value in chosen.parameters.items()}
     return measurement(recordings, facts, campaign.ended_at or campaign.created_at)
 
 

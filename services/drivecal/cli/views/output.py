@@ -21,8 +21,6 @@ Shown = TypeVar("Shown", bound=BaseModel)
 
 OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
 """Colours on terminals, those of the page on a dark ground."""
-DIGITS = 15
-"""Significant digits of values that users may type again."""
 
 
 def dumped(rows: Iterable[BaseModel]) -> list[dict[str, Any]]:
@@ -205,8 +203,8 @@ def saved(cells: CellCounts) -> float:
     return answered / cells.requested if cells.requested else 0.0
 
 
-def parameters_text(parameters: Mapping[str, float | str], digits: int = 6) -> str:
-    """Returns values as `P1=0.5 mode=eco`."""
+def parameters_text(parameters: Mapping[str, float | str], digits: int | None = 6) -> str:
+    """Returns values as `P1=0.5 mode=eco`; `digits` as of `value_text`."""
     return " ".join(f"{name}={value_text(value, digits)}" for name, value in parameters.items())
 
 
@@ -228,7 +226,7 @@ def when(moment: datetime | None) -> str:
 def _set_text(shown: Best | Baseline) -> str:
     objective = "no result yet" if shown.objective is None else objective_text(shown.objective)
     broken = f"  breaks the constraints on results by {shown.violation:.1%}" if shown.violation > 0 else ""
-    return f"{objective}{broken}  {parameters_text(shown.parameters, DIGITS)}"
+    return f"{objective}{broken}  {parameters_text(shown.parameters, None)}"
 
 
 def _text(value: object) -> str:

@@ -47,7 +47,7 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         if baseline is not None:
             line = left.axhline(baseline, color=INK, linewidth=0.8, linestyle=(0, (6, 3)), label="baseline")
             line.set_gid("population.baseline")
-        left.set(xlabel="iteration", ylabel="objective F(ps)", title="Population")
+        left.set(xlabel="iteration", ylabel="objective", title="Population")
         left.margins(y=0.08)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=4)
         # An iteration that has no best yet is still being answered, and its alternatives are not counted.
@@ -57,7 +57,7 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
         if marked:
             line.set(marker="o", markersize=3.5)
         best = next((generation.best for generation in reversed(generations) if generation.best is not None), None)
-        title = "Alternative optima" if best is None else f"Alternative optima, F(ps) = {best:.3f}"
+        title = "Sets with the best objective" if best is None else f"Sets with the best objective, {best:.3f}"
         right.set(xlabel="iteration", ylabel="number of parameter sets", title=title)
         right.set_ylim(0, max(1, *(generation.alternatives for generation in generations)) * 1.08)
         for axes in (left, right):

@@ -1,7 +1,7 @@
 """The review sheet as one page."""
 
 from drivecal.domain.campaigns import CampaignState
-from drivecal.report.markup import command, document, paragraph, rendered
+from drivecal.report.markup import bullets, command, document, paragraph, rendered
 from drivecal.report.review import confidence, sections
 from drivecal.report.review.content import UNSEALED, sealed
 from drivecal.report.review.data import Review
@@ -23,6 +23,7 @@ def sheet(review: Review) -> str:
         "Robustness": confidence.robustness(review),
         "Origin of the results": confidence.origin(review),
         "Confidence": confidence.sureness(review),
+        "Notes": _notes(review),
         "Signatures": _signatures(),
     }
     title = f"Review: {review.first.campaign.name}"
@@ -47,8 +48,13 @@ def _warnings(review: Review) -> list[str]:
         for each in review.sets.values()
         if (violation := each.chosen.violation) > 0
     ]
-    remarks = [text for each in review.sets.values() for text in (each.campaign.error, *each.campaign.notes) if text]
-    return list(dict.fromkeys([*drafts, *copied, *broken, *remarks]))
+    errors = [each.campaign.error for each in review.sets.values() if each.campaign.error]
+    return list(dict.fromkeys([*drafts, *copied, *broken, *errors]))
+
+
+def _notes(review: Review) -> list[str]:
+    notes = dict.fromkeys(note for each in review.sets.values() for note in each.campaign.notes)
+    return [bullets(notes)] if notes else []
 
 
 def _signatures() -> list[str]:

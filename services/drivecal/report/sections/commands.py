@@ -17,7 +17,7 @@ def evaluation(
     """
     usual = EvaluationSpecification.model_fields
     given = ((name, spec.get(name)) for name in ("problem", "catalogue", "driving_function", "evaluator"))
-    words = [shlex.quote(f"{name}={value_text(value, 16)}") for name, value in parameters.items()]
+    words = [shlex.quote(f"{name}={value_text(value, None)}") for name, value in parameters.items()]
     words += [
         f"--{name.replace('_', '-')} {value}"
         for name, value in given

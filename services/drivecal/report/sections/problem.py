@@ -34,6 +34,7 @@ def setting(findings: ReportData) -> list[str]:
     parameters = [
         [
             parameter.name,
+            parameter.description,
             unit_text(parameter.unit, ""),
             ", ".join(parameter.choices) or parameter.lower,
             None if parameter.choices else parameter.upper,
@@ -47,7 +48,7 @@ def setting(findings: ReportData) -> list[str]:
         table(
             ["scenario", "", "weight", "step, s", "seed"], scenarios, "Scenarios, and their shares of the objective", wrap=True
         ),
-        table(["parameter", "unit", "lower", "upper", "values", ""], parameters, "Parameters"),
+        table(["parameter", "meaning", "unit", "lower", "upper", "values", ""], parameters, "Parameters", wrap=True),
         table(["stage", "settings"], stages, "Settings", wrap=True),
     ]
 

@@ -26,12 +26,12 @@ PROVED = ("proved", "proved_different", "proved_wrong")
 
 
 def cells_by_stage(campaign: Campaign) -> str:
-    """Returns the table of the campaign's cells by stage and outcome."""
-    fields = ("proposed", "carried_over", "requested", *OUTCOMES, *CHECKS)
+    """Returns the table of the campaign's cells by outcome and stage."""
+    fields = {"proposed": "proposed", "carried_over": "carried over", "requested": "requested"}
+    fields |= {outcome: outcome for outcome in OUTCOMES} | CHECKS
     stages = {stage: cells for stage, cells in campaign.by_stage().items() if cells.requested}
-    rows = [[stage, *(getattr(cells, field, None) for field in fields)] for stage, cells in stages.items()]
-    header = ["stage", "proposed", "carried over", "requested", *OUTCOMES, *CHECKS.values()]
-    return table(header, rows, "Cells by stage and outcome", wrap_header=True) if rows else ""
+    rows = [[title, *(getattr(cells, field, None) for cells in stages.values())] for field, title in fields.items()]
+    return table(["cells", *stages], rows, "Cells by outcome and stage") if stages else ""
 
 
 def self_check(campaign: Campaign, account: Accounting | None) -> list[str]:
