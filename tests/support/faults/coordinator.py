@@ -162,10 +162,13 @@ class Coordinator:
         return self.until(ready, "a server that is ready", READY_SECONDS)
 
     def kill_all(self) -> None:
-        """SIGKILL to every process of it at once."""
-        for one in self.family():
-            with suppress(psutil.NoSuchProcess):
-                one.kill()
+        """SIGKILL to every process of it at once, and to those that were being started meanwhile."""
+        patience = Patience(ORPHAN_SECONDS, self.family)
+        while self.running and not patience.over:
+            for one in self.family():
+                with suppress(psutil.NoSuchProcess):
+                    one.kill()
+            time.sleep(0.02)
         self.wait_gone()
 
     def kill_supervisor(self) -> None:
