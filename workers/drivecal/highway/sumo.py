@@ -4,8 +4,13 @@
 has thousands. The namespaces `vehicle`, `edge`, `lane` and `simulation` are libsumo's own, for everything else.
 """
 
+import os
+import re
+import sys
+import tempfile
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import count
 from typing import Any, NamedTuple
 
@@ -37,6 +42,14 @@ NO_LANE_CHANGES = 0
 """Lane change mode."""
 COLUMNS = 4
 """Cells of a vehicle in `read`."""
+MOST_MESSAGES = 3
+"""Messages of SUMO in an error; the first names the cause."""
+MOST_WRITTEN = 1 << 16
+"""Bytes of SUMO's messages among which its errors are searched: a damaged network can give one for each line."""
+WITHOUT_CAUSE = "Process Error"
+"""SUMO's exception if its messages alone name the cause."""
+_ERROR = re.compile(r"^Error: (.*(?:\n +.*)*)", re.MULTILINE)
+_FOLDER = re.compile(r"'[^'\n]*/([^'/\n]+)'")
 
 
 class Start(NamedTuple):
@@ -78,15 +91,55 @@ _current = 0
 
 
 def load(arguments: Sequence[str]) -> int:
-    """Starts SUMO, or loads it again if it runs already; returns the number of this load. Raises one of `SUMO_ERRORS` if it refuses its
-    files."""
+    """Starts SUMO, or loads it again if it runs already; returns the number of this load.
+
+    Raises one of `SUMO_ERRORS`, with SUMO's own words, if it refuses its files. SUMO writes most of them to standard error only. They stay
+    there, where they also name the cause of a crash or hang; what is refused without a cause is loaded once more for them.
+    """
     global _current  # noqa: PLW0603  # a process holds one simulation, too
     _current = next(_loads)
+    said: list[str] = []
+    try:
+        try:
+            _load(arguments)
+        except SUMO_ERRORS as error:
+            if str(error) != WITHOUT_CAUSE:
+                raise
+            with _errors(said):
+                _load(arguments)
+    except SUMO_ERRORS as error:
+        raise type(error)("; ".join(said[:MOST_MESSAGES]) or _shown(str(error))) from error
+    return _current
+
+
+def _load(arguments: Sequence[str]) -> None:
     if libsumo.isLoaded():
         libsumo.load(list(arguments))
     else:
         libsumo.start(["sumo", *arguments])
-    return _current
+
+
+@contextmanager
+def _errors(said: list[str]) -> Iterator[None]:
+    """Adds the different errors to `said` that SUMO writes to the descriptor of standard error meanwhile. What other threads write in this
+    time goes to standard error afterwards."""
+    own = os.dup(2)
+    with tempfile.TemporaryFile() as written:
+        os.dup2(written.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(own, 2)
+            os.close(own)
+            written.seek(0)
+            text = written.read(MOST_WRITTEN).decode(errors="replace")
+            said += dict.fromkeys(map(_shown, _ERROR.findall(text)))
+            sys.stderr.write(_ERROR.sub("", text).lstrip("\n"))
+
+
+def _shown(message: str) -> str:
+    """Returns a message of SUMO as one line, without the folders of files."""
+    return _FOLDER.sub(r"'\1'", " ".join(message.split()))
 
 
 def is_current(load: int) -> bool:

@@ -4,10 +4,6 @@ libsumo keeps the simulation in global state: a process has one `Traffic`. Runs 
 between runs if nothing is random; else SUMO loads everything again, with the same seed, and simulates the warm-up.
 """
 
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from math import cos, radians, sin
 from pathlib import Path
@@ -49,30 +45,10 @@ CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
 LARGEST_BEYOND = 0.1
 """Metres by which a vehicle may start behind its place, so that its front is on a lane."""
-MOST_MESSAGES = 3
-"""Messages of SUMO in an error; the first names the cause."""
 
 
 class TrafficError(DrivecalError):
     """SUMO refused a network, a route or a vehicle; the message quotes SUMO."""
-
-
-@contextmanager
-def errors_of_sumo(file: Path, said: list[str]) -> Iterator[None]:
-    """Adds the errors to `said` that SUMO writes to standard error, which its exceptions do not hold: "Process Error". `file` is written
-    meanwhile."""
-    own = os.dup(2)
-    with file.open("w+b") as written:
-        os.dup2(written.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(own, 2)
-            os.close(own)
-            written.seek(0)
-            text = written.read().decode(errors="replace")
-            sys.stderr.write(text)
-            said += [line.removeprefix("Error: ") for line in text.splitlines() if line.startswith("Error: ")]
 
 
 class Traffic:
@@ -105,10 +81,8 @@ class Traffic:
         self._is_exact = is_exact(scenario)
         self._steps_before = round(scenario.warm_up / step) if flows else 0
         """Steps of the warm-up."""
-        said: list[str] = []
         try:
-            with errors_of_sumo(folder / "messages.txt", said):
-                self._load()
+            self._load()
             placed: list[tuple[str, str, Placed, float, float, float]] = [
                 (f"traffic[{index}]", key, vehicle, vehicle.length, vehicle.speed, vehicle.offset)
                 for index, (key, vehicle) in enumerate(vehicles.items())
@@ -119,8 +93,7 @@ class Traffic:
                 for part, key, entry, length, speed, offset in placed
             ]
         except SUMO_ERRORS as error:
-            cause = "; ".join(said[:MOST_MESSAGES]) or error
-            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {cause}") from error
+            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
         self._actions = Actions(vehicles, road.lateral, road.stretch)
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
