@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import random
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from tests.support import effort
 from tests.support.effort import tries
 from tests.support.motorways import CONTROLLERS, PARAMETERS, driven, motorway
 from tests.support.mutations import mutated, nudged, outcome
@@ -100,7 +100,7 @@ def ending(folder: Path, data: Mapping[str, Any]) -> str:
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_damaged_files_are_driven_or_refused_by_name(sound: Path, tmp_path: Path, subject: str, number: str) -> None:
     file, data = SUBJECTS[subject]
-    content, chance = (sound / file).read_bytes(), random.Random(f"{subject} {number}")
+    content, chance = (sound / file).read_bytes(), effort.chance(f"{subject} {number}")
     endings: Counter[str] = Counter()
     folder = tmp_path / "damaged"  # stays if the test fails
     while endings.total() - endings["refused by the check"] < DRIVES[number]:

@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import random
 import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from tests.support import effort
 from tests.support.effort import tries
 from tests.support.mutations import mutated, outcome
 from tests.support.networks import REAL, crossing, entrance, generated, real
@@ -39,7 +39,7 @@ SUBJECTS: dict[str, tuple[Callable[[], bytes], tuple[str, ...]]] = {
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_damaged_networks_give_corridors_or_refusals(subject: str) -> None:
     make, route = SUBJECTS[subject]
-    content, chance = make(), random.Random(subject)
+    content, chance = make(), effort.chance(subject)
     results = []
     for _ in range(MUTATIONS // len(SUBJECTS)):
         damaged = mutated(content, chance)
@@ -59,7 +59,7 @@ def test_damaged_networks_give_corridors_or_refusals(subject: str) -> None:
 
 @pytest.mark.parametrize("file", FILES)
 def test_damaged_opendrive_files_are_read_or_refused(file: str) -> None:
-    content, chance = FILES[file](), random.Random(file)
+    content, chance = FILES[file](), effort.chance(file)
     results = []
     for number in range(MUTATIONS // len(FILES)):
         damaged = mutated(content, chance)
