@@ -64,6 +64,7 @@ def measured(
     from drivecal.highway.drive.controllers import Checked
     from drivecal.highway.drive.plants import UserVehicleModel
     from drivecal.highway.sumo import EGO
+    from drivecal.plugins import setups
 
     made: list[loop.Loop] = []
 
@@ -76,7 +77,7 @@ def measured(
     settings = {
         "folder": str(folder), "work": str(folder), "scratch": scratch, "scenario": "S", "data": dict(data), "kernels": None,
         "simulator": {"kind": "highway", "controller": CONTROLLERS[kind], "vehicle": vehicle or "single_track"},
-        "measures": ["min_ttc_s"], "series": [],
+        "measures": ["min_ttc_s"], "series": [], "sumo": setups.sumo(),
     }  # fmt: skip
     with mock.patch.object(loop, "Loop", Kept):
         evaluate = driver.prepare(settings)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.support.databases import migrated
 from tests.support.fake_backend import FakeBackend
+from tests.support.problems import store, submit_checked
 from tests.support.runs import finish, get
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -72,6 +74,28 @@ def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(da
     backend.refusing.clear()
     ended = finish(database, campaign, dispatcher)
     assert (ended.state, ended.cells.failed, ended.degraded) == (CampaignState.SUCCEEDED, 0, None)
+
+
+PROBLEM: dict[str, Any] = {
+    "problem": "mine",
+    "parameters": {"value": {"lower": 0, "upper": 100}},
+    "simulator": {"kind": "command", "command": ["sh", "-c", "{parameters} {results}"], "deterministic": True},
+    "scenarios": {"city": {}, "road": {}},
+    "measures": {"value": "1"},
+    "scores": {"best": {"formula": "value", "direction": "maximise", "range": [0, 100]}},
+}
+
+
+def test_a_campaign_whose_problem_no_worker_can_run_fails_at_once_with_the_cause(database: Database) -> None:
+    store(database, PROBLEM)
+    campaign = submit_checked(database, {"problem": "mine", "sensitivity": None})
+    cause = "road.net.xml: there is no edge e9"
+    backend = FakeBackend(2, refusing={1: cause, 2: cause}, blaming={1, 2})
+    failed = finish(database, campaign, _Beating(database, backend))
+    assert failed.state is CampaignState.FAILED
+    assert cause in (failed.error or "")
+    assert backend.replaced == []
+    assert backend.now < 5.0
 
 
 def test_a_bad_worker_among_good_ones_costs_a_campaign_no_cell(database: Database) -> None:

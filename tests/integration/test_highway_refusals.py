@@ -6,9 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.motorways import NETWORK, drive, driven, motorway
+from tests.support.motorways import CONTROLLERS, NETWORK, drive, driven, motorway
 
+from drivecal.bundles.archives import content_digest, pack
+from drivecal.bundles.highway import HighwaySimulator
+from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
+from drivecal.plugins import setups
+from drivecal.plugins.simulators import UnsuitableError
+from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.cache import BundleCache
+from drivecal.runtime.worker import Worker
 
 LEADER = {"id": "leader", "s": 102, "speed": 30}
 
@@ -31,12 +39,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_a_scenario_that_does_not_fit_its_network_names_the_cause(folder: Path, change: dict[str, Any], cause: str) -> None:
-    with pytest.raises(UnavailableError, match=cause), driven(folder, drive() | change):
+    with pytest.raises(UnsuitableError, match=cause), driven(folder, drive() | change):
         pass
 
 
 def test_the_ego_vehicle_does_not_start_inside_of_another(folder: Path) -> None:
-    with pytest.raises(UnavailableError, match="leader"), driven(folder, drive([LEADER])):
+    with pytest.raises(UnsuitableError, match="leader"), driven(folder, drive([LEADER])):
         pass
 
 
@@ -46,12 +54,44 @@ def test_a_network_that_sumo_refuses_is_named(tmp_path: Path) -> None:
     text = NETWORK.read_text()
     for damaged in (text[: len(text) // 2], "", "<net/>", text.replace('"e1', '"e0')):
         (bundle / "road.net.xml").write_text(damaged)
-        with pytest.raises(UnavailableError, match=r"road\.net\.xml"), driven(bundle, drive()):
+        with pytest.raises(UnsuitableError, match=r"road\.net\.xml"), driven(bundle, drive()):
             pass
 
 
 def test_the_cause_for_which_sumo_refuses_a_network_is_named(tmp_path: Path) -> None:
     bundle = motorway(tmp_path / "bundle")
     (bundle / "road.net.xml").write_text(NETWORK.read_text().replace(' state="M"', ' state="wrong"'))
-    with pytest.raises(UnavailableError, match=r"road\.net\.xml.*link state 'wrong'"), driven(bundle, drive()):
+    with pytest.raises(UnsuitableError, match=r"road\.net\.xml.*link state 'wrong'"), driven(bundle, drive()):
         pass
+
+
+def test_a_child_with_another_sumo_than_the_worker_s_names_both_versions(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker replaces children for days, in which libsumo may be upgraded."""
+    installed = setups.sumo()
+    monkeypatch.setattr(setups, "sumo", lambda: "libsumo 0.9")
+    with pytest.raises(UnavailableError, match=r"libsumo 0\.9") as error, driven(folder, drive()):
+        pass
+    assert installed in str(error.value)
+    assert not isinstance(error.value, UnsuitableError)
+
+
+def test_a_controller_without_its_function_suits_no_machine(tmp_path: Path) -> None:
+    bundle = motorway(tmp_path / "bundle", "def another(observation, parameters): return 0.0")
+    with pytest.raises(UnsuitableError, match=r"acc\.py has no function"), driven(bundle, drive()):
+        pass
+
+
+def test_a_worker_blames_a_problem_that_was_pushed_with_a_broken_network(tmp_path: Path) -> None:
+    bundle = motorway(tmp_path / "bundle")
+    (bundle / "road.net.xml").write_text("<net/>")
+    (bundle / "problem.yaml").write_text("problem: p")
+    archive = pack(bundle)
+    section = HighwaySimulator.model_validate({"kind": "highway", "controller": CONTROLLERS["python"]}).model_dump(mode="json")
+    setup = BundleRequest(
+        content_digest(archive), "p", "drive", drive(), section, ("v0",), (), ("distance_m",), (), (), run_fingerprint="f"
+    )
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    refused = works.run(Batch(setup, (Cell(1, {"v0": 30.0}),)))
+    assert (refused.unsuitable, refused.results) == (True, ())
+    assert "road.net.xml" in (refused.refusal or "")

@@ -17,6 +17,7 @@ import drivecal.highway.vehicle
 from drivecal.adapters import confinement
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
+from drivecal.plugins import setups
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
 FILLED: dict[str, Any] = {
@@ -107,6 +108,7 @@ def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario
         "simulator": section.model_dump(mode="json"),
         "scenario": "trial",
         "data": scenario,
+        "sumo": setups.sumo(),
         "kernels": None,
         "changeable": [],
         "measures": list(EVERYTHING.measures),

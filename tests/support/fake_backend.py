@@ -66,6 +66,8 @@ class FakeBackend:
     """Places (from 1) whose workers answer every cell with an error, at once."""
     refusing: dict[int, str] = field(default_factory=dict)
     """Places whose workers refuse every setup, and why."""
+    blaming: set[int] = field(default_factory=set)
+    """Those of them that blame the problem's files."""
     replaced: list[tuple[str, str | None]] = field(default_factory=list)
     """Worker and fault of each replacement that was asked for."""
     tools: dict[int, str] = field(default_factory=dict)
@@ -183,7 +185,8 @@ class FakeBackend:
             self._begin(worker)
         if refusal is not None:
             tools = worker.tools if worker.place not in self.refusing else None
-            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools))]
+            blames = worker.place in self.blaming
+            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools, unsuitable=blames))]
         if not batch.cells:
             return [Finished(batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
         answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)

@@ -76,12 +76,11 @@ class Observer:
 
 
 def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
-    """Returns the kind of breakdown by cell id; a refusal is not a breakdown."""
+    """Returns the kind of breakdown by cell id; the cells that a refusal leaves without a result have none."""
     if isinstance(event, Lost):
         return dict.fromkeys(dispatch.breakdowns, event.breakdown.value)
     result: BatchResult = event.result
-    if result.refusal is not None:
-        return {}
     answered = {answer.id: answer.breakdown for answer in result.results}
-    kinds = ((cell, answered.get(cell, Breakdown.ERROR.value)) for cell in dispatch.breakdowns)
+    missing = None if result.refusal is not None else Breakdown.ERROR.value
+    kinds = ((cell, answered.get(cell, missing)) for cell in dispatch.breakdowns)
     return {cell: kind for cell, kind in kinds if kind is not None}

@@ -65,7 +65,7 @@ class WorkPool:
         return self._questions.ask(request, tag)
 
     def hopeless(self, tag: str) -> str | None:
-        """Returns the reasons if no worker agrees with the tools that the campaign `tag` began with, else None."""
+        """Returns the reasons if no worker can run a problem of the campaign `tag`, or none has the tools that it began with, else None."""
         if not self._disputes.are_open:
             return None
         return self._disputes.hopeless(self._scheduler.setups(tag), self._ready())

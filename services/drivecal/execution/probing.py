@@ -1,9 +1,11 @@
-"""Asks workers for the versions of tools outside of bundles (`probe`), and notes workers whose answers differ from a campaign's. Pure."""
+"""Asks workers for the versions of tools outside of bundles (`probe`), and notes workers whose answers differ from a campaign's, or whose
+refusals say that no worker can run a setup. Pure."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
 
 from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey, SetupRequest
+from drivecal.execution.scheduling.in_flight import WITNESSES
 
 PATIENCE_WITH_ANSWERS = 60.0
 """Seconds with another answer and without an agreeing worker after which a campaign is hopeless. A worker that refuses is replaced after
@@ -103,10 +105,13 @@ class _Dispute:
     """Workers that answer otherwise."""
     since: float | None = None
     """Time of the first other answer."""
+    unsuitable: dict[str, str] = field(default_factory=dict)
+    """Reasons of workers that blame the problem's files, by worker."""
 
 
 class Disputes:
-    """Setups with a probe's answer that workers refuse: their tools have other versions than the campaign began with, or none is known."""
+    """Setups of problems that workers refuse: their tools have other versions than the campaign began with, or none is known, or the
+    problem's files cannot be run anywhere."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -124,12 +129,16 @@ class Disputes:
 
     def note(self, setup: SetupRequest, result: BatchResult) -> None:
         """Takes the result of a batch: a refusal, whatever its reason, or proof that a worker agrees."""
-        if not isinstance(setup, BundleRequest) or setup.tools is None:
+        if not isinstance(setup, BundleRequest):
             return
         if result.refusal is None:
             self._open.pop(setup.key, None)
             return
+        if setup.tools is None and not result.unsuitable:
+            return
         dispute = self._open.setdefault(setup.key, _Dispute())
+        if result.unsuitable:
+            dispute.unsuitable[result.worker] = f"no worker can run the scenario {setup.scenario}: {result.refusal}"
         dispute.refusals[result.worker] = result.refusal
         if result.tools is not None:
             dispute.differing.add(result.worker)
@@ -138,10 +147,13 @@ class Disputes:
     def hopeless(self, setups: Collection[SetupKey], ready: Collection[str]) -> str | None:
         """Returns the reasons why none of the workers will run one of these setups, or None.
 
-        A setup whose probe breaks at all workers is waited for: a licence server or a mount may come back.
+        A second worker has to confirm that the problem's files are to blame, if there is one: the first may be damaged. A setup whose probe
+        breaks at all workers is waited for: a licence server or a mount may come back.
         """
         for setup in self._open.keys() & set(setups):
             dispute = self._open[setup]
+            if len(dispute.unsuitable) >= min(WITNESSES, max(len(ready), 1)):
+                return "; ".join(dict.fromkeys(dispute.unsuitable.values()))
             if dispute.since is None or self._clock() < dispute.since + PATIENCE_WITH_ANSWERS:
                 continue
             if dispute.differing & set(ready) and dispute.refusals.keys() >= set(ready):

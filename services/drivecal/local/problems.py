@@ -184,7 +184,7 @@ def _checked(
             second, second_seconds = _run(session, parameters, series=bool(manifest.series))
         with run(3):
             elsewhere, bits = (None, None) if other is None else _tried(manifest, session, other)
-    except (NoMeasuresError, OSError) as error:
+    except (NoMeasuresError, UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
         session.close()
@@ -226,7 +226,7 @@ def _tried(
     """Returns the result of another set, and its bits if there are measures."""
     try:
         outcome = session.evaluate(parameters)
-    except (NoMeasuresError, OSError) as error:
+    except (NoMeasuresError, UnavailableError, OSError) as error:
         return OtherRun(error=str(error)), None
     return OtherRun(_declared(manifest, outcome), outcome.failure, *_rated(manifest, outcome)), _bits(outcome)
 

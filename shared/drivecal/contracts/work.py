@@ -219,9 +219,12 @@ class BatchResult:
     seconds: float
     """Wall-clock time on the worker, loading the setup included: what batches are sized by."""
     refusal: str | None = None
-    """Reason why this worker cannot run the setup at all, in words; there are no results then. Another worker may be able to."""
+    """Reason why this worker cannot run the setup, in words; there are no results then of the cell at which it turned out, and of those
+    after it. Another worker may be able to."""
     remembered: CertificateMemory | None = None
     learned: tuple[RecordedRun, ...] = ()
     """Recorded runs, if the batch says `share`."""
     tools: str | None = None
     """Answer of the `probe` on this worker, if the batch has no cells, or if it is refused because of that answer."""
+    unsuitable: bool = False
+    """Whether it is refused because of the problem's files, so that no other worker is able to run the setup either."""

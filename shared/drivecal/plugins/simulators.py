@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 from drivecal.contracts.evaluation import ReplayAnswer
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
 
@@ -76,11 +76,18 @@ class NoMeasuresError(DrivecalError):
         return self.detail
 
 
+class UnsuitableError(UnavailableError):
+    """A scenario that no machine can run, because of the problem's files. Another attempt or machine does not help."""
+
+
 class SimulatorSession(Protocol):
     """A simulator that is ready for runs of one scenario. After a NoMeasuresError it restarts itself and the next run is unaffected."""
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Runs one parameter set. `series`: report time series, too. Raises NoMeasuresError without a result."""
+        """Runs one parameter set. `series`: report time series, too.
+
+        Raises NoMeasuresError without a result, and UnavailableError as `Simulator.open` if the simulator had to start again and could not.
+        """
 
     def close(self) -> None:
         """Ends all child processes and removes scratch files. Idempotent."""
@@ -98,6 +105,7 @@ class Simulator(Protocol):
     ) -> SimulatorSession:
         """Opens a session. `section`: the manifest's `simulator`; `data`: the scenario's; `folder`: the unpacked, read-only bundle.
 
-        Raises UnavailableError if this machine cannot run it, e.g. a command that does not exist, or if the simulator says so itself.
+        Raises UnavailableError if this machine cannot run it, e.g. a command that does not exist, or if the simulator says so itself,
+        and UnsuitableError if no machine can.
         A start that fails in another way costs the first cell: `evaluate` reports it.
         """

@@ -260,11 +260,6 @@ def test_a_start_that_fails_costs_a_run_each_time(
             assert detail in shown
 
 
-def test_a_simulator_that_says_it_is_not_ready_cannot_be_opened(tmp_path: Path) -> None:
-    with pytest.raises(UnavailableError, match="no licence"), served(tmp_path, start="answer(error='no licence')\nreturn"):
-        pass
-
-
 @pytest.mark.parametrize(
     ("command", "detail"),
     [

@@ -12,7 +12,7 @@ from tests.support.simulators import lost, opened
 from drivecal.adapters.python_driver import answer, fits
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import Declared
+from drivecal.plugins.simulators import Declared, UnsuitableError
 
 
 def write(folder: Path, body: str, head: str = "") -> None:
@@ -90,22 +90,23 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("head", "detail"),
+    ("head", "detail", "kind"),
     [
-        ("import nothing_like_it", "nothing_like_it"),
-        ("def broken(", "SyntaxError"),
-        ("del sys.modules['os'].environ\nevaluate2 = 1\nraise OSError('x')", "OSError"),
+        ("import nothing_like_it", "nothing_like_it", UnavailableError),  # another machine may have it
+        ("def broken(", "SyntaxError", UnsuitableError),
+        ("del sys.modules['os'].environ\nevaluate2 = 1\nraise OSError('x')", "OSError", UnavailableError),
     ],
 )
-def test_a_file_that_cannot_be_imported_cannot_be_opened(tmp_path: Path, head: str, detail: str) -> None:
+def test_a_file_that_cannot_be_imported_cannot_be_opened(tmp_path: Path, head: str, detail: str, kind: type[Exception]) -> None:
     write(tmp_path, "return {}", head)
-    with pytest.raises(UnavailableError, match=detail), opened("python", tmp_path, file="model.py"):
+    with pytest.raises(UnavailableError, match=detail) as error, opened("python", tmp_path, file="model.py"):
         pass
+    assert type(error.value) is kind
 
 
 def test_a_missing_function_or_file_cannot_be_opened(tmp_path: Path) -> None:
     write(tmp_path, "return {}")
-    with pytest.raises(UnavailableError, match=r"\brun\b"), opened("python", tmp_path, file="model.py", function="run"):
+    with pytest.raises(UnsuitableError, match=r"\brun\b"), opened("python", tmp_path, file="model.py", function="run"):
         pass
     with pytest.raises(UnavailableError, match=r"other\.py"), opened("python", tmp_path, file="other.py"):
         pass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from tests.support.plant import setup
 from tests.support.pooled import TAGS, cells, drain
 
 from drivecal.contracts.work import Cell
+from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
@@ -158,6 +160,30 @@ def test_busy_workers_try_what_they_refused_again() -> None:
     assert backend.replaced == []
     completed += drain(pool)
     assert {entry.attempts for entry in completed} == {1}
+
+
+class Failing(FakeBackend):
+    """The first worker refuses from the third cell of a batch on."""
+
+    def _end(self, worker: Any) -> list[Finished | Lost]:
+        events = super()._end(worker)
+        for number, event in enumerate(events):
+            if worker.place == 1 and isinstance(event, Finished) and len(event.result.results) > 2:
+                kept = event.result.results[:2]
+                events[number] = replace(event, result=replace(event.result, results=kept, refusal="no licence"))
+        return events
+
+
+def test_a_refusal_in_the_middle_of_a_batch_keeps_the_results_before_it() -> None:
+    backend = Failing(2)
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 1000)), tag="a")
+    completed = drain(pool)
+    assert sorted(entry.result.id for entry in completed) == list(range(1, 1001))
+    assert {(entry.attempts, entry.result.breakdown) for entry in completed} == {(1, None)}
+    by_first = [entry for entry in completed if entry.worker == "worker-1"]
+    assert by_first
+    assert all(backend.attempts[entry.result.id] == 1 for entry in by_first)
 
 
 class Picky(FakeBackend):

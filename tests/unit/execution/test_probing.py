@@ -1,6 +1,9 @@
-"""Tools outside of bundles: the pool asks a worker for their versions, and knows when no worker has those of a campaign."""
+"""Tools outside of bundles: the pool asks a worker for their versions, and knows when no worker has those of a campaign, or when none can
+run a problem at all."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import pytest
 from tests.support.fake_backend import FakeBackend
@@ -208,3 +211,40 @@ def test_setups_without_tools_are_waited_for() -> None:
     while backend.now < 3 * PATIENCE_WITH_ANSWERS:
         pool.poll(1.0)
         assert pool.hopeless("a") is None
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int) -> None:
+    places = range(1, workers + 1)
+    backend = FakeBackend(workers, refusing=dict.fromkeys(places, "there is no lane e9_0"), blaming={*places})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 100)]), tag="a")
+    pool.submit(Work(replace(setup("1.0"), scenario="road"), [Cell(200, {"value": 1.0})]), tag="b")
+    while (reason := pool.hopeless("a")) is None:
+        pool.poll(0.1)
+        assert backend.now < 1.0
+    assert "there is no lane e9_0" in reason
+    assert "city" in reason
+    pool.withdraw("a")
+    assert pool.hopeless("a") is None
+
+
+def test_a_single_worker_of_several_that_blames_a_problem_is_not_believed() -> None:
+    backend = FakeBackend(3, refusing={1: "there is no lane e9_0", 2: "no libsumo"}, blaming={1})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 500)]), tag="a")
+    workers = set()
+    while pool.held("a"):
+        workers |= {completed.worker for completed in pool.poll(1.0)}
+        assert pool.hopeless("a") is None
+    assert workers == {"worker-3"}
+
+
+def test_a_worker_whose_machine_cannot_say_does_not_keep_a_campaign_waiting_that_another_blames() -> None:
+    backend = FakeBackend(2, refusing={1: "there is no lane e9_0", 2: "no libsumo"}, blaming={1})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(1, {"value": 1.0})]), tag="a")
+    while (reason := pool.hopeless("a")) is None:
+        pool.poll(1.0)
+        assert backend.now < 3 * PATIENCE_WITH_REFUSALS
+    assert reason.count("e9_0") == 1

@@ -1,20 +1,21 @@
-"""Starts of simulators that fail beside open sessions, which may hold what they lack."""
+"""Starts of simulators that fail: beside open sessions, which may hold what they lack, again in an open session, or everywhere."""
 
 from __future__ import annotations
 
 import errno
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.unit.runtime.test_bundles import READY, ScriptedSimulator, worker
+from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator, worker
 
 from drivecal.adapters.scratch import GRANTED
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins.simulators import SimulatorSession
+from drivecal.plugins.simulators import RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 
@@ -82,4 +83,48 @@ def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, arc
     works.run(Batch(replace(request_, scenario="good"), (Cell(1, {"x": 2.0}),)))
     other = replace(request_, scenario="other", document={"adapter": "0"})
     assert works.run(Batch(other, (Cell(1, {"x": 2.0}),))).refusal
+    assert simulator.closed == []
+
+
+@pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
+def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, kind: type[UnavailableError]
+) -> None:
+    class Upgraded(ScriptedSession):
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+            if parameters["x"] == 3.0 and len(self.simulator.opened) == 1:
+                raise kind("SUMO has another version")
+            return super().evaluate(parameters, series=series)
+
+    class UpgradedSimulator(ScriptedSimulator):
+        def open(self, *arguments: Any) -> SimulatorSession:
+            super().open(*arguments)
+            return Upgraded(self, "city")
+
+    simulator = UpgradedSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    refused = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))))
+    assert [(answer.id, answer.metrics) for answer in refused.results] == [(1, {"a": 1.0}), (2, {"a": 2.0})]
+    assert (refused.refusal, refused.unsuitable) == ("SUMO has another version", kind is UnsuitableError)
+    assert simulator.closed == ["city"]
+    (answer,) = works.run(Batch(request_, (Cell(3, {"x": 3.0}),))).results
+    assert (answer.metrics, len(simulator.opened)) == ({"a": 3.0}, 2)
+
+
+def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
+    tmp_path: Path, archive: bytes, request_: BundleRequest
+) -> None:
+    class Unsuitable(ScriptedSimulator):
+        def open(self, section: Mapping[str, Any], scenario: str, *rest: Any) -> SimulatorSession:
+            if scenario == "broken":
+                raise UnsuitableError("the network has no lane e9_0")
+            return super().open(section, scenario, *rest)
+
+    simulator = Unsuitable()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    assert works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).refusal is None
+    refused = works.run(Batch(replace(request_, scenario="broken"), (Cell(2, {"x": 2.0}),)))
+    assert (refused.refusal, refused.unsuitable, refused.results) == ("the network has no lane e9_0", True, ())
     assert simulator.closed == []

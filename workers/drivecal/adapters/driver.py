@@ -11,12 +11,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import DrivecalError, UnavailableError
 
 LONGEST_MESSAGE = 290
 """Characters of drivecal's own messages; an adapter shows 300."""
 Evaluate = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 """Answers a request, without its id."""
+
+
+class UnusableError(Exception):
+    """An FMU cannot be used as problem.yaml says."""
 
 
 def serve(prepare: Callable[[], Evaluate]) -> None:
@@ -46,7 +50,7 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
             except MemoryError:
                 raise
             except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
-                say({"error": described(error)})
+                say({"error": described(error), "unsuitable": blames_files(error)})
                 break
             say({"ready": True})
             continue
@@ -61,6 +65,13 @@ def serve(prepare: Callable[[], Evaluate]) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)  # threads of a user's code and the unloading of libraries must not delay or crash the end
+
+
+def blames_files(error: BaseException) -> bool:
+    """Returns whether a start fails by the problem's files alone: on every machine, with everything installed."""
+    if isinstance(error, DrivecalError):
+        return not isinstance(error, UnavailableError)
+    return isinstance(error, (UnusableError, SyntaxError, NameError))
 
 
 def described(error: BaseException) -> str:

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from drivecal.adapters.driver import Evaluate, described, serve
+from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
 from drivecal.bundles import units
 from drivecal.bundles.fmus.checks import section_problems, unit_problems
 from drivecal.bundles.fmus.description import INTEGERS, FmuDescription, FmuVariable, number
-from drivecal.domain.errors import Problem
+from drivecal.domain.errors import Problem, UnavailableError
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
@@ -35,15 +35,11 @@ _ACCESS = {
 """Type of a variable and the end of the names of the functions that read and write it."""
 
 
-class UnusableError(Exception):
-    """The FMU cannot be used as problem.yaml says."""
-
-
 class Fmu:
     """An instantiated FMU."""
 
     def __init__(self, file: Path, unpacked: Path) -> None:
-        """Unpacks the FMU if it is not, and instantiates it. Raises UnusableError."""
+        """Unpacks the FMU if it is not, and instantiates it. Raises UnusableError, or UnavailableError on another platform."""
         version = described_version(file)
         if version[:1] not in {"2", "3"}:
             raise UnusableError(f"{file.name} is of FMI {version}; export it as FMI 2 or 3 co-simulation")
@@ -58,7 +54,7 @@ class Fmu:
             raise UnusableError(f"{file.name} is for model exchange only; export it for co-simulation")
         platforms = fmpy.supported_platforms(str(file))
         if not {fmpy.platform, fmpy.platform_tuple} & set(platforms):
-            raise UnusableError(f"{file.name} is built for {', '.join(platforms) or 'no platform'}, not for {fmpy.platform}")
+            raise UnavailableError(f"{file.name} is built for {', '.join(platforms) or 'no platform'}, not for {fmpy.platform}")
         if not unpacked.is_dir():
             partly = unpacked.with_name("fmu-partly")
             fmpy.extract(str(file), unzipdir=str(partly))

@@ -12,6 +12,7 @@ from drivecal.adapters.children import Launch, check_command
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
+from drivecal.plugins import setups
 from drivecal.plugins.simulators import VERSIONS, Declared
 from drivecal.roads.network import network_file
 
@@ -52,6 +53,7 @@ class HighwayAdapter:
             "simulator": {"kind": "highway", **section},
             "scenario": scenario,
             "data": dict(data),
+            "sumo": setups.sumo(),
             "kernels": os.environ.get("NUMBA_CACHE_DIR"),
             "changeable": None if confinement is None else confinement["writable"],
             "measures": list(declared.measures),

@@ -17,7 +17,7 @@ from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, start_limit
+from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
 
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
@@ -80,7 +80,7 @@ class ProcessSession:
         return self._failed_start is not None
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
-        """Runs one parameter set."""
+        """Runs one parameter set. Raises UnavailableError if a new child reports an error instead of being ready."""
         with self._lock:
             return self._children.timed(lambda: self._evaluate(parameters, series=series))
 
@@ -141,10 +141,7 @@ class ProcessSession:
             self._pipes.stop(_QUIT, QUIT_SECONDS)
             self._pipes = None
         self._scratch.clear()
-        try:
-            return self._start()
-        except UnavailableError as error:
-            raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
+        return self._start()
 
     def _start(self) -> Pipes:
         self._pipes, self._runs = Pipes(self._children), 0
@@ -154,7 +151,8 @@ class ProcessSession:
                 self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
             if answer.get("error") is not None:
-                raise UnavailableError(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
+                kind = UnsuitableError if answer.get("unsuitable") is True else UnavailableError
+                raise kind(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
                 raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')
             self._children.look()  # a program behind a shell script has its own CPU time

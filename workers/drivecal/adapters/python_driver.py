@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, serve
+from drivecal.domain.errors import InvalidInputError, Problem
 
 MOST_BYTES = 4 << 30
 """Limit of the unpacked wheels."""
@@ -24,7 +25,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     sys.path.insert(0, str(file.parent))
     function = getattr(imported(file), settings["function"], None)
     if not callable(function):
-        raise TypeError(f"{file.name} has no function {settings['function']}")
+        message = f"{file.name} has no function {settings['function']}"
+        raise InvalidInputError(Problem("simulator.function", message, "name one that the file has"))
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         return answer(function(request["parameters"], request["data"]))

@@ -16,7 +16,15 @@ from drivecal.bundles.fingerprints import parts_of
 from drivecal.contracts.work import BundleRequest, Cell, CellResult
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, Simulator, SimulatorSession
+from drivecal.plugins.simulators import (
+    MOST_SESSIONS,
+    Declared,
+    NoMeasuresError,
+    RunOutcome,
+    Simulator,
+    SimulatorSession,
+    UnsuitableError,
+)
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.tools import Tools
@@ -59,7 +67,7 @@ class BundleSessions:
     def run(self, setup: BundleRequest, cell: Cell) -> CellResult:
         """Simulates a cell. A run without measures is a result with a `breakdown`.
 
-        Raises UnavailableError if this machine cannot run the simulator.
+        Raises UnavailableError if this machine cannot run the simulator, UnsuitableError if none can.
         """
         with self._running:
             try:
@@ -71,6 +79,10 @@ class BundleSessions:
             except OSError as error:
                 self._drop(setup.key)
                 raise _unable(error) from error
+            except UnavailableError:
+                # Of a new child, for example: the next attempt begins with all checks, and without other sessions if need be.
+                self._drop(setup.key)
+                raise
             finally:
                 if setup.key in self._sessions:
                     self._used[setup.key] = self._clock()
@@ -165,6 +177,8 @@ class BundleSessions:
         tried = self._clock() - self._failed_alone.get(setup.key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
+        except UnsuitableError:
+            raise
         except (UnavailableError, OSError):
             if not self._sessions or tried:
                 raise

@@ -7,7 +7,7 @@ import socket
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,6 +28,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
 from drivecal.plugins import registry
 from drivecal.plugins.runners import Runner
+from drivecal.plugins.simulators import UnsuitableError
 from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
@@ -94,33 +95,39 @@ class Worker:
             log.warning("the bundle %s cannot be unpacked: %s", digest, error)
 
     def run(self, batch: Batch) -> BatchResult:
-        """Simulates all cells. If this worker cannot run the setup, simulates none and returns a `refusal`.
+        """Simulates all cells. If this worker cannot run the setup, or its simulator no longer starts, simulates no further one and
+        returns a `refusal`.
 
         Exceptions of a cell or a plug-in do not propagate: the cell's result has a `breakdown` instead.
         """
         start = time.perf_counter()
-        results: tuple[CellResult, ...] = ()
+        results: list[CellResult] = []
         refusal = tools = None
+        unsuitable = False
         try:
             if isinstance(batch.setup, BundleRequest) and not batch.cells:
                 tools = self._bundles.probe(batch.setup)
-            results = self._run_all(batch)
+            for result in self._run_all(batch):  # what an exception ends keeps its results
+                results.append(result)  # noqa: PERF402
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
         except (RefusedError, UnavailableError) as error:
-            refusal = describe(error)
+            refusal, unsuitable = describe(error), isinstance(error, UnsuitableError)
         runner = self._runners.get(batch.setup.key) if batch.share else None
         learned = () if runner is None else runner.recorded(batch.share)
         seconds = time.perf_counter() - start
-        return BatchResult(self._name, results, seconds, refusal, self._drives.remembered, learned, tools)
+        return BatchResult(
+            self._name, tuple(results), seconds, refusal, self._drives.remembered, learned, tools, unsuitable=unsuitable
+        )
 
-    def _run_all(self, batch: Batch) -> tuple[CellResult, ...]:
+    def _run_all(self, batch: Batch) -> Iterator[CellResult]:
         setup = batch.setup
         if isinstance(setup, DriveRequest):
             if batch.share:
                 self._learn(setup, batch.known)
-            return tuple(self._run_cell(setup, cell) for cell in batch.cells)
-        return tuple(self._bundles.run(setup, cell) for cell in batch.cells)
+            yield from (self._run_cell(setup, cell) for cell in batch.cells)
+        else:
+            yield from (self._bundles.run(setup, cell) for cell in batch.cells)
 
     def _learn(self, setup: DriveRequest, known: Sequence[RecordedRun]) -> None:
         """Records the runs of other workers. An exception does not propagate: the cells report it if it concerns them."""

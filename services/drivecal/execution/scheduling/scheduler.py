@@ -203,13 +203,13 @@ class Scheduler:
             return []
         setup = sent.leaders[0].simulation.key
         self._worker_health.answered(result.worker, setup, result)
-        if result.refusal is not None:
-            self._put_back(sent)
-            return []
-        self._charge(sent, result.seconds)
-        if result.results:
-            self._costs.observe(setup, len(sent.leaders), result.seconds)
+        self._charge(sent, 0.0 if result.refusal is not None else result.seconds)
         answers = {answer.id: answer for answer in result.results}
+        if result.refusal is not None:
+            self._to_queue([leader for leader in sent.leaders if leader.cell.id not in answers])
+            sent.leaders = [leader for leader in sent.leaders if leader.cell.id in answers]
+        elif result.results:
+            self._costs.observe(setup, len(sent.leaders), result.seconds)
         completed = []
         if setup in self._refuted:
             self._put_back_certified(sent, answers)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
 
-from drivecal.adapters.fmu_driver import UnusableError
+from drivecal.adapters.driver import UnusableError
 from drivecal.highway.drive.controllers import Checked, ControllerError, FmuControl, FunctionController
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.programs import ProgramController, ProgramError

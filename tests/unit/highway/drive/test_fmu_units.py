@@ -10,7 +10,8 @@ from typing import Any
 import fmpy
 import pytest
 
-from drivecal.adapters.fmu_driver import Fmu, UnusableError
+from drivecal.adapters.driver import UnusableError
+from drivecal.adapters.fmu_driver import Fmu
 from drivecal.highway.drive import controllers, plants
 from drivecal.highway.drive.controllers import FmuControl
 from drivecal.highway.drive.plants import FmuPlant

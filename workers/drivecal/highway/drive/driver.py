@@ -11,10 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, serve
+from drivecal.domain.errors import UnavailableError
+from drivecal.plugins import setups
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
-    """Reads the network and starts SUMO and the controller."""
+    """Reads the network and starts SUMO and the controller. Raises UnavailableError if SUMO's version is not that of the settings."""
+    # A worker replaces children for days, and libsumo may change meanwhile.
+    if (installed := setups.sumo()) != settings["sumo"]:
+        raise UnavailableError(
+            f"the library of SUMO was {settings['sumo']} when the worker opened this scenario, and is {installed} in its new process;"
+            " install the former again, or restart the server and submit the campaign again"
+        )
     from drivecal.bundles.highway import HighwaySimulator, PlannerController, UserVehicleEntry, VehicleValues
     from drivecal.bundles.traffic.description import described_in
     from drivecal.highway.drive.controllers import Checked, controller
