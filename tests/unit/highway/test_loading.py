@@ -25,6 +25,7 @@ ROUTE_FILES: dict[str, tuple[str, str, str]] = {
     "cut": ('<routes><vType id="a"', "whitespace expected", "'traffic.rou.xml'"),
     "edge": ('<routes><vehicle id="v" depart="0"><route edges="e0 e9"/></vehicle></routes>', "e9", "'v'"),
     "type": ('<routes><vType id="a" length="-3"/></routes>', "length", "greater than 0"),
+    "acceleration": ('<routes><vType id="a" accel="-1"/></routes>', "VType", "accel"),
     "model": ('<routes><vType id="a" carFollowModel="Foo"/></routes>', "Foo", "'a'"),
 }
 

@@ -47,7 +47,7 @@ MOST_MESSAGES = 3
 MOST_WRITTEN = 1 << 16
 """Bytes of SUMO's messages among which its errors are searched: a damaged network can give one for each line."""
 WITHOUT_CAUSE = "Process Error"
-"""SUMO's exception if its messages alone name the cause."""
+"""SUMO's exception if only its messages name the cause."""
 _ERROR = re.compile(r"^Error: (.*(?:\n +.*)*)", re.MULTILINE)
 _FOLDER = re.compile(r"'[^'\n]*/([^'/\n]+)'")
 
@@ -94,21 +94,20 @@ def load(arguments: Sequence[str]) -> int:
     """Starts SUMO, or loads it again if it runs already; returns the number of this load.
 
     Raises one of `SUMO_ERRORS`, with SUMO's own words, if it refuses its files. SUMO writes most of them to standard error only. They stay
-    there, where they also name the cause of a crash or hang; what is refused without a cause is loaded once more for them.
+    there, where they also name the cause of a crash or hang; what is refused is loaded once more for them.
     """
     global _current  # noqa: PLW0603  # a process holds one simulation, too
     _current = next(_loads)
-    said: list[str] = []
     try:
+        _load(arguments)
+    except SUMO_ERRORS:
+        said: list[str] = []
         try:
-            _load(arguments)
-        except SUMO_ERRORS as error:
-            if str(error) != WITHOUT_CAUSE:
-                raise
             with _errors(said):
                 _load(arguments)
-    except SUMO_ERRORS as error:
-        raise type(error)("; ".join(said[:MOST_MESSAGES]) or _shown(str(error))) from error
+        except SUMO_ERRORS as error:
+            own = [] if str(error) == WITHOUT_CAUSE and said else [_shown(str(error))]
+            raise type(error)("; ".join(dict.fromkeys(own + said[:MOST_MESSAGES]))) from error
     return _current
 
 
