@@ -1,4 +1,4 @@
-"""Simulators of kind `highway`: how long a child serves, without starting one."""
+"""Simulators of kind `highway`: how long a child serves, and what a machine or a bundle lacks, without starting one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from drivecal.adapters import highway
-from drivecal.plugins.simulators import Declared
+from drivecal.domain.errors import UnavailableError
+from drivecal.plugins.simulators import Declared, UnsuitableError
 
 CONTROLLER = {"kind": "fmu", "file": "acc.fmu", "signals": {"acceleration": "y"}, "output": ["acceleration"]}
 VEHICLE = {"kind": "fmu", "file": "car.fmu", "signals": {}}
@@ -37,3 +38,28 @@ def test_a_part_that_is_not_reset_has_a_child_for_each_run(
     section = {"controller": controller, "vehicle": vehicle, "timeout": 1.0, "memory_mb": 100}
     highway.HighwayAdapter().open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
     assert [settings["most_runs"] for settings in opened] == [most_runs]
+
+
+@pytest.mark.parametrize(("package", "extra"), highway.EXTRAS.items())
+def test_a_machine_without_a_library_names_what_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, extra: str
+) -> None:
+    monkeypatch.setattr(highway, "find_spec", lambda name: None if name == package else name)
+    for name in ("acc.fmu", "road.net.xml"):
+        (tmp_path / name).touch()
+    section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
+    with pytest.raises(UnavailableError) as error:
+        highway.HighwayAdapter().open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
+    assert type(error.value) is UnavailableError  # another machine may have it
+    assert package in str(error.value)
+    assert f"drivecal[{extra}]" in str(error.value)
+
+
+@pytest.mark.parametrize("missing", ["acc.fmu", "road.net.xml", "day.rou.xml"])
+def test_a_bundle_without_a_file_suits_no_machine(tmp_path: Path, missing: str) -> None:
+    for name in {"acc.fmu", "road.net.xml", "day.rou.xml"} - {missing}:
+        (tmp_path / name).touch()
+    section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
+    data = {"network": "road.net.xml", "routes": "day.rou.xml"}
+    with pytest.raises(UnsuitableError, match=missing):
+        highway.HighwayAdapter().open(section, "S", data, tmp_path, Declared("trial", ("energy_kwh",)))

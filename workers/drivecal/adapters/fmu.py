@@ -11,7 +11,7 @@ from drivecal.adapters.python import driver_command
 from drivecal.adapters.scratch import Scratch
 from drivecal.bundles import units
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins.simulators import VERSIONS, Declared
+from drivecal.plugins.simulators import VERSIONS, Declared, UnsuitableError
 
 MOST_RUNS = 500
 """Runs of a child before another replaces it: FMPy has crashed after some thousand instantiations, and FMUs leak at every reset."""
@@ -28,7 +28,7 @@ class FmuAdapter:
         """Starts the child, which unpacks, checks and instantiates the FMU."""
         file = folder.resolve() / section["file"]
         if not file.is_file():
-            raise UnavailableError(f"{section['file']} does not exist in the bundle")
+            raise UnsuitableError(f"{section['file']} does not exist in the bundle")
         if find_spec("fmpy") is None:
             raise UnavailableError("this worker has no FMPy; type: pip install 'drivecal[fmu]'")
         scratch = Scratch(folder)

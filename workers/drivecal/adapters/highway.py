@@ -13,7 +13,7 @@ from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins import setups
-from drivecal.plugins.simulators import VERSIONS, Declared
+from drivecal.plugins.simulators import VERSIONS, Declared, UnsuitableError
 from drivecal.roads.network import network_file
 
 EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
@@ -40,7 +40,7 @@ class HighwayAdapter:
         files = [entry.get(key) for entry in (controller, vehicle) for key in ("file", "wheels")]
         for name in (network, data.get("routes"), data.get("openscenario"), *files):
             if name is not None and not (folder / name).exists():
-                raise UnavailableError(f"{name} does not exist in the bundle")
+                raise UnsuitableError(f"{name} does not exist in the bundle")
         for package, extra in EXTRAS.items():
             if (has_fmu or package != "fmpy") and find_spec(package) is None:
                 raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{extra}]'")

@@ -9,8 +9,7 @@ from typing import Any
 from drivecal.adapters.children import Launch
 from drivecal.adapters.process import ProcessSession
 from drivecal.adapters.scratch import Scratch
-from drivecal.domain.errors import UnavailableError
-from drivecal.plugins.simulators import VERSIONS, Declared
+from drivecal.plugins.simulators import VERSIONS, Declared, UnsuitableError
 
 
 class PythonAdapter:
@@ -26,7 +25,7 @@ class PythonAdapter:
         wheels = section.get("wheels")
         for name in (section["file"], *([] if wheels is None else [wheels])):
             if not (folder / name).exists():
-                raise UnavailableError(f"{name} does not exist in the bundle")
+                raise UnsuitableError(f"{name} does not exist in the bundle")
         scratch = Scratch(folder)
         settings = {
             "file": str(folder / section["file"]),
