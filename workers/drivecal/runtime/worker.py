@@ -108,7 +108,7 @@ class Worker:
             if isinstance(batch.setup, BundleRequest) and not batch.cells:
                 tools = self._bundles.probe(batch.setup)
             for result in self._run_all(batch):  # what an exception ends keeps its results
-                results.append(result)  # noqa: PERF402
+                results.append(result)  # noqa: PERF402  # not promised of `extend`
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
         except (RefusedError, UnavailableError) as error:
