@@ -6,11 +6,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 
+from drivecal.adapters.pipes import Pipes
 from drivecal.bundles.archives import pack
 from drivecal.bundles.checks import checked
-from drivecal.local.problems import run_problem
+from drivecal.local.problems import CheckedScenario, run_problem
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
 SCORES: dict[str, Any] = {
@@ -32,20 +34,42 @@ for number in (1, 2):
 """A simulator that removes its working directory in its second run, and ends."""
 
 
+ONCE = """
+import json, os
+input()
+print(json.dumps({"error": "no licence"} if os.path.exists("../taken") else {"ready": True}), flush=True)
+open("../taken", "w").close()
+while "id" in (request := json.loads(input())):
+    print(json.dumps({"id": request["id"], "measures": {"y": 1.0}}), flush=True)
+"""
+"""A simulator that starts only once."""
+DOCUMENT: dict[str, Any] = {
+    "problem": "leaving",
+    "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.5}},
+    "scenarios": {"s": {}},
+    "simulator": {"kind": "process", "command": [sys.executable, "sim.py"]},
+    "measures": {"y": "m"},
+    "scores": {"y": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
+}
+
+
+def check(folder: Path, simulator: str) -> CheckedScenario:
+    """The check of a problem with this simulator and a second set."""
+    (folder / "problem.yaml").write_text(yaml.safe_dump(DOCUMENT))
+    (folder / "sim.py").write_text(simulator)
+    [result] = run_problem(checked(DOCUMENT), pack(folder), {"x": 0.5}, {"x": 1.0})
+    return result
+
+
 def test_a_simulator_that_removes_its_folder_is_named_by_the_check(tmp_path: Path) -> None:
-    document = {
-        "problem": "leaving",
-        "parameters": {"x": {"lower": 0, "upper": 1, "step": 0.5}},
-        "scenarios": {"s": {}},
-        "simulator": {"kind": "process", "command": [sys.executable, "sim.py"]},
-        "measures": {"y": "m"},
-        "scores": {"y": {"formula": "y", "direction": "minimise", "range": [0, 10]}},
-    }
-    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(document))
-    (tmp_path / "sim.py").write_text(LEAVING)
-    [result] = run_problem(checked(document), pack(tmp_path), {"x": 0.5}, {"x": 1.0})
+    result = check(tmp_path, LEAVING)
     assert result.other is not None
     assert result.other.error
+
+
+def test_a_simulator_that_does_not_start_again_is_named_by_the_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Pipes, "is_fresh", lambda _: False)  # each run has a new child
+    assert "no licence" in (check(tmp_path, ONCE).error or "")
 
 
 def test_no_shown_score_is_worse_than_that_of_a_failed_run() -> None:
