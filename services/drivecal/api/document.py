@@ -5,6 +5,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from drivecal.api.http.authorisation import OPEN
+from drivecal.api.links import add_links
 from drivecal.api.routes.page_live import PROTOCOL
 
 EVENTS = "text/event-stream"
@@ -18,6 +19,7 @@ def describe(app: FastAPI, *, asks_for_tokens: bool) -> None:
         if not made:
             made.update(FastAPI.openapi(app))
             _complete(made)
+            add_links(made["paths"])
             made["tags"] = [{"name": "page", "description": PROTOCOL}]
             if asks_for_tokens:
                 _ask_for_tokens(made)

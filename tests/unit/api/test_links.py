@@ -1,0 +1,61 @@
+"""Links of the OpenAPI document: each id that an operation takes, some other operation gives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from drivecal.api.app import create_app
+from drivecal.api.links import SOURCES
+from drivecal.configuration.settings import load_settings
+
+METHODS = {"get", "post", "put", "patch", "delete"}
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The paths of the document."""
+    database = tmp_path_factory.mktemp("links") / "never-made.db"
+    found: dict[str, Any] = create_app(load_settings(database_url=f"sqlite:///{database}")).openapi()["paths"]
+    return found
+
+
+def links(paths: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """All links."""
+    for operations in paths.values():
+        for operation in operations.values():
+            for answer in operation["responses"].values():
+                yield from answer.get("links", {}).values()
+
+
+def test_every_operation_that_takes_an_id_can_be_reached_from_another_that_gives_it(paths: dict[str, Any]) -> None:
+    taking = {
+        operation["operationId"]: set(re.findall(r"\{(\w+)\}", path))
+        for path, operations in paths.items()
+        for method, operation in operations.items()
+        if method in METHODS and "{" in path
+    }
+    assert len(taking) > 30
+    reached: dict[str, set[str]] = {}
+    for link in links(paths):
+        reached.setdefault(link["operationId"], set()).update(link["parameters"])
+    assert reached == taking
+
+
+def test_a_comparison_leads_to_its_tables_and_a_search_to_its_own(paths: dict[str, Any]) -> None:
+    here = "/api/v1/campaigns/{campaign_id}"
+
+    def targets(path: str) -> set[str]:
+        return set(paths[f"/api/v1/{path}"]["post"]["responses"]["202"]["links"])
+
+    tables = {name: paths[f"{here}/{name}"]["get"]["operationId"] for name in ("comparison", "solutions")}
+    common = paths[here]["get"]["operationId"]
+    assert targets("comparisons") & {*tables.values(), common} == {tables["comparison"], common}
+    assert targets("campaigns") & {*tables.values(), common} == {tables["solutions"], common}
+
+
+def test_names_of_sources_are_those_of_parameters(paths: dict[str, Any]) -> None:
+    assert SOURCES.keys() == {name for path in paths for name in re.findall(r"\{(\w+)\}", path)}
