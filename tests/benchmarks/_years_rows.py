@@ -69,7 +69,7 @@ def grow(database: Database, cells: int, problems: int, progress: Callable[[str]
             progress(f"{number * group.cells:,} of {cells:,} cells")
     with database.transaction() as connection:
         _follow_numbers(connection)
-    _index(database)
+    index_references(database)
     with database.transaction() as connection:
         connection.execute(text("ANALYZE") if connection.dialect.name == "postgresql" else text("PRAGMA optimize"))
 
@@ -81,7 +81,7 @@ def _carry_out(database: Database) -> None:
     stored = post_map(database, dict.fromkeys(SCENARIOS, regions))
     common: dict[str, Any] = {"parameters": SPACE, "catalogue": list(SCENARIOS)}
     search = {"kind": "genetic", "population": 50, "iterations": 5, "seed": 1}
-    backend = ComputedBackend(answer=_measured)
+    backend = ComputedBackend(answer=measured)
     run(database, submit(database, stored_map=stored, optimizer=search, **common), backend)
     run(database, submit(database, stored_map=stored, optimizer=search, weights={"S1": 3, "S2": 0}, **common), backend)
     exact: dict[str, Any] = {
@@ -94,7 +94,7 @@ def _carry_out(database: Database) -> None:
     run(database, submit(database, optimizer=search | {"seed": 3}, reduction=predicted, **common), backend)
 
 
-def _measured(scenario: str, cell: Cell) -> CellResult:
+def measured(scenario: str, cell: Cell) -> CellResult:
     """Metrics as many and as long as those of the built-in problem."""
     result = replace(computed(scenario, cell), milliseconds=40.0 + cell.id % 1000 / 7)
     values = [result.rating or 0.0, *(float(np.sin(cell.id * factor)) for factor in range(2, len(METRICS) + 1))]
@@ -294,11 +294,11 @@ def _only_map(connection: Connection) -> Any:
     return stored_map(listed)
 
 
-def _index(database: Database) -> None:
+def index_references(database: Database) -> None:
     """Computes the reference keys of all runs, as campaigns of each problem do when they start."""
     with database.read() as connection:
         the_map, indexes = _only_map(connection), reference_keys.indexes(connection)
-        scenarios: dict[int, str] = dict(connection.execute(text("SELECT id, scenario FROM setups")).tuples().all())
+        scenarios = {row.id: row.scenario for row in connection.execute(text("SELECT id, scenario FROM setups"))}
         newest = connection.scalar(text("SELECT max(id) FROM runs")) or 0
     [index] = {(one.influence_map_sequence, one.evaluator) for one in indexes}
     for setup, scenario in scenarios.items():
