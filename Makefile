@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock sbom networks clean
+.PHONY: help demo test test-slow test-faults test-compose test-packages check bench train page docs format lock audit sbom networks clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Three processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -71,6 +71,9 @@ format: $(INSTALLED) ## format the code and mend what the linter can
 
 lock: $(INSTALLED) ## write deploy/requirements.lock anew from pyproject.toml (needs uv)
 	@deploy/lock.sh --upgrade
+
+audit: $(INSTALLED) ## report known weaknesses of the locked packages; 1 if there are, 0 without a network (needs uv)
+	@$(BIN)/python deploy/audit.py
 
 sbom: ## write the packages of each image as CycloneDX, with known weaknesses, to .drivecal/sbom (needs uv and a network)
 	@deploy/sbom.sh
