@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -122,6 +123,41 @@ def test_the_example_of_settings_has_each_of_them_with_its_default() -> None:
     assert set(given) == variables(COMPOSE, WORKERS, MACHINES, PLUGINS)
     defaults = dict(re.findall(r"\$\{(DRIVECAL_[A-Z_]+):-([^}]*)\}", COMPOSE.read_text()))
     assert {name: given[name] for name in defaults} == defaults
+
+
+PINNED = IMAGES / "pinned.env"
+
+
+def pinned(text: str) -> dict[str, tuple[str, str]]:
+    """Image and digest by setting."""
+    return {name: (image, digest) for name, image, digest in re.findall(r"(?m)^(\w+)=(.+)@(sha256:[0-9a-f]{64})$", text)}
+
+
+def test_every_image_of_others_can_be_pinned_by_its_digest() -> None:
+    images = [each["image"] for _, each in services() if not each["image"].startswith("drivecal/")]
+    bases = [each["build"]["args"]["BASE"] for _, each in services() if "build" in each]
+    assert len(bases) == len(OURS) + 1
+    found = {match for text in (*images, *bases) for match in re.findall(r"^\$\{(\w+):-(.+)\}$", text)}
+    assert found == {(name, image) for name, (image, _) in pinned(PINNED.read_text()).items()}
+    assert f"ARG BASE={dict(found)['DRIVECAL_BASE_IMAGE']}\n" in (IMAGES / "Dockerfile").read_text()
+
+
+@pytest.mark.parametrize(("answer", "status"), [("echo sha256:" + 64 * "a", 0), ("echo nothing", 1), ("exit 1", 1)])
+def test_images_are_pinned_anew_or_stay_pinned_as_they_were(tmp_path: Path, answer: str, status: int) -> None:
+    for path in (PINNED, PROJECT / "deploy" / "pin.sh"):
+        copy = tmp_path / path.relative_to(PROJECT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    docker = tmp_path / "docker"
+    docker.write_text(f"#!/bin/sh\n{answer}\n")
+    docker.chmod(0o755)
+    command = [str(tmp_path / "deploy" / "pin.sh")]
+    done = subprocess.run(command, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, capture_output=True, check=False)
+    before, after = (pinned((root / "deploy" / "images" / "pinned.env").read_text()) for root in (PROJECT, tmp_path))
+    assert done.returncode == status
+    assert {image for image, _ in after.values()} == {image for image, _ in before.values()}
+    assert after == before or {digest for _, digest in after.values()} == {"sha256:" + 64 * "a"}
+    assert (after == before) == (status != 0)
 
 
 def test_plug_ins_reach_every_service_that_loads_them_and_no_other() -> None:
