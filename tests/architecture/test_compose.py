@@ -137,9 +137,9 @@ def test_every_image_of_others_can_be_pinned_by_its_digest() -> None:
     images = [each["image"] for _, each in services() if not each["image"].startswith("drivecal/")]
     bases = [each["build"]["args"]["BASE"] for _, each in services() if "build" in each]
     assert len(bases) == len(OURS) + 1
-    found = {match for text in (*images, *bases) for match in re.findall(r"^\$\{(\w+):-(.+)\}$", text)}
-    assert found == {(name, image) for name, (image, _) in pinned(PINNED.read_text()).items()}
-    assert f"ARG BASE={dict(found)['DRIVECAL_BASE_IMAGE']}\n" in (IMAGES / "Dockerfile").read_text()
+    settings = {match for text in (*images, *bases) for match in re.findall(r"^\$\{(\w+):-(.+)\}$", text)}
+    assert settings == {(name, image) for name, (image, _) in pinned(PINNED.read_text()).items()}
+    assert f"ARG BASE={dict(settings)['DRIVECAL_BASE_IMAGE']}\n" in (IMAGES / "Dockerfile").read_text()
 
 
 @pytest.mark.parametrize(("answer", "status"), [("echo sha256:" + 64 * "a", 0), ("echo nothing", 1), ("exit 1", 1)])

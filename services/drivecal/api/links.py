@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from drivecal.api.responses import ROOT
 
 
-class Source(NamedTuple):
+class IdSource(NamedTuple):
     """A place of an answer that holds an id, and the paths for which the id is usable."""
 
     method: str
@@ -23,26 +23,26 @@ _NOT_OF_COMPARISONS = r"(?!/comparison)"
 _OF_COMPARISONS = r"(|/(events|pause|resume|cancel|comparison.*))$"
 """A comparison has no search: other tables belong to its runs."""
 
-SOURCES: Mapping[str, tuple[Source, ...]] = {
+SOURCES: Mapping[str, tuple[IdSource, ...]] = {
     "campaign_id": (
-        Source("post", "/campaigns", "202", "/id", _NOT_OF_COMPARISONS),
-        Source("get", "/campaigns", "200", "/items/0/id", _NOT_OF_COMPARISONS),
-        Source("post", "/campaigns/{campaign_id}/rerun", "202", "/id", _NOT_OF_COMPARISONS),
-        Source("post", "/comparisons", "202", "/id", _OF_COMPARISONS),
-        Source("get", "/campaigns/{campaign_id}/comparison", "200", "/items/0/run", _NOT_OF_COMPARISONS),
+        IdSource("post", "/campaigns", "202", "/id", _NOT_OF_COMPARISONS),
+        IdSource("get", "/campaigns", "200", "/items/0/id", _NOT_OF_COMPARISONS),
+        IdSource("post", "/campaigns/{campaign_id}/rerun", "202", "/id", _NOT_OF_COMPARISONS),
+        IdSource("post", "/comparisons", "202", "/id", _OF_COMPARISONS),
+        IdSource("get", "/campaigns/{campaign_id}/comparison", "200", "/items/0/run", _NOT_OF_COMPARISONS),
     ),
     "evaluation_id": (
-        Source("post", "/evaluations", "202", "/id"),
-        Source("get", "/campaigns/{campaign_id}/evaluations", "200", "/items/0/id"),
+        IdSource("post", "/evaluations", "202", "/id"),
+        IdSource("get", "/campaigns/{campaign_id}/evaluations", "200", "/items/0/id"),
     ),
-    "map_id": (Source("post", "/influence-maps", "201", "/id"), Source("get", "/influence-maps", "200", "/items/0/id")),
+    "map_id": (IdSource("post", "/influence-maps", "201", "/id"), IdSource("get", "/influence-maps", "200", "/items/0/id")),
     "problem": (
-        Source("post", "/problems", "201", "/digest"),
-        Source("post", "/problems", "200", "/digest"),
-        Source("get", "/problems", "200", "/items/0/digest"),
+        IdSource("post", "/problems", "201", "/digest"),
+        IdSource("post", "/problems", "200", "/digest"),
+        IdSource("get", "/problems", "200", "/items/0/digest"),
     ),
-    "scenario_id": (Source("get", "/scenarios", "200", "/items/0/id"),),
-    "view_id": (Source("post", "/views", "201", "/id"), Source("get", "/views", "200", "/items/0/id")),
+    "scenario_id": (IdSource("get", "/scenarios", "200", "/items/0/id"),),
+    "view_id": (IdSource("post", "/views", "201", "/id"), IdSource("get", "/views", "200", "/items/0/id")),
 }
 """The answers with an id, by the name that paths have for it."""
 
@@ -61,6 +61,6 @@ def add_links(paths: Mapping[str, Any]) -> None:
 def _taking(paths: Mapping[str, Any], name: str, usable: str) -> Iterator[str]:
     """Yields the operations with this parameter in their path whose rest begins with the pattern."""
     for path, operations in paths.items():
-        _, found, rest = path.partition(f"{{{name}}}")
-        if found and re.match(usable, rest):
+        _, parameter, rest = path.partition(f"{{{name}}}")
+        if parameter and re.match(usable, rest):
             yield from (operation["operationId"] for operation in operations.values())

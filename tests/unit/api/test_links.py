@@ -19,8 +19,8 @@ METHODS = {"get", "post", "put", "patch", "delete"}
 def paths(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The paths of the document."""
     database = tmp_path_factory.mktemp("links") / "never-made.db"
-    found: dict[str, Any] = create_app(load_settings(database_url=f"sqlite:///{database}")).openapi()["paths"]
-    return found
+    document: dict[str, Any] = create_app(load_settings(database_url=f"sqlite:///{database}")).openapi()["paths"]
+    return document
 
 
 def links(paths: dict[str, Any]) -> Iterator[dict[str, Any]]:
