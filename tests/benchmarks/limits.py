@@ -1,8 +1,9 @@
 """What do clients meet at the server's limits? `python tests/benchmarks/run.py limits [--seconds 30] [--times 1 2]`.
 
-While a coordinator carries out a campaign on real SUMO workers, as many clients as it admits ask without a pause: 200 requests at a time, which poll the campaign, try submissions and queue small campaigns until the queue is full, and 100 event streams. Then twice as
-many. A client that is refused waits for as long as `Retry-After` says. Printed for each kind: answers, median and 99th percentile of their
-times, and the refusals by status; and the same of /healthz, which has no limit, on a connection that was there first (500 may be open). The
+While a coordinator carries out a campaign on real SUMO workers, as many clients as it admits ask without a pause: 200 requests at a time,
+which poll the campaign, try submissions and queue small campaigns until the queue is full, and 100 event streams. Then twice as many. A
+client that is refused waits for as long as `Retry-After` says. Printed for each kind: answers, median and 99th percentile of their times,
+and the refusals by status; and the same of /healthz, which has no limit, on a connection that was there first (500 may be open). The
 clients share the machine with server and workers.
 
 Good: with as many clients as are admitted only a full queue refuses (429); with more, all refusals are 429 or 503 with `Retry-After`, no
