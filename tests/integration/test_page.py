@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import httpx
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.runs import run, submit
+from tests.support.serve import until
 from tests.support.server import RunningApi, serving
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
@@ -20,6 +22,8 @@ from drivecal.api.live import streams
 from drivecal.api.routes import page, page_live
 
 WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
+FLOOD = 500
+"""Messages without a pause."""
 SMALL: dict[str, Any] = {"optimizer": {"kind": "genetic", "population": 6, "iterations": 2, "seed": 3}}
 
 
@@ -188,6 +192,31 @@ def test_what_cannot_be_understood_ends_the_connection(api: RunningApi, message:
         with pytest.raises(ConnectionClosed):
             socket.recv(timeout=20)
     assert api.http.get("/healthz").status_code == 200
+
+
+def is_admitted(api: RunningApi) -> bool:
+    """Whether there is a place for a socket."""
+    try:
+        with line(api):
+            return True
+    except InvalidStatus:
+        return False
+
+
+def test_sockets_have_places_and_one_that_floods_the_server_waits_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.2)  # by which the server notices that the flooding page is gone
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", event_streams=2) as api, line(api) as quiet:
+        with line(api) as flooding:
+            flooding.close_timeout = 0.1  # the server reads its farewell after all other messages
+            assert not is_admitted(api)
+            for _ in range(FLOOD):
+                flooding.send(json.dumps({"follow": "nothing"}))
+            quiet.send(json.dumps({"follow": "nothing"}))
+            assert any("error" in json.loads(message) for message in itertools.islice(quiet, 1_000))
+            assert api.http.get("/api/v1/campaigns").status_code == 200
+        until(lambda: is_admitted(api), "that its place is free")
 
 
 def test_a_page_of_another_origin_and_one_without_a_session_are_told_nothing(api: RunningApi, guarded: RunningApi) -> None:

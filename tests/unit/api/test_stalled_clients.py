@@ -1,8 +1,9 @@
-"""Clients that do not read lose their connection and their place."""
+"""Clients that do not read lose their connection and their place, and a page that floods the server waits."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import socket
 from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 import uvicorn
 from starlette.types import Receive, Scope, Send
-from starlette.websockets import WebSocketState
+from starlette.websockets import WebSocketDisconnect, WebSocketState
 from uvicorn.server import ServerState
 
 from drivecal.api.http import closing
@@ -20,6 +21,7 @@ from drivecal.api.http.protocol import Protocol
 from drivecal.api.routes import page_live
 
 MEGABYTE = b"x" * 2**20
+FLOOD = 5_000
 SIZE = 32
 """Megabytes, more than the buffers of both sockets take in."""
 
@@ -101,3 +103,27 @@ def test_a_page_that_does_not_read_is_no_longer_served(monkeypatch: pytest.Monke
     )
     line = page_live._Line(page)
     asyncio.run(asyncio.wait_for(line.serve(), 20))
+
+
+def test_a_page_that_sends_without_end_waits_while_others_are_served() -> None:
+    received = itertools.count()
+
+    async def at_once() -> str:
+        if next(received) == FLOOD:
+            raise WebSocketDisconnect
+        return '{"unfollow": "nothing"}'
+
+    page: Any = SimpleNamespace(
+        app=SimpleNamespace(state=SimpleNamespace(event_hub=None, database=None)),
+        application_state=WebSocketState.CONNECTED,
+        receive_text=at_once,
+    )
+
+    async def served() -> None:
+        serving = asyncio.create_task(page_live._Line(page).serve())
+        await asyncio.sleep(0.05)
+        assert not serving.done()
+        serving.cancel()
+
+    asyncio.run(asyncio.wait_for(served(), 20))
+    assert page_live.MOST_AT_ONCE <= next(received) < FLOOD / 2

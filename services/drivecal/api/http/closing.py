@@ -4,7 +4,7 @@ A socket that is closed with unread bytes is reset, and with the reset the answe
 connection. So the answer and its end are sent first, and further data are ignored for a moment.
 
 A client that does not read keeps its answer in memory, its place and its connection, even after `close`, which waits for the rest to be
-sent. So a connection is aborted if its client takes nothing of an answer for a minute.
+sent. So a connection is aborted if its client takes nothing of an answer for `STALLED_SECONDS`.
 """
 
 from __future__ import annotations

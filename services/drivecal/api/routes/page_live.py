@@ -30,6 +30,11 @@ MOST_FOLLOWED = 20
 """Campaigns that one page follows at a time."""
 LARGEST_MESSAGE = 1_000
 """Largest message of a client, characters."""
+MOST_AT_ONCE = 40
+"""Messages of a page that are obeyed at once: it leaves all campaigns and follows as many others."""
+SECONDS_FOR_A_MESSAGE = 0.25
+"""Shortest mean time between the messages after them. Further ones wait with the page: closing instead would let it send as many anew,
+and reading them is what costs most."""
 STALLED_SECONDS = 60.0
 """Time after which a page that reads nothing is disconnected; it comes back."""
 AGAIN_LATER, NOT_UNDERSTOOD = 1013, 1008
@@ -46,7 +51,7 @@ PROTOCOL = (
     '- `{"alive": true}` if there was nothing else for a while.\n\n'
     f"A page follows {MOST_FOLLOWED} campaigns at most. Browsers are let in from pages of this very origin only; the connection is closed "
     f"with {NOT_UNDERSTOOD} if a message cannot be understood or the token is no longer valid, and refused if the server has no place for "
-    "it."
+    f"it. Messages beyond {MOST_AT_ONCE} at once and {1 / SECONDS_FOR_A_MESSAGE:g} a second wait."
 )
 """Protocol of the live connection, in Markdown."""
 
@@ -84,6 +89,7 @@ class _Line:
         self._database: Database = socket.app.state.database
         self._followed: dict[str, asyncio.Task[None]] = {}
         self._one_at_a_time = asyncio.Lock()
+        self._next_due = 0.0
 
     async def serve(self) -> None:
         """Obeys the page until it is gone, reads nothing any more, or a task fails."""
@@ -91,7 +97,7 @@ class _Line:
             async with asyncio.TaskGroup() as self._tasks:
                 alive = self._tasks.create_task(self._stay_alive())
                 while self._is_open and await self._obey(await self._socket.receive_text()):
-                    pass
+                    await self._keep_pace()
                 for task in (alive, *self._followed.values()):
                     task.cancel()
         except* (WebSocketDisconnect, TimeoutError):
@@ -115,6 +121,13 @@ class _Line:
         if asked.follow is not None:
             await self._follow(asked.follow, asked.after)
         return True
+
+    async def _keep_pace(self) -> None:
+        """Waits until the page may send more. Messages that have arrived are received without a pause: a page that floods the server would
+        keep it from all other answers."""
+        now = asyncio.get_running_loop().time()
+        self._next_due = max(self._next_due, now - MOST_AT_ONCE * SECONDS_FOR_A_MESSAGE) + SECONDS_FOR_A_MESSAGE
+        await asyncio.sleep(max(0.0, self._next_due - now))
 
     async def _follow(self, campaign: str, after: int) -> None:
         if campaign in self._followed:
