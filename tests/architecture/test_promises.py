@@ -31,7 +31,7 @@ def rows(page: Path, head: str) -> dict[str, list[tuple[str, str]]]:
     return {first[0].strip(): REFERENCE.findall(first[-1]) for first in cells}
 
 
-TABLES = {GUARANTEES: "| promise | held by |", SECURITY: "| attack | result | test |"}
+TABLES = {GUARANTEES: "| promise | held by |", SECURITY: "| attack | result | evidence | test |"}
 
 
 @pytest.mark.parametrize("page", TABLES, ids=lambda page: page.stem)
@@ -43,6 +43,12 @@ def test_every_promise_and_every_attack_names_tests_that_exist(page: Path) -> No
     missing = {(file, name) for file, name in named if not (ROOT / "tests" / file).is_file()}
     assert missing == set()
     assert {(file, name) for file, name in named if name not in functions_in(ROOT / "tests" / file)} == set()
+
+
+def test_every_attack_has_its_result_and_its_evidence() -> None:
+    lines = SECURITY.read_text(encoding="utf-8").partition(f"{TABLES[SECURITY]}\n")[2].splitlines()[1:]
+    cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip("|"))] for line in lines[: lines.index("")]]
+    assert [line for line in cells if len(line) != 4 or not all(line)] == []
 
 
 def test_every_guarantee_of_the_readme_is_in_the_table() -> None:
