@@ -254,12 +254,13 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     measure = page.get_by_label("measure", exact=True)
     measure.select_option("energy_kwh")
     page.get_by_label("direction", exact=True).select_option("minimise")
-    page.get_by_role("group", name="scenarios").get_by_label("spring").uncheck()
+    page.get_by_role("group", name="scenarios", exact=True).get_by_label("spring").uncheck()
     page.get_by_label("aggregate").select_option("quantile …")
     page.get_by_label("quantile", exact=True).fill("0.9")
     page.get_by_role("button", name="Add constraint").click()
     limit = page.get_by_role("group", name="constraint 1")
     limit.get_by_label("measure", exact=True).select_option("energy_kwh")
+    limit.get_by_label("aggregate").select_option("mean")
     limit.get_by_label("weights", exact=True).fill("winter=2, spring")
     expect(limit.get_by_text("spring is no name with a number")).to_be_visible()
     limit.get_by_label("weights", exact=True).fill("winter=2, spring=0.5")
@@ -268,9 +269,11 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     goals: Any = asked.value.post_data_json
     quantile = {"measure": "energy_kwh", "direction": "minimise", "scenarios": ["winter"], "aggregate": {"quantile": 0.9}}
     assert goals["objectives"] == [quantile]
-    assert goals["constraints"] == [{"measure": "energy_kwh", "weights": {"winter": 2, "spring": 0.5}, "at_most": 9}]
-    expect(page.get_by_role("button", name="Start it")).to_be_enabled()
+    assert goals["constraints"] == [
+        {"measure": "energy_kwh", "aggregate": "mean", "weights": {"winter": 2, "spring": 0.5}, "at_most": 9}
+    ]
     page.get_by_role("button", name="Take constraint 1 away").click()
+    expect(page.get_by_role("button", name="Start it")).to_be_enabled()
     measure.select_option("none")
     page.get_by_label("score", exact=True).last.select_option("ease")
     page.get_by_role("button", name="Take objective 1 away").click()
