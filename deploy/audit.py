@@ -55,7 +55,7 @@ def asked(command: Sequence[str], seconds: float) -> list[dict[str, Any]]:
         raise LookupError(f"no answer within {seconds:g} s") from None
     try:
         packages: list[dict[str, Any]] = json.loads(answer)["dependencies"]
-    except ValueError:
+    except (ValueError, KeyError, TypeError):
         raise LookupError((messages.strip().splitlines() or ["no answer"])[-1].strip()) from None
     return packages
 

@@ -156,8 +156,8 @@ def test_images_are_pinned_anew_or_stay_pinned_as_they_were(tmp_path: Path, answ
     before, after = (pinned((root / "deploy" / "images" / "pinned.env").read_text()) for root in (PROJECT, tmp_path))
     assert done.returncode == status
     assert {image for image, _ in after.values()} == {image for image, _ in before.values()}
-    assert after == before or {digest for _, digest in after.values()} == {"sha256:" + 64 * "a"}
-    assert (after == before) == (status != 0)
+    digests = {digest for _, digest in before.values()} if status else {"sha256:" + 64 * "a"}
+    assert {digest for _, digest in after.values()} == digests
 
 
 def test_plug_ins_reach_every_service_that_loads_them_and_no_other() -> None:

@@ -203,7 +203,7 @@ def is_admitted(api: RunningApi) -> bool:
         return False
 
 
-def test_sockets_have_places_and_one_that_floods_the_server_waits_alone(
+def test_sockets_have_places_and_that_of_a_flooding_page_is_free_after_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(page_live, "KEEPALIVE_SECONDS", 0.2)  # by which the server notices that the flooding page is gone

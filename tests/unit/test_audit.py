@@ -48,8 +48,9 @@ def test_the_report_has_a_line_for_each_weakness(packages: list[dict[str, Any]],
         (answering(1, message="Traceback\n  cause: Connection refused\n"), "cause: Connection refused"),
         (answering(0), "no answer"),
         (["/no/uv"], "/no/uv: No such file or directory"),
+        (["echo", "[]"], "no answer"),
     ],
-    ids=["offline", "silent", "no uv"],
+    ids=["offline", "silent", "no uv", "another program"],
 )
 def test_a_registry_that_cannot_be_asked_is_named_in_one_line_and_fails_nothing(
     command: list[str], reason: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

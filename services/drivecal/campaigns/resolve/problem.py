@@ -175,7 +175,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
     goals = find_goals(specification, workbench.known, weights, diagnostics) if workbench.known.scores and weights else None
-    reduction, more = check_reuse(specification.reduction, goals, diagnostics, certifiable=workbench.certifiable)
+    asked = specification.reduction
+    reduction, more = check_reuse(asked, goals, diagnostics, certifiable=workbench.certifiable)
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
     resolvers.check_abilities(optimization, constraints, goals, diagnostics)
@@ -208,7 +209,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
-    notes += resolvers.note_certificates(specification.reduction, bench)
+    notes += resolvers.note_certificates(asked, bench)
     return CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )

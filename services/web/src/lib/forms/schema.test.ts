@@ -38,7 +38,7 @@ test("a word or a number may stand for a list, and an object for a choice", () =
 test("numbers by name are written as on the command line, or as JSON", () => {
   expect(describe({ type: "object", patternProperties: { "^S": { type: "number" } } }, {}).kind).toBe("pairs");
   expect([writtenPairs("S1=2, S2 = 0.5\nS3=0"), writtenPairs('{"S1": 2}'), writtenPairs(" ")]).toEqual([{ S1: 2, S2: 0.5, S3: 0 }, { S1: 2 }, undefined]);
-  for (const text of ["S1", "S1=", "=2", "S1=two", "S1=1=2", '{"S1"']) expect(writtenPairs(text)).toBeInstanceOf(Broken);
+  for (const text of ["S1", "S1=", "=2", "S1=two", "S1=1=2", "S1=1e999", "S1=2, S1=3", '{"S1"']) expect(writtenPairs(text)).toBeInstanceOf(Broken);
   expect([pairsText({ S1: 2, S2: 0.5 }), pairsText(undefined), pairsText(writtenPairs("S1="))]).toEqual(["S1=2, S2=0.5", "", "S1="]);
 });
 

@@ -118,8 +118,10 @@ export function writtenPairs(text: string): unknown {
   if (text.trim() === "") return undefined;
   if (/^\s*[[{]/.test(text)) return written(text);
   const pairs = text.split(/[,\n]/).map((part) => part.trim()).filter(Boolean).map((part) => part.split("=").map((side) => side.trim()));
-  const wrong = pairs.find(([name, value, ...more]) => !name || !value || more.length > 0 || Number.isNaN(Number(value)));
+  const wrong = pairs.find(([name, value, ...more]) => !name || !value || more.length > 0 || !Number.isFinite(Number(value)));
   if (wrong) return new Broken(text, `${wrong.join("=")} is no name with a number`, "write S1=2, S2=0.5, for example");
+  const twice = pairs.find(([name], place) => pairs.some(([other], before) => before < place && other === name));
+  if (twice) return new Broken(text, `${twice[0] ?? ""} is there twice`, "write each name once");
   return Object.fromEntries(pairs.map(([name = "", value]) => [name, Number(value)]));
 }
 
