@@ -176,6 +176,19 @@ def test_a_query_that_does_not_fit_is_refused_by_name(api: RunningApi, query: st
     assert refused(api.http.get(f"/api/v1/campaigns?{query}"))["errors"]
 
 
+@pytest.mark.parametrize(
+    "address", ["scenarios?limit=5", "parameters?=null", "views?campaign=&campaign=x", "campaigns?limit=1&limit=2"]
+)
+def test_a_query_that_an_operation_does_not_have_or_twice_is_refused_by_name(api: RunningApi, address: str) -> None:
+    assert [error["field"] for error in refused(api.http.get(f"/api/v1/{address}"))["errors"]] == [
+        address.partition("?")[2].partition("=")[0] or "''"
+    ]
+
+
+def test_lists_are_given_by_repeating_a_parameter(api: RunningApi) -> None:
+    assert api.http.get("/api/v1/campaigns?tag=a&tag=b").status_code == 200
+
+
 @pytest.mark.parametrize("key", ["", "a b", "é", "a" * 201])
 def test_an_idempotency_key_that_cannot_be_kept_is_refused(api: RunningApi, key: str) -> None:
     headers = {b"Idempotency-Key": key.encode("latin-1")}

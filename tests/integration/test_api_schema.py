@@ -28,6 +28,7 @@ from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
 
 from drivecal.api.app import create_app
+from drivecal.api.responses import ROOT
 from drivecal.configuration.settings import load_settings
 
 TOKEN = "writer-0123456789abcdef"
@@ -81,8 +82,12 @@ CONFIG = SchemathesisConfig.from_dict(
 
 @pytest.fixture(scope="module")
 def schema() -> BaseSchema:
-    """The document with what a request for each of its operations may hold."""
-    return schemathesis.openapi.from_dict(application().openapi(), config=CONFIG)
+    """The document with what a request for each of its operations may hold, but for tokens: all requests have the right one."""
+    document: dict[str, Any] = application().openapi()
+    del document["components"]["securitySchemes"], document["security"]
+    for operation in (each for methods in document["paths"].values() for each in methods.values()):
+        operation.pop("security", None)
+    return schemathesis.openapi.from_dict(document, config=CONFIG)
 
 
 @dataclass(frozen=True)
@@ -193,6 +198,8 @@ def test_every_answer_is_as_documented(schema: BaseSchema, api: RunningApi, subt
     def judge(case: schemathesis.Case[Any]) -> None:
         # A server without a dispatcher is not ready, and 503 is how it says so.
         excluded = [*NOT_IN_A_SCHEMA, *([not_a_server_error] if case.operation.path == "/readyz" else [])]
+        if not case.operation.path.startswith(ROOT) or any(value is None or value in ([], {}) for value in case.query.values()):
+            excluded.append(negative_data_rejection)  # probes may send what they want, and such values are in no address
         case.call_and_validate(api.url, headers=HEADERS, excluded_checks=excluded, timeout=30)
 
     derive(schema, judge, subtests)

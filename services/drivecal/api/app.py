@@ -4,11 +4,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 
 from drivecal.api import document
 from drivecal.api.dependencies import Limits
-from drivecal.api.http import problems
+from drivecal.api.http import problems, queries
 from drivecal.api.http.authorisation import Authorisation
 from drivecal.api.http.limits import SECONDS_FOR_A_PROBLEM, Concurrency, Requests
 from drivecal.api.http.requests import RequestRecords
@@ -72,6 +72,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         docs_url=None,  # FastAPI's own pages load scripts of other hosts; see routes.page
         redoc_url=None,
         responses=problems.RESPONSES,
+        dependencies=[Depends(queries.check_names)],
     )
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)

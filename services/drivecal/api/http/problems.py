@@ -75,6 +75,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         422: "Fields do not fit; `errors` names each",
         429: "The queue is full, or too many event streams or archives of problems are open",
         431: "The headers are too large",
+        501: "The body has a transfer encoding other than chunked",
         503: "The database does not answer, or too many requests are being answered",
     }.items()
 }

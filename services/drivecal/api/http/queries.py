@@ -1,12 +1,15 @@
 """The query parameters. Unknown ones are refused, so that a slip of the pen is not silently ignored."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeGuard, get_origin
 
 from fastapi import Query
+from fastapi.routing import APIRoute
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from starlette.requests import HTTPConnection
 
+from drivecal.api.responses import ROOT
 from drivecal.contracts.organising import Archived
-from drivecal.contracts.strict_json import Tag
+from drivecal.contracts.strict_json import Tag, shown
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -28,6 +31,42 @@ class Parameters(BaseModel):
     """The base of all query parameters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def check_names(connection: HTTPConnection) -> None:
+    """Raises InvalidInputError for parameters that the operation does not have, and for those that are given twice and are no list.
+
+    Probes and the page's files may be asked with any.
+    """
+    route = connection.scope.get("route")
+    if not connection.query_params or not isinstance(route, APIRoute) or not connection.url.path.startswith(ROOT):
+        return
+    fields = route.dependant.query_params
+    models = [field.field_info.annotation for field in fields if _is_model(field.field_info.annotation)]
+    given = [name for name, _ in connection.query_params.multi_items()]
+    names = dict.fromkeys(given)
+    problems = []
+    if not models:  # `Parameters` refuse unknown names by themselves
+        known = {field.alias for field in fields}
+        problems = [Problem(shown(name), "there is no such field", "leave it out") for name in names if name not in known]
+    lists = {
+        field.alias or name for model in models for name, field in model.model_fields.items() if _is_list(field.annotation)
+    }
+    problems += [
+        Problem(shown(name), "it is given more than once", "give it once")
+        for name in names
+        if name not in lists and given.count(name) > 1
+    ]
+    if problems:
+        raise InvalidInputError(*problems)
+
+
+def _is_model(annotation: object) -> TypeGuard[type[BaseModel]]:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _is_list(annotation: object) -> bool:
+    return get_origin(annotation) is list
 
 
 class PageOf(Parameters):
