@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,25 @@ def test_routes_that_sumo_refuses_are_refused_in_its_words(damage: str, tmp_path
     assert cause in said
     assert place in said
     assert str(tmp_path) not in said
+
+
+@pytest.mark.parametrize(("seconds", "loads"), [(1.0, 2), (40.0, 1)])
+def test_a_slow_refusal_is_not_repeated_within_the_same_start(
+    seconds: float, loads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, arguments = [0.0], []
+
+    def refused(given: list[str]) -> None:
+        arguments.append(given)
+        now[0] += seconds
+        raise sumo.SUMO_ERRORS[0](f"no lane in '{tmp_path}/traffic.rou.xml'")
+
+    monkeypatch.setattr(sumo, "_load", refused)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    said = refusal(NETWORK, tmp_path / "traffic.rou.xml")
+    assert len(arguments) == loads
+    assert "no lane in 'traffic.rou.xml'" in said
+    assert ("40 s" in said) == (loads == 1)
 
 
 def test_a_refused_network_leaves_standard_error_as_it_was(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

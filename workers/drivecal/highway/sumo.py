@@ -8,6 +8,7 @@ import os
 import re
 import sys
 import tempfile
+import time
 from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -46,6 +47,8 @@ MOST_MESSAGES = 3
 """Messages of SUMO in an error; the first names the cause."""
 MOST_WRITTEN = 1 << 16
 """Bytes of SUMO's messages among which its errors are searched: a damaged network can give one for each line."""
+QUICK_SECONDS = 3.0
+"""Longest refused load that is repeated: a start has at most 60 s, and `simulator.timeout` may be less."""
 WITHOUT_CAUSE = "Process Error"
 """SUMO's exception if only its messages name the cause."""
 _ERROR = re.compile(r"^Error: (.*(?:\n +.*)*)", re.MULTILINE)
@@ -94,13 +97,17 @@ def load(arguments: Sequence[str]) -> int:
     """Starts SUMO, or loads it again if it runs already; returns the number of this load.
 
     Raises one of `SUMO_ERRORS`, with SUMO's own words, if it refuses its files. SUMO writes most of them to standard error only. They stay
-    there, where they also name the cause of a crash or hang; what is refused is loaded once more for them.
+    there, where they also name the cause of a crash or hang; what is refused within `QUICK_SECONDS` is loaded once more for them.
     """
     global _current  # noqa: PLW0603  # a process holds one simulation, too
     _current = next(_loads)
+    start = time.monotonic()
     try:
         _load(arguments)
-    except SUMO_ERRORS:
+    except SUMO_ERRORS as refusal:
+        if (seconds := time.monotonic() - start) > QUICK_SECONDS:
+            hint = f"SUMO refused its files after {seconds:.0f} s; `sumo -n NETWORK -r ROUTES` prints all its messages"
+            raise type(refusal)(f"{_shown(str(refusal))} ({hint})") from refusal
         said: list[str] = []
         try:
             with _errors(said):
