@@ -80,7 +80,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
-        recorder = DriveRecorder() if "series" in request else None
+        recorder = DriveRecorder(simulator.step) if "series" in request else None
         outcome = loop.run(request["parameters"], onlooker=recorder)
         values = measures(outcome.record)
         answer: dict[str, Any] = {"measures": {measure: values[measure] for measure in settings["measures"]}}

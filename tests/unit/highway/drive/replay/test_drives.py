@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from drivecal.domain.roads import Floats, to_cartesian
 from drivecal.highway.drive.measures import COLUMNS, Record
 from drivecal.highway.drive.replay import drives
 from drivecal.highway.drive.replay.drives import REACH, DriveRecorder
+from drivecal.highway.drive.replay.surfaces import Neighbourhood
 
 ROAD = real_corridor("motorway")
 STEP, SPEED = 0.1, 30.0
@@ -32,7 +34,7 @@ def rows(times: npt.NDArray[np.floating[Any]]) -> Floats:
 
 def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | None:
     """The replay of a drive, at whose moments `others` are as far ahead (m) as given by their names."""
-    recorder = DriveRecorder()
+    recorder = DriveRecorder(table[1, 0] - table[0, 0])
     for row, ahead in zip(table, others, strict=False):
         places = [
             (np.nan, np.nan, 0.0) if np.isnan(gap) else to_cartesian(ROAD.line, row[4] + gap, 0.0) for gap in ahead.values()
@@ -41,7 +43,7 @@ def recorded(table: Floats, others: list[dict[str, float]]) -> ReplayAnswer | No
         recorder(list(ahead), outlines, row[1:4])
         outlines[:] = np.nan  # the next step overwrites it
     record = Record(table, np.zeros((0, 5)), 1.0, 1.0, 2000.0, 1.9)
-    return recorder.replay(record, 4.7, ROAD, ())
+    return recorder.replay(record, 4.7, ROAD, Neighbourhood.of(()))
 
 
 def test_a_vehicle_that_comes_back_is_there_twice() -> None:
@@ -91,4 +93,38 @@ def test_long_and_full_runs_are_shown_at_fewer_moments(monkeypatch: pytest.Monke
     monkeypatch.setattr(drives, "MOST_MOMENTS", 4)
     fewer = recorded(rows(np.arange(51) * 0.02), [{}] * 51)
     assert fewer is not None
-    assert fewer.time_s == pytest.approx([0.0, 0.26, 0.52, 0.78, 1.0])
+    assert fewer.time_s == pytest.approx([0.0, 0.4, 0.8, 1.0])
+    monkeypatch.setattr(drives, "MOST_POSES", 5)
+    fuller = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
+    assert fuller is not None
+    assert fuller.time_s == pytest.approx([0.0, 0.8, 1.0])
+    assert [len(vehicle.x_m) for vehicle in fuller.others] == [3, 3]
+
+
+@pytest.mark.parametrize(("step", "apart"), [(0.01, 0.1), (0.04, 0.12), (0.07, 0.14), (0.1, 0.1), (0.5, 0.5)])
+def test_moments_are_at_least_a_tenth_of_a_second_apart_but_for_the_last(step: float, apart: float) -> None:
+    times = np.arange(50) * step
+    replay = recorded(rows(times), [{}] * len(times))
+    assert replay is not None
+    assert replay.time_s[-1] == pytest.approx(times[-1])
+    assert np.diff(replay.time_s[:-1]) == pytest.approx(np.full(len(replay.time_s) - 2, apart))
+
+
+def test_the_memory_of_a_recorder_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drives, "MOST_MOMENTS", 20)
+    monkeypatch.setattr(drives, "MOST_POSES", 300)
+    names = [f"v{number}" for number in range(25)]
+    outlines = np.tile([0.0, 0.0, 0.0, 2.5, 0.9, SPEED], (len(names), 1))
+    recorder, pose = DriveRecorder(0.01), np.zeros(3)
+
+    def record(moments: int) -> None:
+        for _ in range(moments):
+            recorder(names, outlines, pose)
+
+    record(1000)
+    tracemalloc.start()
+    try:
+        record(2000)
+        assert tracemalloc.get_traced_memory()[0] < 2 * 300 * outlines[0].nbytes
+    finally:
+        tracemalloc.stop()

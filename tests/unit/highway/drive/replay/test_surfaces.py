@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import KDTree
 from tests.support.networks import REAL, entrance, real_corridor, real_network
 
 from drivecal.contracts.evaluation import RoadSurface
 from drivecal.domain.roads import Floats
+from drivecal.highway.drive.replay import surfaces
 from drivecal.highway.drive.replay.surfaces import (
+    ASIDE,
+    LINE_SPACING,
     LONGEST,
     TOLERANCE,
     beside,
@@ -24,7 +29,7 @@ from drivecal.highway.drive.replay.surfaces import (
     surface_beside,
 )
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import read_network
+from drivecal.roads.network import Lane, read_network
 
 CENTIMETRE = 0.01
 
@@ -112,6 +117,29 @@ def test_only_roads_near_the_drive_are_drawn() -> None:
     points = np.vstack([np.array(strip.right) for strip in part.lanes])
     here = road.line[rows_between(road, 100.0, 300.0), 1:3]
     assert max(np.hypot(*(here - point).T).min() for point in points) < 40.0
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_lanes_far_from_the_drive_are_left_out_before_they_are_searched(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    road = real_corridor(name)
+    lanes = neighbouring(real_network(REAL[name][0]), road)
+    rows = rows_between(road, 0.4 * road.length, 0.4 * road.length + 50.0)
+    searched: list[Lane] = []
+    pieces = surfaces._pieces
+
+    def counted(lane: Lane, tree: KDTree) -> Iterator[tuple[float, Floats, Floats]]:
+        searched.append(lane)
+        return pieces(lane, tree)
+
+    monkeypatch.setattr(surfaces, "_pieces", counted)
+    drawn = surface_beside(lanes, road, rows)
+    points = road.line[rows, 1:3]
+    for shape in (lane.shape for lane in searched):
+        assert (shape.max(axis=0) >= points.min(axis=0) - ASIDE).all()
+        assert (shape.min(axis=0) <= points.max(axis=0) + ASIDE).all()
+    tree = KDTree(points[:: max(1, round(LINE_SPACING / road.line.item(1, 0)))])
+    all_pieces = [piece for lane in lanes.lanes for piece in pieces(lane.lane, tree)]
+    assert len(drawn.lanes) == len(all_pieces)
 
 
 @given(st.lists(st.tuples(st.floats(0.1, 60.0), st.floats(-1.0, 1.0)), min_size=2, max_size=60))

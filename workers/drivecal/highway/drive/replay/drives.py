@@ -1,50 +1,69 @@
 """Records of drives for replays: the ego vehicle, and the others near it."""
 
 from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 
 from drivecal.contracts.evaluation import ReplayAnswer, ReplayEgo, ReplayVehicle
 from drivecal.domain.roads import Floats
 from drivecal.highway.drive.measures import Record
-from drivecal.highway.drive.replay.surfaces import NeighbouringLane, line_of, route_surface, rows_between, surface_beside
+from drivecal.highway.drive.replay.surfaces import Neighbourhood, line_of, route_surface, rows_between, surface_beside
 from drivecal.roads.corridor import Corridor
 
 REACH = 250.0
 """Distance (m) from the ego vehicle up to which vehicles and roads are recorded: more than a view shows."""
 PERIOD = 0.1
-"""Shortest time (s) between two recorded moments."""
+"""Shortest time (s) between two recorded moments, but for the last."""
 MOST_MOMENTS, MOST_POSES = 10_000, 150_000
-"""Recorded moments, and poses of other vehicles; longer and fuller runs are recorded at fewer moments."""
+"""Limits of the recorded moments and of the poses of other vehicles. Longer and fuller runs are recorded at fewer moments."""
 LENGTHS, ANGLES = 2, 4
 """Digits of lengths (m) and angles (rad)."""
+Moment = tuple[list[str], Floats]
+"""Names and outlines of the vehicles near the ego vehicle."""
 EGO = ("x_m", "y_m", "heading_rad", "speed_mps", "position_m", "offset_m")
 
 
 class DriveRecorder:
-    """The onlooker of one run."""
+    """The onlooker of one run, whose memory is bounded."""
 
-    def __init__(self) -> None:
-        self._moments: list[tuple[list[str], Floats]] = []
-        """Names and outlines of the vehicles near the ego vehicle, at the start and after each step of the traffic."""
+    def __init__(self, step: float) -> None:
+        """`step`: time (s) between two moments."""
+        self._every = max(1, ceil(PERIOD / step - 1e-9))
+        """Number of steps between two kept moments. It doubles whenever these reach a limit."""
+        self._moments: list[Moment] = []
+        """The moments 0, `_every`, 2 `_every`, ... of the start and after each step of the traffic."""
+        self._newest: Moment = [], np.zeros((0, 6))
+        self._seen = self._poses = 0
+        """Number of all moments so far, and of the poses in the kept ones."""
 
     def __call__(self, names: list[str], outlines: Floats, pose: Floats) -> None:
         near = np.flatnonzero(np.hypot(outlines[:, 0] - pose[0], outlines[:, 1] - pose[1]) <= REACH)
-        self._moments.append(([names[row] for row in near.tolist()], outlines[near]))
+        self._newest = [names[row] for row in near.tolist()], outlines[near]
+        if self._seen % self._every == 0:
+            self._moments.append(self._newest)
+            self._poses += len(near)
+            while len(self._moments) > 1 and (len(self._moments) > MOST_MOMENTS or self._poses > MOST_POSES):
+                self._every *= 2
+                self._moments = self._moments[::2]
+                self._poses = sum(len(kept) for kept, _ in self._moments)
+        self._seen += 1
 
-    def replay(
-        self, record: Record, length: float, corridor: Corridor, beside: Sequence[NeighbouringLane]
-    ) -> ReplayAnswer | None:
+    def replay(self, record: Record, length: float, corridor: Corridor, beside: Neighbourhood) -> ReplayAnswer | None:
         """Returns the run on its roads; None if the vehicle has no place at two moments. `length`: of the ego vehicle (m)."""
         ego = np.column_stack([record.column(name) for name in EGO])
         count = int(np.argmin(np.append(np.isfinite(ego).all(axis=1), False)))  # an unstable vehicle may have no place
         if count < 2:
             return None
         times, ego = record.column("time_s")[:count], ego[:count]
-        moments = self._moments[:count]
-        if len(moments) < count:  # the run ended within a step of the traffic
-            moments = [*moments, _moved_on(*moments[-1], times.item(-1) - times.item(len(moments) - 1))]
-        shown = _shown(times, moments)
+        moments = dict(zip(range(0, count, self._every), self._moments, strict=False))
+        if self._seen == count:
+            moments[count - 1] = self._newest
+        elif self._seen < count:  # the run ended within a step of the traffic
+            moments[count - 1] = _moved_on(*self._newest, times.item(-1) - times.item(self._seen - 1))
+        shown = list(moments)
+        if len(shown) < 2:
+            return None
         position = ego[:, EGO.index("position_m")]
         rows = rows_between(corridor, position.min() - REACH, position.max() + REACH)
         columns = {
@@ -57,11 +76,11 @@ class DriveRecorder:
             route=route_surface(corridor, rows),
             beside=surface_beside(beside, corridor, rows),
             ego=ReplayEgo(length_m=length, width_m=record.width, **columns),
-            others=_vehicles([moments[row] for row in shown]),
+            others=_vehicles(list(moments.values())),
         )
 
 
-def _moved_on(names: list[str], outlines: Floats, seconds: float) -> tuple[list[str], Floats]:
+def _moved_on(names: list[str], outlines: Floats, seconds: float) -> Moment:
     """Returns vehicles at a later time, straight on at their speeds."""
     moved = outlines.copy()
     ways = seconds * outlines[:, 5]
@@ -70,19 +89,7 @@ def _moved_on(names: list[str], outlines: Floats, seconds: float) -> tuple[list[
     return names, moved
 
 
-def _shown(times: Floats, moments: Sequence[tuple[list[str], Floats]]) -> list[int]:
-    """Returns the moments of the replay: equally spaced ones, and the last one."""
-    poses = sum(len(names) for names, _ in moments)
-    every = max(
-        1,
-        round(PERIOD / (times.item(1) - times.item(0))),
-        -(-len(times) // MOST_MOMENTS),
-        -(-poses // MOST_POSES),
-    )
-    return sorted({*range(0, len(times), every), len(times) - 1})
-
-
-def _vehicles(moments: Sequence[tuple[list[str], Floats]]) -> list[ReplayVehicle]:
+def _vehicles(moments: Sequence[Moment]) -> list[ReplayVehicle]:
     """Returns each vehicle for each time that it is there without a gap."""
     vehicles: list[ReplayVehicle] = []
     here: dict[str, ReplayVehicle] = {}

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, floor
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -49,20 +50,41 @@ class NeighbouringLane:
     has_left: bool
 
 
-def neighbouring(network: Network, corridor: Corridor) -> tuple[NeighbouringLane, ...]:
+@dataclass(frozen=True, eq=False, slots=True)
+class Neighbourhood:
+    """Lanes, and the corners (n, 2) of the rectangles around their shapes (m)."""
+
+    lanes: tuple[NeighbouringLane, ...]
+    lower: Floats
+    upper: Floats
+
+    @classmethod
+    def of(cls, lanes: Sequence[NeighbouringLane]) -> Self:
+        """Returns lanes with their rectangles."""
+        if not lanes:
+            return cls((), np.zeros((0, 2)), np.zeros((0, 2)))
+        shapes = [lane.lane.shape for lane in lanes]
+        begins = np.cumsum([0, *map(len, shapes[:-1])])
+        points = np.vstack(shapes)
+        return cls(tuple(lanes), np.minimum.reduceat(points, begins), np.maximum.reduceat(points, begins))
+
+    def near(self, points: Floats) -> Self:
+        """Returns the lanes whose rectangles meet that around points (n, 2), extended by `ASIDE`."""
+        lower, upper = points.min(axis=0) - ASIDE, points.max(axis=0) + ASIDE
+        rows = np.flatnonzero(((self.upper >= lower) & (self.lower <= upper)).all(axis=1))
+        return type(self)(tuple(self.lanes[row] for row in rows.tolist()), self.lower[rows], self.upper[rows])
+
+
+def neighbouring(network: Network, corridor: Corridor) -> Neighbourhood:
     """Returns the lanes for cars that are not the route's, but in the rectangle around it; the rest of a network may be large."""
-    points = corridor.line[:, 1:3]
-    lower, upper = points.min(axis=0) - ASIDE, points.max(axis=0) + ASIDE
-    return tuple(
+    lanes = [
         NeighbouringLane(lane, edge.function == "", _is_driven(edge, lane.index - 1), _is_driven(edge, lane.index + 1))
         for edge in network.edges.values()
         if edge.function in ROADS
         for lane in edge.lanes
-        if lane.for_cars
-        and (lane.edge, lane.index) not in corridor.places
-        and (lane.shape.max(axis=0) >= lower).all()
-        and (lane.shape.min(axis=0) <= upper).all()
-    )
+        if lane.for_cars and (lane.edge, lane.index) not in corridor.places
+    ]
+    return Neighbourhood.of(lanes).near(corridor.line[:, 1:3])
 
 
 def _is_driven(edge: Edge, index: int) -> bool:
@@ -108,11 +130,12 @@ def route_surface(corridor: Corridor, rows: slice) -> RoadSurface:
     return surface
 
 
-def surface_beside(lanes: Sequence[NeighbouringLane], corridor: Corridor, rows: slice) -> RoadSurface:
+def surface_beside(lanes: Neighbourhood, corridor: Corridor, rows: slice) -> RoadSurface:
     """Returns lanes beside the route as far as they are near these rows, the nearest ones first up to `MOST_POINTS`."""
     surface = RoadSurface(lanes=[], edges=[], markings=[])
     tree = KDTree(corridor.line[rows, 1:3][:: max(1, round(LINE_SPACING / corridor.line.item(1, 0)))])
-    pieces = [(lane, *piece) for lane in lanes for piece in _pieces(lane.lane, tree)]
+    near = lanes.near(corridor.line[rows, 1:3]).lanes  # each costs a search, and a route may pass thousands of others
+    pieces = [(lane, *piece) for lane in near for piece in _pieces(lane.lane, tree)]
     points = 0
     for lane, _, right, left in sorted(pieces, key=lambda piece: piece[1]):
         points += len(right)
