@@ -71,7 +71,7 @@ STRIP = {"right": [[0.0, -2.0], [90.0, -2.0], [180.0, -2.0]], "left": [[0.0, 2.0
 PLACES = {"x_m": [20.0, 50.0, 80.0], "y_m": [0.0, 0.0, 0.0], "heading_rad": [0.0, 0.0, 0.0]}
 REPLAY: dict[str, Any] = {
     "time_s": [0.0, 1.0, 2.0],
-    "line": [[0.0, 0.0, 0.0], [180.0, 0.0, 0.0]],
+    "line": [[0.0, 0.0, 0.0, 0.0], [180.0, 180.0, 0.0, 0.0]],
     "route": {"lanes": [STRIP], "edges": [STRIP["right"], STRIP["left"]], "markings": []},
     "beside": {"lanes": [], "edges": [], "markings": []},
     "ego": {

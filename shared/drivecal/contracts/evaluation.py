@@ -128,8 +128,8 @@ class ReplayEgo(Answer):
 class ReplayAnswer(Answer):
     """A drive on the roads of a network, in its coordinates.
 
-    `line`: rows of x, y (m) and heading (rad) along the route; `route`: its lanes where the vehicle drives; `beside`: other lanes near
-    them, such as ramps and the other carriageway, without their levels. `time_s`: equally spaced but for the last one.
+    `line`: rows of place along the route, x, y (m) and heading (rad); `route`: its lanes where the vehicle drives; `beside`: other lanes
+    near them, such as ramps and the other carriageway, without their levels. `time_s`: equally spaced but for the last one.
     """
 
     time_s: list[float]

@@ -22,7 +22,7 @@ export interface Vehicle {
 
 export interface Drive {
   time_s: readonly number[];
-  /** Rows of x, y and heading along the road. */
+  /** Rows of place along the road, x, y and heading. */
   line: readonly (readonly number[])[];
   /** What lies on the ground, the lowest first. */
   surfaces: readonly RoadSurface[];
@@ -42,7 +42,7 @@ export function driveOf(trace: Trace, scene: Scene): Drive {
   const { boundaries, reference_line } = scene.road;
   return {
     time_s: trace.time_s,
-    line: reference_line.map(([, x = 0, y = 0, heading = 0]) => [x, y, heading]),
+    line: reference_line,
     surfaces: [
       {
         lanes: boundaries.slice(1).map((left, index) => ({ right: boundaries[index] ?? [], left })),

@@ -47,8 +47,8 @@ export function poseAt(times: readonly number[], series: Record<string, number[]
   return { x: value("x_m"), y: value("y_m"), heading: headingAt(times, series["heading_rad"] ?? [], moment) };
 }
 
-/** A heading at a moment, by the shorter turn: headings jump by a whole turn. */
-function headingAt(times: readonly number[], headings: readonly number[], moment: number): number {
+/** A heading at a moment or place, by the shorter turn: headings jump by a whole turn. */
+export function headingAt(times: readonly number[], headings: readonly number[], moment: number): number {
   const before = lastBefore(times, moment);
   const [heading, next] = [headings[before], headings[before + 1]];
   if (heading === undefined || next === undefined) return at(times, headings, moment);

@@ -73,7 +73,7 @@ function network(origin: readonly [number, number], heading: number): ReplayAnsw
   };
   return {
     time_s: [0, 1, 2, 3],
-    line: [0, 100, 200, 300].map((along) => [...place(along, 0), heading]),
+    line: [0, 100, 200, 300].map((along) => [along, ...place(along, 0), heading]),
     route: {
       lanes: [{ right: line(-2), left: line(2) }, { right: line(2, 200), left: line(4.5, 200) }],
       edges: [line(-2), line(4.5, 200), [place(200, 2), place(250, 2), place(300, 2)]],
@@ -112,6 +112,13 @@ test("the picture is the same wherever the network lies and whichever way its ro
       });
     });
   }
+});
+
+test("on a road that crosses itself the view looks along the part that is driven", () => {
+  const drive = driveIn(network([0, 0], 0));
+  const across = [-40, -20, 0, 20, 40].map((y) => [1000 + y, 75, y, Math.PI / 2]);
+  const crossing = { ...drive, line: [...drive.line, ...across] };
+  expect(view(crossing, 0.5)).toEqual(view(drive, 0.5));
 });
 
 test("a vehicle is there from its first to its last time", () => {

@@ -2,7 +2,7 @@
 
 import { SERIES, onGround } from "./palette";
 import type { Drive, Vehicle } from "./drive";
-import { camera, planAt, poseAt, type Pose } from "./geometry";
+import { at, camera, headingAt, planAt, poseAt, type Pose } from "./geometry";
 
 type Point = readonly [number, number];
 
@@ -49,7 +49,8 @@ export function colours(dark: boolean, own?: string) {
 export function seen(drive: Drive, moment: number, width: number, colour: Colours): Shape[] {
   const scale = Math.max(SMALLEST, width / (AHEAD + BEHIND));
   const ego = poseAt(drive.ego.time_s, drive.ego.places, moment);
-  const turn = headingOfRoad(drive.line, ego);
+  // By its place along the road: where a road crosses itself, another part of it may be nearer.
+  const turn = headingAt(drive.line.map(([along = 0]) => along), drive.line.map((row) => row[3] ?? 0), at(drive.time_s, drive.along, moment));
   const look = camera(ego, scale, [width * (BEHIND / (AHEAD + BEHIND)), HEIGHT * 0.56], turn);
   const beyond = Math.max(BEYOND, BEYOND_METRES * scale);
   const visible = ([x, y]: Point): boolean => x > -beyond && x < width + beyond && y > -beyond && y < HEIGHT + beyond;
@@ -102,14 +103,14 @@ export function seen(drive: Drive, moment: number, width: number, colour: Colour
 
 /** The places of at least two neighbours that are there, as begin and end of slices. */
 function stretches(there: readonly boolean[]): [number, number][] {
-  const found: [number, number][] = [];
+  const slices: [number, number][] = [];
   for (let from = 0; from < there.length; ) {
     let to = from;
     while (there[to]) to++;
-    if (to - from > 1) found.push([from, to]);
+    if (to - from > 1) slices.push([from, to]);
     from = to + 1;
   }
-  return found;
+  return slices;
 }
 
 function length(points: readonly (readonly number[])[]): number {
@@ -122,21 +123,6 @@ function length(points: readonly (readonly number[])[]): number {
 /** A point of a car, ahead and to the right of its middle, where the car is turned. */
 function turned(x: number, y: number, ahead: number, right: number, angle: number): Point {
   return [x + ahead * Math.cos(angle) - right * Math.sin(angle), y + ahead * Math.sin(angle) + right * Math.cos(angle)];
-}
-
-/** The heading of the road where the ego vehicle is, between two rows of its line. */
-function headingOfRoad(line: Drive["line"], ego: Pose): number {
-  let best = 0;
-  let nearest = Infinity;
-  line.forEach(([x = 0, y = 0], index) => {
-    const distance = (x - ego.x) ** 2 + (y - ego.y) ** 2;
-    if (distance < nearest) [nearest, best] = [distance, index];
-  });
-  const [x = 0, y = 0, heading = 0] = line[best] ?? [];
-  const ahead = (ego.x - x) * Math.cos(heading) + (ego.y - y) * Math.sin(heading);
-  const [nextX = x, nextY = y, next = heading] = line[best + (ahead < 0 ? -1 : 1)] ?? [];
-  const step = Math.hypot(nextX - x, nextY - y);
-  return step === 0 ? heading : heading + Math.min(1, Math.abs(ahead) / step) * (next - heading);
 }
 
 export function paint(pen: CanvasRenderingContext2D, shapes: readonly Shape[]): void {

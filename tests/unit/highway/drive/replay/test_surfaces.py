@@ -104,7 +104,7 @@ def test_a_view_finds_points_on_each_stretch() -> None:
     surface = route_surface(road, whole(road))
     for line in [*surface.edges, *surface.markings, *(strip.right for strip in surface.lanes)]:
         assert np.hypot(*np.diff(np.array(line), axis=0).T).max() <= LONGEST
-    headings = np.array(line_of(road, whole(road)))[:, 2]
+    headings = np.array(line_of(road, whole(road)))[:, 3]
     assert np.abs(np.diff(headings)).max() < 0.1
 
 

@@ -99,10 +99,10 @@ def rows_between(corridor: Corridor, first: float, last: float) -> slice:
 
 
 def line_of(corridor: Corridor, rows: slice) -> list[list[float]]:
-    """Returns x, y and heading along the route."""
+    """Returns place, x, y and heading along the route."""
     line = corridor.line[rows]
     chosen = np.unique(np.r_[0 : len(line) : max(1, round(LINE_SPACING / corridor.line.item(1, 0))), len(line) - 1])
-    return np.column_stack([line[chosen, 1:3].round(DIGITS), line[chosen, 3].round(4)]).tolist()
+    return np.column_stack([line[chosen, :3].round(DIGITS), line[chosen, 3].round(4)]).tolist()
 
 
 def route_surface(corridor: Corridor, rows: slice) -> RoadSurface:
