@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import gzip
 import json
+import math
 import sys
 import tempfile
 import time
@@ -26,7 +27,7 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
-from drivecal.runtime import bundles
+from drivecal.runtime import bundles, results
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
@@ -283,6 +284,20 @@ def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: byt
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
     assert result.trace is not None
     assert json.loads(gzip.decompress(result.trace))["replay"] == REPLAY
+
+
+@pytest.mark.parametrize("cause", ["too large", "not finite"])
+def test_a_replay_that_cannot_be_kept_leaves_the_time_series(
+    cause: str, tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replay = ReplayAnswer.model_validate(REPLAY | ({"time_s": [math.nan]} if cause == "not finite" else {}))
+    if cause == "too large":
+        monkeypatch.setattr(results, "LARGEST_SERIES", 150)
+    works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=replay)}))
+    works.store(request_.bundle, archive)
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
+    assert result.trace is not None
+    assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
 def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:

@@ -255,11 +255,13 @@ def _refuse_other_parts(setup: BundleRequest) -> None:
 
 
 def _series(outcome: RunOutcome) -> bytes:
-    """Returns a run with its time series. Raises NoMeasuresError if they are too large or not finite."""
+    """Returns a run with its time series, without its replay if that alone is too large or not finite. Raises NoMeasuresError if the series
+    are."""
     series = {name: list(values) for name, values in outcome.series.items()}
     document: dict[str, Any] = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
     if outcome.replay is not None:
-        document["replay"] = outcome.replay.model_dump()
+        with suppress(ConflictError, ValueError):
+            return compressed(document | {"replay": outcome.replay.model_dump()})
     try:
         return compressed(document)
     except (ConflictError, ValueError) as error:

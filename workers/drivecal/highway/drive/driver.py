@@ -6,13 +6,20 @@ Runs as `python -I -B -m ... SETTINGS`, where SETTINGS is a file with the object
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from drivecal.adapters.driver import Evaluate, serve
+from drivecal.adapters.driver import Evaluate, described, serve
+from drivecal.adapters.pipes import LONGEST_LINE
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins import setups
+
+if TYPE_CHECKING:
+    from drivecal.contracts.evaluation import ReplayAnswer
+
+LONGEST_ID = 100
+"""Bytes in an answer's line for its id."""
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
@@ -88,11 +95,26 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
             answer["failure"] = outcome.failure
         if recorder is not None:
             answer["series"] = series(outcome.record, settings["series"])
-            replay = recorder.replay(outcome.record, scenario.ego.length, route, beside)
-            answer["replay"] = None if replay is None else replay.model_dump()
+            answer |= replay_beside(answer, lambda: recorder.replay(outcome.record, scenario.ego.length, route, beside))
         return answer
 
     return evaluate
+
+
+def replay_beside(answer: Mapping[str, Any], make: Callable[[], "ReplayAnswer | None"]) -> dict[str, Any]:
+    """Returns the replay of an answer with time series: null if it cannot be made, or if the answer's line would be too long with it.
+
+    `make` may raise ValueError (also of scipy and pydantic), IndexError and ArithmeticError on roads of unusual shapes. Other exceptions
+    are faults of drivecal, which the answer should name.
+    """
+    try:
+        replay = make()
+    except (ValueError, IndexError, ArithmeticError) as error:
+        print(f"the run has no replay: {described(error)}", file=sys.stderr, flush=True)  # noqa: T201  # the worker keeps it
+        return {"replay": None}
+    kept = {"replay": None if replay is None else replay.model_dump()}
+    is_short = len(json.dumps({**answer, **kept})) < LONGEST_LINE - LONGEST_ID
+    return kept if is_short else {"replay": None}
 
 
 def main() -> None:
