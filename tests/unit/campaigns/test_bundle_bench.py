@@ -67,7 +67,7 @@ def rated(score: str, measures: dict[str, float | None], failure: str | None = N
     ],
 )
 @pytest.mark.parametrize("example", ["python-function", "planner-highway"])
-def test_who_expects_certificates_of_a_bundle_is_told_that_there_are_none(
+def test_a_campaign_that_asks_for_certificates_of_a_bundle_has_a_note_that_there_are_none(
     example: str, reduction: dict[str, Any], is_noted: bool
 ) -> None:
     manifest = checked(yaml.safe_load((EXAMPLE.parents[1] / example / "problem.yaml").read_text()))
