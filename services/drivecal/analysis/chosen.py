@@ -100,6 +100,6 @@ def at_ends(subject: str, values: Mapping[str, float | str], ranges: Mapping[str
         and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
     ]
     if at_end:
-        lie = "lies at an end of its range" if len(at_end) == 1 else "lie at an end of their ranges"
+        lie = "lies at or near an end of its range" if len(at_end) == 1 else "lie at or near an end of their ranges"
         text = f"In {subject} {', '.join(at_end)} {lie}; a wider range may hold better sets."
         yield Reason(light="green", about="search", text=text)
