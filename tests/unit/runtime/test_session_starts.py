@@ -112,6 +112,33 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
     assert (answer.metrics, len(simulator.opened)) == ({"a": 3.0}, 2)
 
 
+@pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOSPC, "no disk")])
+def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
+) -> None:
+    class Once(ScriptedSession):
+        runs = 0
+
+        def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
+            self.runs += 1
+            if self.runs > 1:
+                raise fault
+            return super().evaluate(parameters, series=series)
+
+    class OnceSimulator(ScriptedSimulator):
+        def open(self, *arguments: Any) -> SimulatorSession:
+            super().open(*arguments)
+            return Once(self, "city")
+
+    simulator = OnceSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    answered = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}, check=True) for number in range(1, 4))))
+    assert [(answer.metrics, answer.repeats) for answer in answered.results] == [({"a": float(x)}, None) for x in range(1, 4)]
+    assert answered.refusal is None
+    assert (len(simulator.opened), len(simulator.closed)) == (3, 3), "the next cell begins with all checks"
+
+
 def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
     tmp_path: Path, archive: bytes, request_: BundleRequest
 ) -> None:

@@ -117,7 +117,7 @@ class BundleSessions:
             return CellResult(cell.id, None, None, {}, None, milliseconds, error.breakdown.value, str(error), contained=True)
         milliseconds = milliseconds_since(start) + 1000 * outcome.cpu_seconds
         wall_milliseconds = 1000 * (time.perf_counter() - began - outcome.start_seconds)
-        repeats, spent = self._repeated(session, parameters, outcome) if cell.check else (None, 0.0)
+        repeats, spent = self._repeated(setup, parameters, outcome) if cell.check else (None, 0.0)
         return CellResult(
             id=cell.id,
             rating=None,
@@ -131,13 +131,18 @@ class BundleSessions:
             wall_milliseconds=wall_milliseconds,
         )
 
-    def _repeated(self, session: SimulatorSession, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool, float]:
-        """Runs a cell again. Returns whether the outcome is the same, and the CPU time (ms)."""
+    def _repeated(self, setup: BundleRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
+        """Runs a cell again. Returns whether the outcome is the same, None if the simulator cannot start again, and the CPU time (ms)."""
         start = time.thread_time_ns()
         try:
-            again = session.evaluate(parameters)
+            again = self._sessions[setup.key].evaluate(parameters)
         except NoMeasuresError as error:
             return False, milliseconds_since(start) + 1000 * error.cpu_seconds
+        except (UnavailableError, OSError) as error:
+            # The first outcome counts all the same, or the cell would come back again and again. The next one begins with all checks.
+            log.warning("a run of %s cannot be repeated: %s", setup.problem, error)
+            self._drop(setup.key)
+            return None, milliseconds_since(start)
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
         return same, milliseconds_since(start) + 1000 * again.cpu_seconds
 
