@@ -86,7 +86,7 @@ class SimulatorSession(Protocol):
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
         """Runs one parameter set. `series`: report time series, too.
 
-        Raises NoMeasuresError without a result, and UnavailableError as `Simulator.open` if the simulator had to start again and could not.
+        Raises NoMeasuresError without a result, and UnavailableError if the simulator had to start again and could not.
         """
 
     def close(self) -> None:

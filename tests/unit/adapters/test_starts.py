@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import lost, served
+from tests.support.simulators import DECLARED, lost, opened, served, write_server
 
+from drivecal.adapters.children import Launch
+from drivecal.adapters.process import ProcessSession
+from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import UnsuitableError
@@ -18,13 +21,41 @@ def test_a_simulator_that_says_it_is_not_ready_cannot_be_opened(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("fields", "kind"),
-    [("", UnavailableError), (", unsuitable=False", UnavailableError), (", unsuitable=True", UnsuitableError)],
+    ("fields", "of_drivecal", "kind"),
+    [
+        ("", True, UnavailableError),
+        (", unsuitable=False", True, UnavailableError),
+        (", unsuitable=True", True, UnsuitableError),
+        (", unsuitable=True", False, UnavailableError),
+    ],
 )
-def test_a_start_says_whether_another_machine_may_run_it(tmp_path: Path, fields: str, kind: type[Exception]) -> None:
-    with pytest.raises(UnavailableError) as error, served(tmp_path, start=f"answer(error='no road'{fields})\nreturn"):
-        pass
+def test_a_start_of_drivecals_own_drivers_says_whether_another_machine_may_run_it(
+    tmp_path: Path, fields: str, of_drivecal: bool, kind: type[Exception]
+) -> None:
+    section = {"timeout": 60.0, "memory_mb": 1000}
+    launch = Launch.of(write_server(tmp_path, start=f"answer(error='no road'{fields})\nreturn"), section)
+    with pytest.raises(UnavailableError) as error:
+        ProcessSession(launch, Scratch(tmp_path), DECLARED, timeout=60.0, scenario="S", data={}, blames_files=of_drivecal)
     assert type(error.value) is kind
+
+
+def test_a_program_of_a_user_cannot_blame_its_files(tmp_path: Path) -> None:
+    start = "answer(error='no road', unsuitable=True)\nreturn"
+    with pytest.raises(UnavailableError) as error, served(tmp_path, start=start):
+        pass
+    assert type(error.value) is UnavailableError
+
+
+def test_files_that_have_run_are_not_blamed_by_a_new_child(tmp_path: Path) -> None:
+    model = tmp_path / "model.py"
+    model.write_text("import os\ndef evaluate(p, s):\n    if p['x'] == 1.0: os.abort()\n    return {'y': p['x']}\n")
+    with opened("python", tmp_path, file="model.py") as session:
+        assert session.evaluate({"x": 2.0}).measures == {"y": 2.0}
+        lost(session, {"x": 1.0}, Breakdown.CRASH)
+        model.write_text("def broken(")
+        with pytest.raises(UnavailableError, match="SyntaxError") as error:
+            session.evaluate({"x": 2.0})
+    assert type(error.value) is UnavailableError
 
 
 def test_a_new_child_that_says_it_is_not_ready_costs_no_run(tmp_path: Path) -> None:

@@ -46,5 +46,12 @@ class FmuAdapter:
         launch = Launch.of(driver_command("fmu_driver", settings), section)
         most_runs = MOST_RUNS if section.get("reset", True) else 1
         return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs
+            launch,
+            scratch,
+            declared,
+            timeout=section["timeout"],
+            scenario=scenario,
+            data={},
+            most_runs=most_runs,
+            blames_files=True,
         )

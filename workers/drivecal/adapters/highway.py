@@ -74,7 +74,15 @@ class HighwayAdapter:
         if not all(entry.get("reset", True) for entry in (controller, vehicle)):
             most_runs = 1
         return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data={}, most_runs=most_runs, replays=True
+            launch,
+            scratch,
+            declared,
+            timeout=section["timeout"],
+            scenario=scenario,
+            data={},
+            most_runs=most_runs,
+            replays=True,
+            blames_files=True,
         )
 
 

@@ -51,14 +51,17 @@ class ProcessSession:
         most_runs: float = math.inf,
         advice: str = "",
         replays: bool = False,
+        blames_files: bool = False,
     ) -> None:
-        """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready.
+        """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready, and
+        UnsuitableError if that error blames the problem's files.
 
         `most_runs`: number of runs after which another child is started. `advice`: what else may help if an answer is late. `replays`:
-        whether it reports replays beside time series.
+        whether it reports replays beside time series. `blames_files`: whether its errors may blame the problem's files, as those of
+        drivecal's own drivers.
         """
         self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
-        self._advice, self._replays = advice, replays
+        self._advice, self._replays, self._blames_files = advice, replays, blames_files
         self._children = Children(launch, scratch)
         self._pipes: Pipes | None = None
         self._number = self._runs = 0
@@ -141,7 +144,10 @@ class ProcessSession:
             self._pipes.stop(_QUIT, QUIT_SECONDS)
             self._pipes = None
         self._scratch.clear()
-        return self._start()
+        try:
+            return self._start()
+        except UnsuitableError as error:  # it has started with these files: they have changed, or this machine has
+            raise UnavailableError(str(error)) from None
 
     def _start(self) -> Pipes:
         self._pipes, self._runs = Pipes(self._children), 0
@@ -151,7 +157,7 @@ class ProcessSession:
                 self._pipes.ask(greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
             if answer.get("error") is not None:
-                kind = UnsuitableError if answer.get("unsuitable") is True else UnavailableError
+                kind = UnsuitableError if self._blames_files and answer.get("unsuitable") is True else UnavailableError
                 raise kind(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:
                 raise NoMeasuresError(Breakdown.ERROR, f'the first answer is not {{"ready": true}}: {answer!r:.200}')

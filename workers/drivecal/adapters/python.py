@@ -34,7 +34,9 @@ class PythonAdapter:
             "packages": str(scratch.folder / "packages"),
         }
         launch = Launch.of(driver_command("python_driver", settings), section)
-        return ProcessSession(launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data)
+        return ProcessSession(
+            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data, blames_files=True
+        )
 
 
 def driver_command(module: str, settings: Mapping[str, Any]) -> list[str]:
