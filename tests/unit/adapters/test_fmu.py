@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import pytest
 from tests.support.fmus import SECOND_DESCRIPTION, archive, build
 from tests.support.simulators import hung, lost, opened
 
 from drivecal.adapters import fmu
-from drivecal.adapters.fmu_driver import OutputStatistics
+from drivecal.adapters.driver import UnusableError, blames_files
+from drivecal.adapters.fmu_driver import Fmu, OutputStatistics
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, UnsuitableError
@@ -142,6 +144,27 @@ def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section:
         pass
     may_run_elsewhere = section.get("file") in {"windows.fmu", "broken.fmu"}
     assert type(error.value) is (UnavailableError if may_run_elsewhere else UnsuitableError)
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        (OSError("no file handles left"), OSError),
+        (MemoryError(), MemoryError),
+        (ImportError("no lxml"), ImportError),
+        (KeyError("fmiVersion"), UnusableError),
+    ],
+)
+def test_an_fmu_that_a_machine_cannot_read_is_not_blamed(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, kind: type[Exception]
+) -> None:
+    def unreadable(*_: Any, **__: Any) -> None:
+        raise fault
+
+    monkeypatch.setattr(fmpy, "read_model_description", unreadable)
+    with pytest.raises(kind) as error:
+        Fmu(folder / "trial2.fmu", tmp_path / "unpacked")
+    assert blames_files(error.value) is (kind is UnusableError)
 
 
 def described_anew(folder: Path, target: Path, old: str, new: str) -> None:

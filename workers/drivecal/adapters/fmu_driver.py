@@ -48,6 +48,8 @@ class Fmu:
 
         try:
             self.model = fmpy.read_model_description(str(file), validate=False)
+        except (ImportError, MemoryError, OSError):  # of the machine, not of the FMU
+            raise
         except Exception as error:
             raise UnusableError(f"FMPy cannot read the modelDescription.xml of {file.name}: {error}") from error
         if self.model.coSimulation is None:
