@@ -30,7 +30,6 @@ def behaviour_of(cell: Cell) -> Behaviour:
 class _Worker:
     place: int
     incarnation: int = 1
-    node: str = "here"
     queue: deque[tuple[int, Batch]] = field(default_factory=deque)
     alone: bool = False
     cells: int = 0
@@ -68,6 +67,8 @@ class FakeBackend:
     """Places whose workers refuse every setup, and why."""
     blaming: set[int] = field(default_factory=set)
     """Those of them that blame the problem's files."""
+    nodes: dict[int, str] = field(default_factory=dict)
+    """Nodes of places; "here" elsewhere."""
     replaced: list[tuple[str, str | None]] = field(default_factory=list)
     """Worker and fault of each replacement that was asked for."""
     tools: dict[int, str] = field(default_factory=dict)
@@ -108,7 +109,7 @@ class FakeBackend:
     def workers(self) -> list[WorkerInfo]:
         states = ["starting" if one.ready_at > self.now else "busy" if one.queue else "idle" for one in self._workers]
         return [
-            WorkerInfo(worker.name, worker.node, None, state, worker.cells)
+            WorkerInfo(worker.name, self.nodes.get(worker.place, "here"), None, state, worker.cells)
             for worker, state in zip(self._workers, states, strict=True)
         ]
 

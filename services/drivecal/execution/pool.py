@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
-from drivecal.contracts.work import BundleRequest, SetupKey
+from drivecal.contracts.work import BatchResult, BundleRequest, SetupKey
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.leasing import Leases
@@ -50,6 +50,8 @@ class WorkPool:
         self._ask_again_at: dict[tuple[str, SetupKey], float] = {}
         """Times from which busy workers are asked again, by worker and setup."""
         self._questions, self._disputes = Questions(clock), Disputes(clock)
+        self._nodes: dict[str, str] = {}
+        """Nodes of the ready workers when slots were last filled."""
         self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
@@ -68,7 +70,7 @@ class WorkPool:
         """Returns the reasons if no worker can run a problem of the campaign `tag`, or none has the tools that it began with, else None."""
         if not self._disputes.are_open:
             return None
-        return self._disputes.hopeless(self._scheduler.setups(tag), self._ready())
+        return self._disputes.hopeless(self._scheduler.setups(tag), self._nodes)
 
     def submit(self, *work: Work, tag: str, priority: int = 0) -> None:
         """Queues cells and sends as many as workers have room for. Higher priorities go first. `tag` names the cells for `withdraw`.
@@ -76,6 +78,7 @@ class WorkPool:
         Submit the setups of a generation together: with one after the other, all workers would take the first.
         Raises ValueError if a cell is in flight already, and UnavailableError if no cell can be leased: the cells then wait.
         """
+        self._forget_disputes()
         for cells in work:
             self._scheduler.add(cells, tag, priority)
         self._fill()
@@ -104,9 +107,9 @@ class WorkPool:
         if cells is not None:
             return self._scheduler.withdraw(tag, cells)
         self._questions.forget(tag)
-        if self._disputes.are_open:
-            self._disputes.forget(self._scheduler.setups(tag))
-        return self._scheduler.withdraw(tag)
+        running = self._scheduler.withdraw(tag)
+        self._forget_disputes()
+        return running
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
         """Returns the cells of `tag` that have not come back: do not submit these. A withdrawal no longer holds for those among `cells`."""
@@ -132,9 +135,7 @@ class WorkPool:
             return []
         if isinstance(event, Finished):
             if event.batch_id in self._sent:
-                setup = self._sent[event.batch_id].batch.setup
-                self._disputes.note(setup, event.result)
-                self._note_refusal(event.result.worker, setup.key, event.result.refusal, event.result.seconds)
+                self._note_answer(event.batch_id, event.result)
             finished = self._scheduler.finished(event.batch_id, event.result)
         else:
             finished = self._scheduler.lost(event.batch_id, event.worker, event.breakdown, event.detail, event.seconds)
@@ -156,6 +157,19 @@ class WorkPool:
             if cell not in completed:
                 self._returned[cell] = count + (cell in broken)
         self._returned |= self._scheduler.take_breakdowns()
+
+    def _note_answer(self, batch_id: int, result: BatchResult) -> None:
+        """Notes whether a worker refuses the setup of a batch that came back. After a withdrawal, a refusal says nothing about the next
+        campaign: its cause may be mended."""
+        setup = self._sent[batch_id].batch.setup
+        if result.refusal is None or self._scheduler.is_wanted(batch_id):
+            self._disputes.note(setup, result, self._nodes.get(result.worker, result.worker))
+        self._note_refusal(result.worker, setup.key, result.refusal, result.seconds)
+
+    def _forget_disputes(self) -> None:
+        """Drops the disputes of setups that no campaign waits for."""
+        if self._disputes.are_open:
+            self._disputes.keep(self._scheduler.setups())
 
     def _take_answer(self, event: Finished | Lost) -> None:
         if isinstance(event, Finished):
@@ -179,7 +193,7 @@ class WorkPool:
     def _fill(self) -> None:
         """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
-        ready = list(nodes)
+        ready, self._nodes = list(nodes), nodes
         self._scheduler.meet(ready, nodes)
         self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
         self._ask_again_at = {place: at for place, at in self._ask_again_at.items() if place[0] in nodes}
@@ -202,9 +216,6 @@ class WorkPool:
         for worker in idle:
             self._replace_if_needed(worker)
         self._ask_busy_again(idle)
-
-    def _ready(self) -> list[str]:
-        return [worker.id for worker in self._backend.workers() if worker.state != "starting"]
 
     def _lease(self, dispatches: Sequence[Dispatch]) -> list[Dispatch]:
         """Leases the cells of a round's dispatches at once and gives back due leases; returns the dispatches to send."""

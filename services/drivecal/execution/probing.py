@@ -1,7 +1,7 @@
 """Asks workers for the versions of tools outside of bundles (`probe`), and notes workers whose answers differ from a campaign's, or whose
 refusals say that no worker can run a setup. Pure."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey, SetupRequest
@@ -107,6 +107,8 @@ class _Dispute:
     """Time of the first other answer."""
     unsuitable: dict[str, str] = field(default_factory=dict)
     """Reasons of workers that blame the problem's files, by worker."""
+    nodes: set[str] = field(default_factory=set)
+    """Nodes of these workers."""
 
 
 class Disputes:
@@ -122,13 +124,12 @@ class Disputes:
         """Whether there are disputes."""
         return bool(self._open)
 
-    def forget(self, setups: Collection[SetupKey]) -> None:
-        """Drops setups that a campaign no longer waits for."""
-        for setup in setups:
-            self._open.pop(setup, None)
+    def keep(self, setups: Collection[SetupKey]) -> None:
+        """Drops all other setups: no campaign waits for them."""
+        self._open = {setup: dispute for setup, dispute in self._open.items() if setup in setups}
 
-    def note(self, setup: SetupRequest, result: BatchResult) -> None:
-        """Takes the result of a batch: a refusal, whatever its reason, or proof that a worker agrees."""
+    def note(self, setup: SetupRequest, result: BatchResult, node: str) -> None:
+        """Takes the result of a batch: a refusal, whatever its reason, or proof that a worker agrees. `node`: the worker's."""
         if not isinstance(setup, BundleRequest):
             return
         if result.refusal is None:
@@ -139,24 +140,26 @@ class Disputes:
         dispute = self._open.setdefault(setup.key, _Dispute())
         if result.unsuitable:
             dispute.unsuitable[result.worker] = f"no worker can run the scenario {setup.scenario}: {result.refusal}"
+            dispute.nodes.add(node)
         dispute.refusals[result.worker] = result.refusal
         if result.tools is not None:
             dispute.differing.add(result.worker)
             dispute.since = self._clock() if dispute.since is None else dispute.since
 
-    def hopeless(self, setups: Collection[SetupKey], ready: Collection[str]) -> str | None:
-        """Returns the reasons why none of the workers will run one of these setups, or None.
+    def hopeless(self, setups: Collection[SetupKey], ready: Mapping[str, str]) -> str | None:
+        """Returns the reasons why none of the workers will run one of these setups, or None. `ready`: nodes of the workers by name.
 
-        A second worker has to confirm that the problem's files are to blame, if there is one: the first may be damaged. A setup whose probe
-        breaks at all workers is waited for: a licence server or a mount may come back.
+        A second worker has to confirm that the problem's files are to blame, if there is one, and on a second node if there are several:
+        the first may be damaged. A setup whose probe breaks at all workers is waited for: a licence server or a mount may come back.
         """
+        workers, nodes = (min(WITNESSES, max(count, 1)) for count in (len(ready), len(set(ready.values()))))
         for setup in self._open.keys() & set(setups):
             dispute = self._open[setup]
-            if len(dispute.unsuitable) >= min(WITNESSES, max(len(ready), 1)):
+            if len(dispute.unsuitable) >= workers and len(dispute.nodes) >= nodes:
                 return "; ".join(dict.fromkeys(dispute.unsuitable.values()))
             if dispute.since is None or self._clock() < dispute.since + PATIENCE_WITH_ANSWERS:
                 continue
-            if dispute.differing & set(ready) and dispute.refusals.keys() >= set(ready):
+            if dispute.differing & ready.keys() and dispute.refusals.keys() >= ready.keys():
                 reasons = dict.fromkeys(dispute.refusals[worker] for worker in ready)
                 return "; ".join(list(reasons)[:MOST_REASONS])
         return None

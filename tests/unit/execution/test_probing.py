@@ -4,9 +4,10 @@ run a problem at all."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
-from tests.support.fake_backend import FakeBackend
+from tests.support.fake_backend import Behaviour, FakeBackend
 
 from drivecal.contracts.work import BundleRequest, Cell
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
@@ -213,10 +214,11 @@ def test_setups_without_tools_are_waited_for() -> None:
         assert pool.hopeless("a") is None
 
 
-@pytest.mark.parametrize("workers", [1, 2, 8])
-def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int) -> None:
+@pytest.mark.parametrize(("workers", "nodes"), [(1, 1), (2, 1), (8, 1), (2, 2), (8, 3)])
+def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int, nodes: int) -> None:
     places = range(1, workers + 1)
     backend = FakeBackend(workers, refusing=dict.fromkeys(places, "there is no lane e9_0"), blaming={*places})
+    backend.nodes = {place: f"node {place % nodes}" for place in places}
     pool = pool_on(backend)
     pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 100)]), tag="a")
     pool.submit(Work(replace(setup("1.0"), scenario="road"), [Cell(200, {"value": 1.0})]), tag="b")
@@ -248,3 +250,72 @@ def test_a_worker_whose_machine_cannot_say_does_not_keep_a_campaign_waiting_that
         pool.poll(1.0)
         assert backend.now < 3 * PATIENCE_WITH_REFUSALS
     assert reason.count("e9_0") == 1
+
+
+def test_a_single_machine_of_several_that_blames_a_problem_is_not_believed() -> None:
+    reasons = dict.fromkeys((1, 2), "FMPy cannot read its description")
+    backend = FakeBackend(3, refusing=reasons, blaming={1, 2}, nodes={3: "there"})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 500)]), tag="a")
+    workers = set()
+    while pool.held("a"):
+        workers |= {completed.worker for completed in pool.poll(1.0)}
+        assert pool.hopeless("a") is None
+    assert workers == {"worker-3"}
+
+
+class Staggered(FakeBackend):
+    """Each worker takes 0.1 s longer than the one before."""
+
+    def _begin(self, worker: Any) -> None:
+        self.overhead_seconds = 0.1 * worker.place
+        super()._begin(worker)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_late_refusals_of_a_campaign_do_not_count_against_the_next(at_once: bool) -> None:
+    places = range(1, 9)
+    backend = Staggered(8, refusing=dict.fromkeys(places, "there is no lane e9_0"), blaming={*places})
+    pool = pool_on(backend)
+    work = [Cell(number, {"value": float(number)}) for number in range(1, 100)]
+    pool.submit(Work(setup(), work), tag="a")
+    while pool.hopeless("a") is None:
+        pool.poll(0.1)
+    assert pool.withdraw("a") > 4
+    backend.refusing.clear()  # mended
+    while pool.held("a") and not at_once:
+        pool.poll(0.1)
+    assert not pool._disputes.are_open
+    pool.submit(Work(setup(), [replace(cell, id=1000 + cell.id) for cell in work]), tag="b")
+    completed = 0
+    while pool.held("b"):
+        assert pool.hopeless("b") is None
+        completed += sum(entry.tag == "b" for entry in pool.poll(0.1))
+        assert backend.now < 3 * PATIENCE_WITH_REFUSALS
+    assert completed == len(work)
+
+
+def test_a_blame_of_files_ends_with_the_campaign_that_it_delayed() -> None:
+    backend = FakeBackend(2, refusing={1: "there is no lane e9_0"}, blaming={1})
+    pool = pool_on(backend)
+    pool.submit(Work(setup(), [Cell(1, {"behaviour": Behaviour.CRASH})]), tag="a")
+    while pool.held("a"):
+        pool.poll(1.0)
+    backend.refusing, backend.blaming = {2: "there is no lane e9_0"}, {2}
+    pool.submit(Work(setup(), [Cell(2, {"value": 1.0})]), tag="b")
+    for _ in range(10):
+        pool.poll(1.0)
+    assert "2 workers refuse" in (pool.trouble() or "")
+    assert pool.hopeless("b") is None, "worker 1 was not asked for this campaign"
+
+
+def test_a_campaign_that_ends_leaves_the_blame_of_files_to_another_of_the_same_scenario() -> None:
+    backend = Staggered(8, refusing=dict.fromkeys(range(1, 9), "there is no lane e9_0"), blaming=set(range(1, 9)))
+    pool = pool_on(backend)
+    for index, tag in enumerate("ab"):
+        cells = [Cell(1000 * index + number, {"value": float(1000 * index + number)}) for number in range(100)]
+        pool.submit(Work(setup(), cells), tag=tag)
+    while pool.hopeless("a") is None:
+        pool.poll(0.1)
+    pool.withdraw("a")
+    assert pool.hopeless("b") is not None

@@ -115,6 +115,10 @@ class InFlightCells:
         """The claims of a campaign."""
         return self._by_tag.get(tag, {}).values()
 
+    def wanted(self) -> set[SetupKey]:
+        """Returns the setups with unanswered cells that no campaign dropped."""
+        return {claim.simulation.key for claim in self._claims.values() if not claim.withdrawn}
+
     def setups(self) -> Mapping[SetupKey, SetupRequest]:
         """Returns the setups with unanswered cells."""
         return {key: setup for key, (setup, _) in self._setups.items()}

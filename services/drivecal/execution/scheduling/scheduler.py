@@ -150,9 +150,8 @@ class Scheduler:
         self._put_back(self._sent.pop(batch_id))
 
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
-        """Forgets some cells of a dispatch that was not sent yet: they are neither completed nor held.
-        Identical cells that waited for them wait for themselves. Returns the dispatch of what is left, to be sent in place of the
-        first one; None if nothing is."""
+        """Forgets some cells of a dispatch that was not sent yet: they are neither completed nor held. Identical cells that waited for them
+        wait for themselves. Returns the dispatch of what is left, to be sent in place of the first one; None if nothing is."""
         sent = self._sent[batch_id]
         dropped = [claim for claim in sent.leaders if claim.cell.id in cells]
         sent.leaders = [claim for claim in sent.leaders if claim.cell.id not in cells]
@@ -166,14 +165,12 @@ class Scheduler:
         return None
 
     def take_breakdowns(self) -> dict[int, int]:
-        """The number of breakdowns, by id, of the outstanding cells for which it changed since the last call: to be written down, for
-        the scheduler that comes after this one (`add`)."""
+        """Returns the breakdowns of outstanding cells, by id, that changed since the last call: to be stored for the next scheduler."""
         changed, self._changed = self._changed, {}
         return changed
 
     def replacement(self, worker: str) -> Replacement | None:
-        """Whether an idle worker for which there is no batch is to be replaced: because it never has results, or because a cell broke
-        down at it and no other worker can try."""
+        """Returns how to replace an idle worker without a batch: it never has results, or no other can try a cell that broke down at it."""
         fault = self._worker_health.fault(worker)
         return Replacement(fault) if fault is not None or self._is_alone(worker) else None
 
@@ -227,6 +224,10 @@ class Scheduler:
                 completed += self._broke_down(leader, answer, result.worker, alone=sent.alone)
         return completed
 
+    def is_wanted(self, batch_id: int) -> bool:
+        """Whether a campaign that asked for a batch at a worker still waits for it."""
+        return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
+
     def note_refutation(self, batch_id: int, result: BatchResult) -> None:
         """Certifies no cell of the batch's setup from now on if a simulation contradicted a certificate. Call it for all batches that came
         back together before `finished`: answers by the refuted certificates are then simulated instead."""
@@ -251,8 +252,7 @@ class Scheduler:
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
     def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
-        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; these still complete unless
-        they are lost."""
+        """Drops the cells of `tag`, or only `cells` of them, that are at no worker. Returns how many are: these complete unless lost."""
         running = 0
         for claim in [claim for claim in self._in_flight.of(tag) if cells is None or claim.cell.id in cells]:
             if claim.simulation.leader is claim:
@@ -275,9 +275,9 @@ class Scheduler:
         """Cells of `tag` without an answer."""
         return len(self._in_flight.of(tag))
 
-    def setups(self, tag: str) -> set[SetupKey]:
-        """Setups of the cells of `tag` without an answer."""
-        return {claim.simulation.key for claim in self._in_flight.of(tag)}
+    def setups(self, tag: str | None = None) -> set[SetupKey]:
+        """Setups of the cells of `tag` without an answer, or of all cells that are not withdrawn."""
+        return self._in_flight.wanted() if tag is None else {claim.simulation.key for claim in self._in_flight.of(tag)}
 
     def _suspects_for(self, worker: str, line: Line) -> ClaimGroup | None:
         return next(
