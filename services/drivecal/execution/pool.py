@@ -164,7 +164,7 @@ class WorkPool:
         setup = self._sent[batch_id].batch.setup
         if result.refusal is None or self._scheduler.is_wanted(batch_id):
             self._disputes.note(setup, result, self._nodes.get(result.worker, result.worker))
-        self._note_refusal(result.worker, setup.key, result.refusal, result.seconds)
+        self._note_refusal(result.worker, setup.key, result.refusal, 0.0 if result.results else result.seconds)
 
     def _forget_disputes(self) -> None:
         """Drops the disputes of setups that no campaign waits for."""
@@ -180,7 +180,7 @@ class WorkPool:
             self._note_refusal(event.worker, None, event.detail)  # it may live
 
     def _note_refusal(self, worker: str, setup: SetupKey | None, reason: str | None, seconds: float = 0.0) -> None:
-        """Notes since when a worker refuses a setup, or that it does not. `seconds`: the worker's time for its answer."""
+        """Notes since when a worker refuses a setup, or that it does not. `seconds`: the worker's time for the refusal, 0 if unknown."""
         if reason is None:
             self._refusing_since.pop((worker, setup), None)
             return

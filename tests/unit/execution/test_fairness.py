@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
-from tests.support.plant import TARGET, Plant, answers, cells, ids, setup
+from tests.support.plant import TARGET, Plant, answers, cells, ids, send, setup
 
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts
@@ -135,6 +135,23 @@ def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:
             time["good"] += len(sent.batch.cells)
             scheduler.finished(sent.batch_id, answers(sent, float(len(sent.batch.cells))))
     assert time["hangs"] <= 240.0
+
+
+def test_a_campaign_whose_batches_end_in_refusals_pays_for_the_results_before_them() -> None:
+    scheduler = Scheduler(BatchPolicy())
+    scheduler.meet(["w"])
+    scheduler.add(Work(setup("S1"), cells(1000)), "refused", 0)
+    scheduler.add(Work(setup("S2"), cells(1000, first=1001)), "good", 0)
+    seconds = {"S1": 0.0, "S2": 0.0}
+    while seconds["S2"] < 10.0:
+        sent = send(scheduler, "w")
+        scenario, result = sent.batch.setup.scenario, answers(sent, 1.0)
+        seconds[scenario] += 1.0
+        if scenario == "S1":
+            result = replace(result, results=result.results[:1], refusal="no licence")
+        scheduler.finished(sent.batch_id, result)
+        scheduler.ask_again("w", setup("S1").key)
+    assert seconds["S1"] <= 11.0
 
 
 def test_a_worker_goes_on_with_the_setup_that_it_has_loaded() -> None:

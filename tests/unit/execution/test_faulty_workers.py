@@ -211,6 +211,30 @@ def test_busy_workers_lose_little_time_with_setups_that_they_refuse() -> None:
     assert asked[0] >= begin + 30 / SHARE_OF_REFUSALS - 60
 
 
+class Late(FakeBackend):
+    """Refuses S1 after a first result, which took long."""
+
+    def _end(self, worker: Any) -> list[Finished | Lost]:
+        batch = worker.queue[0][1]
+        events = super()._end(worker)
+        if batch.setup.scenario != "S1":
+            return events
+        [event] = [event for event in events if isinstance(event, Finished)]
+        return [replace(event, result=replace(event.result, seconds=60.0, refusal="no licence"))]
+
+
+def test_the_time_of_results_before_a_refusal_does_not_delay_the_next_try() -> None:
+    backend = Late(1, {"S2": 5.0})
+    pool = WorkPool(backend, clock=lambda: backend.now)
+    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=101)), tag="b")
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
+    while backend.now < 6 * PATIENCE_WITH_REFUSALS:
+        pool.poll(1.0)
+    asked = [when for when, scenario, _ in backend.sizes if scenario == "S1"]
+    assert len(asked) >= 4
+    assert backend.replaced == []
+
+
 def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(1, refusing={1: "it has version 2"})
     pool = WorkPool(backend, clock=lambda: backend.now)

@@ -200,7 +200,7 @@ class Scheduler:
             return []
         setup = sent.leaders[0].simulation.key
         self._worker_health.answered(result.worker, setup, result)
-        self._charge(sent, 0.0 if result.refusal is not None else result.seconds)
+        self._charge(sent, result.seconds if result.refusal is None or result.results else 0.0)
         answers = {answer.id: answer for answer in result.results}
         if result.refusal is not None:
             self._to_queue([leader for leader in sent.leaders if leader.cell.id not in answers])
