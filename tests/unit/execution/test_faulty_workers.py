@@ -227,11 +227,13 @@ def test_the_time_of_results_before_a_refusal_does_not_delay_the_next_try() -> N
     backend = Late(1, {"S2": 5.0})
     pool = WorkPool(backend, clock=lambda: backend.now)
     pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=101)), tag="b")
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
+    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a", priority=1)
     while backend.now < 6 * PATIENCE_WITH_REFUSALS:
         pool.poll(1.0)
+        assert backend.now < 20 or "no licence" in (pool.trouble() or ""), "the reason stays visible"
     asked = [when for when, scenario, _ in backend.sizes if scenario == "S1"]
     assert len(asked) >= 4
+    assert pool.held("a") <= 51 - len(asked), "each try brings a result"
     assert backend.replaced == []
 
 
