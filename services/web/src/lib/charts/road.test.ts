@@ -48,11 +48,11 @@ test("as an SVG it has the size of the view, and names cannot break it", () => {
   expect(written).not.toContain("NaN");
 });
 
-test("an ego vehicle beside another has its own colour, which its plan never has", () => {
+test("an ego vehicle beside another has a colour of its own, with its way and its plan", () => {
   for (const dark of [false, true]) {
     const cars = SERIES.slice(0, 2).map((own) => colours(dark, own));
     expect(new Set(cars.map(({ ego }) => ego)).size).toBe(2);
-    for (const { ego, way, plan } of cars) expect([way === ego, plan === ego]).toEqual([true, false]);
+    for (const { ego, way, plan } of cars) expect([way, plan]).toEqual([ego, ego]);
   }
   const drawn = seen(DRIVE, 0, 800, colours(false, SERIES[1]));
   expect(strokes(drawn, SERIES[1] ?? "").length).toBeGreaterThan(0);

@@ -1,6 +1,6 @@
 /** The road from above at a moment of a replay, as shapes: painted on a canvas many times a second, or written as an SVG once. */
 
-import { SERIES, onGround } from "./palette";
+import { onGround } from "./palette";
 import type { Drive, Vehicle } from "./drive";
 import { at, camera, headingAt, planAt, poseAt, type Pose } from "./geometry";
 
@@ -35,14 +35,14 @@ const SMALLEST = 4.6;
 const BEYOND = 1200;
 const BEYOND_METRES = 130;
 
-/** `own`: the colour of an ego vehicle that is shown beside others. The plan never has it. */
+/** `own`: the colour of an ego vehicle that is shown beside others. Its plan has it, too: another would be that of another vehicle. */
 export function colours(dark: boolean, own?: string) {
   const usual = dark
     ? { ground: "#14181d", road: "#2b323b", line: "#dfe5ec", mark: "#8b96a3", ego: "#4db5f5", plan: "#ffa96b", other: "#b9c2cc", glass: "#10151a", way: "#4db5f5", name: "#e8ebef" }
     : { ground: "#e9edf1", road: "#c9d0d8", line: "#ffffff", mark: "#ffffff", ego: "#0072b2", plan: "#d55e00", other: "#5d6874", glass: "#ffffff", way: "#0072b2", name: "#1b2129" };
   if (own === undefined) return usual;
   const ego = onGround(own, dark);
-  return { ...usual, ego, way: ego, plan: own === SERIES[1] ? (SERIES[2] as string) : usual.plan };
+  return { ...usual, ego, way: ego, plan: ego };
 }
 
 /** The picture at a moment, from the ground up; the view looks along the road at the ego vehicle. */
