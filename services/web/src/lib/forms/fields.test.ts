@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { BUILT_IN, aboutSection, choicesAt, helpAt } from "./fields";
+import { BUILT_IN, aboutSection, beginAt, choicesAt, helpAt } from "./fields";
 
 test("a field says what it is for, which names there are, and its limits", () => {
   expect(helpAt("optimizer.population", { type: "integer", minimum: 2, maximum: 100_000 })).toBe("Sets in each iteration. At least 2, at most 100,000.");
@@ -15,6 +15,10 @@ test("a form explains what predictions need", () => {
 test("names can be chosen wherever in a list a field stands", () => {
   expect(choicesAt(BUILT_IN, "optimizers[2].kind")).toContain("swarm");
   expect(choicesAt(BUILT_IN, "name")).toEqual([]);
+});
+
+test("a quantile begins with a share", () => {
+  expect([beginAt("objectives[2].aggregate"), beginAt("sensitivity.threshold")]).toEqual([{ quantile: 0.9 }, {}]);
 });
 
 test("a section is described without references to the paper", () => {

@@ -10,6 +10,7 @@ export type Choices = Readonly<Record<string, readonly string[]>>;
 
 /** Built-in plug-ins; the API lists the names of others only when it refuses one, so any name can be typed. */
 export const BUILT_IN: Choices = fields.names;
+const BEGINS: Readonly<Record<string, Readonly<Record<string, unknown>>>> = fields.begins;
 const HELP: Readonly<Record<string, string>> = fields.help;
 
 /** More scenarios are written, not ticked. */
@@ -26,6 +27,11 @@ export function goalChoices(shape: Pick<Shape, "goals" | "scenarios"> | null): C
 /** The names that can be chosen at a path. */
 export function choicesAt(choices: Choices, path: string): readonly string[] {
   return choices[path.replace(/\[\d+\]/g, "[]")] ?? [];
+}
+
+/** What an object begins with that is given instead of a choice. */
+export function beginAt(path: string): Readonly<Record<string, unknown>> {
+  return BEGINS[path.replace(/\[\d+\]/g, "[]")] ?? {};
 }
 
 /** From these numbers on a limit is one that few fields reach. */

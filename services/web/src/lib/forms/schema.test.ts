@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { Broken } from "../server/problems";
-import { changed, describe, differences, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
+import { changed, describe, differences, emptyText, insteadWith, listText, others, pairsText, withDefault, written, writtenList, writtenPairs, type Definitions } from "./schema";
 
 const DEFINITIONS: Definitions = {
   Search: { type: "object", properties: { kind: { enum: ["genetic", "random"] }, seed: { type: "integer", default: 1 } } },
@@ -54,6 +54,23 @@ test("a default may depend on what else is wanted", () => {
   expect(other["Search"]?.properties?.["seed"]).toEqual(DEFINITIONS["Search"]?.properties?.["seed"]);
   expect(DEFINITIONS["Search"]?.properties?.["kind"]?.default).toBeUndefined();
   expect(withDefault(DEFINITIONS, "Search", "none", 1)).toBe(DEFINITIONS);
+});
+
+test("an empty field says which default holds", () => {
+  const empty = (schema: object): string => emptyText(describe(schema, {}));
+  expect(empty({ type: "integer", default: 1000 })).toBe("1000 by default");
+  expect(empty({ type: "number", default: 0 })).toBe("0 by default");
+  expect(empty({ type: "array", items: { type: "integer" }, default: [1, 2] })).toBe("1, 2 by default");
+  expect(empty({ anyOf: [{ type: "number" }, { type: "null" }], default: 3 })).toBe("3 by default");
+  expect(empty({ anyOf: [{ type: "number" }, { type: "null" }] })).toBe("none");
+  expect(empty({ type: "number" })).toBe("needed");
+});
+
+test("a quantile without its share is not sent", () => {
+  const quantile = { properties: { quantile: { type: "number" } }, required: ["quantile"] };
+  expect(insteadWith(quantile, {}, "quantile", 0.5)).toEqual({ quantile: 0.5 });
+  expect(insteadWith(quantile, { quantile: 0.5 }, "quantile", undefined)["quantile"]).toBeInstanceOf(Broken);
+  expect(insteadWith({ properties: quantile.properties }, { quantile: 0.5 }, "quantile", undefined)).toEqual({});
 });
 
 test("what is written is JSON where it can be", () => {

@@ -13,6 +13,7 @@ export interface Schema {
   anyOf?: Schema[];
   oneOf?: Schema[];
   properties?: Record<string, Schema>;
+  required?: string[];
   additionalProperties?: boolean | Schema;
   items?: Schema;
   /** Of the first places, if they differ. */
@@ -95,6 +96,17 @@ export function withDefault(definitions: Definitions, model: string, property: s
   const known = definitions[model];
   if (!known?.properties?.[property]) return definitions;
   return { ...definitions, [model]: { ...known, properties: { ...known.properties, [property]: { ...known.properties[property], default: value } } } };
+}
+
+/** What an empty field says: the default that holds then, if it is one that can be written. */
+export function emptyText({ schema, optional }: Pick<Described, "schema" | "optional">): string {
+  const text = listText(schema.default);
+  return text !== "" ? `${text} by default` : optional ? "none" : schema.default === undefined ? "needed" : "default";
+}
+
+/** An object that is given instead of a choice, with one value changed. What it cannot do without is not left out: of the rest the API would only say that it is no choice. */
+export function insteadWith(instead: Schema, document: Readonly<Record<string, unknown>>, name: string, value: unknown): Record<string, unknown> {
+  return changed(document, name, value === undefined && instead.required?.includes(name) ? new Broken("", "it is empty", "give a number, or choose another") : value);
 }
 
 /** Words and numbers as people write them, `100, 200`; JSON for lists that hold anything else. One of the `choices` stands for itself, and
