@@ -169,5 +169,16 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
     assert under is not None
     assert above["y"] + above["height"] <= under["y"]
     page.get_by_label("population").fill("-3")
-    expect(bar).to_contain_text("optimizer.population")
+    expect(bar).to_contain_text("optimizer, population")
     expect(start).to_be_disabled()
+    page.get_by_label("population").fill("10")
+    upper = page.get_by_label("P2 to", exact=True)
+    upper.fill("1e9")
+    upper.blur()
+    expect(bar).to_contain_text("P2, to")
+    expect(upper).to_have_attribute("aria-invalid", "true")
+    page.evaluate("scrollTo(0, 0)")
+    bar.get_by_role("button", name="One fault at P2, to").click()
+    expect(upper).to_be_focused()
+    expect(upper).to_be_in_viewport(ratio=1)
+    assert too_wide(page) == []

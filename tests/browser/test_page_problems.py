@@ -225,7 +225,7 @@ def test_a_campaign_on_a_problem_is_submitted_without_json(heater: Heated, openi
     page.get_by_label("Weight of winter").fill("2")
     page.get_by_label("gain from").fill("3")
     page.get_by_label("gain from").blur()
-    expect(page.get_by_role("group", name="Parameters")).to_contain_text("gain upper")
+    expect(page.get_by_role("group", name="Parameters")).to_contain_text("gain, to: ")
     expect(page.get_by_role("button", name="Start it")).to_be_disabled()
     page.get_by_label("gain from").fill("0.25")
     page.get_by_label("rooms held at").fill("3")
@@ -256,7 +256,12 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     page.get_by_label("direction", exact=True).select_option("minimise")
     page.get_by_role("group", name="scenarios", exact=True).get_by_label("spring").uncheck()
     page.get_by_label("aggregate").select_option("quantile …")
-    page.get_by_label("quantile", exact=True).fill("0.9")
+    share = page.get_by_label("quantile", exact=True)
+    expect(share).to_have_value("0.9")
+    share.fill("")
+    expect(page.get_by_role("group", name="Start")).to_contain_text("objective 1, aggregate, quantile")
+    expect(page.get_by_text("is not one of the choices")).to_have_count(0)
+    share.fill("0.8")
     page.get_by_role("button", name="Add constraint").click()
     limit = page.get_by_role("group", name="constraint 1")
     limit.get_by_label("measure", exact=True).select_option("energy_kwh")
@@ -267,7 +272,7 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     with page.expect_request(lambda request: request.method == "POST" and '"at_most":9' in (request.post_data or "")) as asked:
         limit.get_by_label("at most").fill("9")
     goals: Any = asked.value.post_data_json
-    quantile = {"measure": "energy_kwh", "direction": "minimise", "scenarios": ["winter"], "aggregate": {"quantile": 0.9}}
+    quantile = {"measure": "energy_kwh", "direction": "minimise", "scenarios": ["winter"], "aggregate": {"quantile": 0.8}}
     assert goals["objectives"] == [quantile]
     assert goals["constraints"] == [
         {"measure": "energy_kwh", "aggregate": "mean", "weights": {"winter": 2, "spring": 0.5}, "at_most": 9}

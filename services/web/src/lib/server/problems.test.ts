@@ -12,7 +12,7 @@ test("each field says what is wrong with it and what would be right", () => {
   expect(at(PROBLEMS, "optimizer.population")).toEqual(["-3 is too small; give at least 2"]);
   expect(at(PROBLEMS, "optimizer", true)).toEqual([]);
   expect(at(PROBLEMS, "weights")).toEqual(["S9: there is no scenario S9"]);
-  expect(at(PROBLEMS, "parameters")).toEqual(["[0].lower: the value is missing; give it"]);
+  expect(at(PROBLEMS, "parameters")).toEqual(["1, lower: the value is missing; give it"]);
   expect(at(PROBLEMS, "weight")).toEqual([]);
 });
 

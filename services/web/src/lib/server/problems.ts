@@ -1,5 +1,6 @@
 /** What is wrong with a form: what the API says of its fields, and text that no value can be made of. */
 
+import { partName } from "../forms/faults";
 import type { FieldProblem } from "./types";
 
 /** Text in a field that no value can be made of; it is never sent. */
@@ -27,7 +28,7 @@ export function inside(problem: FieldProblem, path: string): boolean {
 
 /** The problems to show at the field of `path`: its own and, if it has no `fields`, those of anything inside it. */
 export function at(problems: readonly FieldProblem[], path: string, fields = false): string[] {
-  return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${problem.field.slice(path.length).replace(/^\./, "")}: ${said(problem)}`] : []));
+  return problems.flatMap((problem) => (problem.field === path ? [said(problem)] : !fields && inside(problem, path) ? [`${partName(problem.field.slice(path.length))}: ${said(problem)}`] : []));
 }
 
 /** The fields of a form with such text. */

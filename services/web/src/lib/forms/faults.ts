@@ -1,0 +1,70 @@
+/** Where in a form a fault stands, in the words of its labels. */
+
+import type { FieldProblem } from "../server/types";
+import fields from "./fields.json";
+
+type Wanted = Readonly<Record<string, unknown>>;
+
+/** A cell of the grid of parameters; without a column the whole row. */
+export interface GridPlace {
+  parameter: string;
+  column: "from" | "to" | "step" | "held at" | "baseline" | "";
+}
+
+const COLUMNS: Readonly<Record<string, GridPlace["column"]>> = { lower: "from", upper: "to", step: "step" };
+
+/** The place in the grid of parameters that a path is about; null for any other path. */
+export function gridPlace(path: string, wanted: Wanted): GridPlace | null {
+  const [, section, name = ""] = /^(fixed|baseline)\.(.+)$/.exec(path) ?? [];
+  if (section !== undefined) return { parameter: name, column: section === "fixed" ? "held at" : "baseline" };
+  const [, place, field = ""] = /^parameters\[(\d+)\](?:\.(\w+))?/.exec(path) ?? [];
+  const listed: unknown = place === undefined || !Array.isArray(wanted["parameters"]) ? undefined : wanted["parameters"][Number(place)];
+  const parameter = (listed as { name?: unknown } | null | undefined)?.name;
+  return typeof parameter === "string" ? { parameter, column: COLUMNS[field] ?? "" } : null;
+}
+
+/** Sections that hold names of a user. */
+const OWN: readonly string[] = ["weights", "parameters", "fixed", "baseline", "start_sets"];
+
+/** The name of a field as the form writes it: `P2, to`; `objective 1, aggregate`. */
+export function fieldName(path: string, wanted: Wanted = {}): string {
+  const place = gridPlace(path, wanted);
+  if (place) return [place.parameter, place.column].filter(Boolean).join(", ");
+  const weight = /^weights\.(.+)$/.exec(path);
+  if (weight) return `weight of ${weight[1] ?? ""}`;
+  const parts = path.split(".");
+  /** From here on names are those of a user. */
+  const own = parts.findIndex((_, at) => OWN.includes((parts[at - 1] ?? "").replace(/\[.*/, "")));
+  return parts.map((part, at) => (own >= 0 && at >= own ? part : part.replaceAll("_", " ")).replace(/^(.*?)s?((?:\[\d+\])+)$/, (_, name: string, places: string) => `${name} ${counted(places)}`)).join(", ");
+}
+
+/** Places in lists, counted from 1. */
+function counted(places: string): string {
+  return [...places.matchAll(/\d+/g)].map(([place]) => Number(place) + 1).join(", ");
+}
+
+/** What stands inside a field that is one text, in the words of that text: `[0].P1` is `1, P1`. */
+export function partName(rest: string): string {
+  return rest.replace(/^\./, "").replaceAll(/((?:\[\d+\])+)\.?(?=(.?))/g, (_, places: string, next: string) => `${counted(places)}${next && ", "}`);
+}
+
+/** The ids of what can be brought into sight for a fault, the nearest first. */
+export function placesOf(path: string, wanted: Wanted): string[] {
+  const place = gridPlace(path, wanted);
+  const around = path.split(/(?=[.[])/).map((_, at, parts) => `field-${parts.slice(0, parts.length - at).join("")}`);
+  return [...(place ? [gridId(place), gridId({ ...place, column: "" })] : []), ...around, ...(/^(fixed|baseline)\b/.test(path) ? ["field-parameters"] : path.startsWith("catalogue") ? ["field-weights"] : [])];
+}
+
+/** The id of a field of the grid, or of its row. */
+export function gridId({ parameter, column }: GridPlace): string {
+  return `grid-${parameter}${column && `-${column.replace(" ", "-")}`}`;
+}
+
+/** Names of fields that no label has as the API writes them. */
+const WRITTEN = new RegExp(`\\b(${[...new Set(Object.keys(fields.help).map((path) => path.split(".").at(-1) ?? ""))].filter((name) => name.includes("_")).join("|")})\\b`, "g");
+
+/** A fault in the words of the form: `give at least or at most`. */
+export function inWords(problem: FieldProblem): FieldProblem {
+  const said = (text: string): string => text.replaceAll(WRITTEN, (name) => name.replaceAll("_", " "));
+  return { ...problem, message: said(problem.message), remedy: said(problem.remedy) };
+}
