@@ -133,6 +133,7 @@ def test_rows_keep_their_names_when_a_table_is_scrolled_sideways(shown: Shown, o
         assert scrolled.evaluate("table => table.scrollLeft") > 100
         assert abs(name.evaluate("cell => cell.getBoundingClientRect().left") - left) < 25
         assert name.evaluate("cell => getComputedStyle(cell).backgroundColor") not in {"transparent", "rgba(0, 0, 0, 0)"}
+        expect(page.get_by_text(re.compile("^More columns lie to the left")).first).to_be_visible()
     assert too_wide(page) == []
 
 
