@@ -43,7 +43,7 @@ SMALL: dict[str, Any] = {
 }
 LONG = SMALL | {"name": "long", "optimizer": SMALL["optimizer"] | {"population": 20_000, "iterations": 100}, "priority": 0}
 SHARES = {"polling": 0.7, "trying": 0.2, "posting": 0.1}
-"""Of the requests at a time."""
+"""Shares of the kinds among the requests that are open at a time."""
 Figures = dict[str, dict[str, Any]]
 
 

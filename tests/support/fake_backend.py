@@ -66,7 +66,7 @@ class FakeBackend:
     refusing: dict[int, str] = field(default_factory=dict)
     """Places whose workers refuse every setup, and why."""
     blaming: set[int] = field(default_factory=set)
-    """Those of them that blame the problem's files."""
+    """Refusing workers that blame the problem's files."""
     nodes: dict[int, str] = field(default_factory=dict)
     """Nodes of places; "here" elsewhere."""
     replaced: list[tuple[str, str | None]] = field(default_factory=list)

@@ -231,8 +231,18 @@ def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int, node
     assert pool.hopeless("a") is None
 
 
-def test_a_single_worker_of_several_that_blames_a_problem_is_not_believed() -> None:
-    backend = FakeBackend(3, refusing={1: "there is no lane e9_0", 2: "no libsumo"}, blaming={1})
+@pytest.mark.parametrize(
+    ("refusing", "blaming", "nodes"),
+    [
+        ({1: "there is no lane e9_0", 2: "no libsumo"}, {1}, {}),
+        (dict.fromkeys((1, 2), "FMPy cannot read its description"), {1, 2}, {3: "there"}),
+    ],
+    ids=["worker", "machine"],
+)
+def test_one_worker_or_machine_of_several_that_blames_a_problem_is_not_believed(
+    refusing: dict[int, str], blaming: set[int], nodes: dict[int, str]
+) -> None:
+    backend = FakeBackend(3, refusing=refusing, blaming=blaming, nodes=nodes)
     pool = pool_on(backend)
     pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 500)]), tag="a")
     workers = set()
@@ -250,18 +260,6 @@ def test_a_worker_whose_machine_cannot_say_does_not_keep_a_campaign_waiting_that
         pool.poll(1.0)
         assert backend.now < 3 * PATIENCE_WITH_REFUSALS
     assert reason.count("e9_0") == 1
-
-
-def test_a_single_machine_of_several_that_blames_a_problem_is_not_believed() -> None:
-    reasons = dict.fromkeys((1, 2), "FMPy cannot read its description")
-    backend = FakeBackend(3, refusing=reasons, blaming={1, 2}, nodes={3: "there"})
-    pool = pool_on(backend)
-    pool.submit(Work(setup(), [Cell(number, {"value": float(number)}) for number in range(1, 500)]), tag="a")
-    workers = set()
-    while pool.held("a"):
-        workers |= {completed.worker for completed in pool.poll(1.0)}
-        assert pool.hopeless("a") is None
-    assert workers == {"worker-3"}
 
 
 class Staggered(FakeBackend):
