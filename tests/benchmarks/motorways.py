@@ -78,6 +78,7 @@ def measured(
         "folder": str(folder), "work": str(folder), "scratch": scratch, "scenario": "S", "data": dict(data), "kernels": None,
         "simulator": {"kind": "highway", "controller": CONTROLLERS[kind], "vehicle": vehicle or "single_track"},
         "measures": ["min_ttc_s"], "series": [], "sumo": setups.sumo(),
+        "changeable": None, "parameters": {},
     }  # fmt: skip
     with mock.patch.object(loop, "Loop", Kept):
         evaluate = driver.prepare(settings)

@@ -131,6 +131,20 @@ def test_the_follower_in_the_target_lane_makes_room() -> None:
     assert changes[last, 2] < stays[last, 2] - 0.5
 
 
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.id)
+def test_other_vehicles_see_their_own_lane_only(scenario: Scenario) -> None:
+    """They brake for no lane change that they only wish, as SUMO's model of lane changes makes them."""
+    stays = (scenario.task.start_lane * scenario.road.lane_width, 1.0, 0.0)
+    together = runner(scenario).trace(stays)
+    for lane in {vehicle.lane for vehicle in scenario.traffic} - {scenario.task.start_lane}:
+        column = tuple(vehicle for vehicle in scenario.traffic if vehicle.lane == lane)
+        apart = runner(replace(scenario, traffic=column)).trace(stays)
+        moments = min(len(together.times), len(apart.times))
+        assert moments > 20
+        for vehicle in column:
+            assert (together.neighbours[vehicle.id][:moments] == apart.neighbours[vehicle.id][:moments]).all(), vehicle.id
+
+
 def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
     first = {scenario.id: driven(scenario, *changes_lane(scenario)) for scenario in SCENARIOS}
     for scenario in [*SCENARIOS, *reversed(SCENARIOS)]:

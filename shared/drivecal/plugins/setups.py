@@ -8,7 +8,7 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import DrivenSetup
 from drivecal.plugins.ports import DrivingFunction, Vehicle
 
-CLOSED_LOOP = "2"
+CLOSED_LOOP = "3"
 """Version of the code that connects planner, vehicle and SUMO and measures the run (`drivecal.highway`).
 
 Increase it whenever a run may change by a bit; `tests/golden` detects such changes.

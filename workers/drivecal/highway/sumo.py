@@ -41,6 +41,8 @@ FREE, FREE_BUT_SAFE, MODEL = 0, 1, 31
 """Speed modes: the speed that is set, whatever happens; that speed, but no collision with a leader; the model's speed."""
 NO_LANE_CHANGES = 0
 """Lane change mode."""
+ABSENT = "authority"
+"""SUMO's class of police cars and the like, which no vehicle here has."""
 COLUMNS = 4
 """Cells of a vehicle in `read`."""
 MOST_MESSAGES = 3
@@ -70,14 +72,14 @@ class Start(NamedTuple):
 def options(network: str, route_file: str, step: float, seed: int) -> list[str]:
     """Returns the command line options that all simulations share. `step`: seconds.
 
-    SUMO only warns of collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
+    SUMO does not look for collisions and teleports no vehicles: drivecal checks the ego vehicle's collisions itself.
     """
     values = {
         "net-file": network,
         "route-files": route_file,
         "step-length": repr(step),
         "seed": str(seed),
-        "collision.action": "warn",
+        "collision.action": "none",
         "time-to-teleport": "-1",
         "no-step-log": "true",
         "no-warnings": "true",
@@ -151,6 +153,17 @@ def _shown(message: str) -> str:
 def is_current(load: int) -> bool:
     """Whether SUMO still runs as of this load: the process's other simulator may have loaded another network since."""
     return load == _current and bool(libsumo.isLoaded())
+
+
+def forbid_lane_changes() -> None:
+    """Forbids lane changes on all lanes; `moveTo` goes on to change them.
+
+    SUMO asks its lane change model for the wish of any vehicle that a lane allows to change, even if its lane change mode forbids all
+    changes: half of a step's time, and vehicles brake for wishes (decision 052).
+    """
+    for name in lane.getIDList():
+        for direction in (libsumo.LANECHANGE_LEFT, libsumo.LANECHANGE_RIGHT):
+            lane.setChangePermissions(name, [ABSENT], direction)
 
 
 def clear() -> None:

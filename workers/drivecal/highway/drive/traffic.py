@@ -112,6 +112,8 @@ class Traffic:
     def _load(self) -> None:
         """Starts SUMO, and gives lanes without a limit that of the scenario, as they have it in the corridor."""
         sumo.load(self._options)
+        if all(driver.lane_change == "none" for driver in self._drivers.values()):
+            sumo.forbid_lane_changes()
         limit = self._scenario.default_limit
         for lane in self._road.unlimited if limit is not None else ():
             sumo.lane.setMaxSpeed(lane, limit)

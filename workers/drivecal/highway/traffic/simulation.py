@@ -71,6 +71,7 @@ class Simulation:
             route_file.write_bytes(routes(scenario))
             try:
                 self._load = sumo.load(sumo.options(str(network), str(route_file), scenario.step, scenario.seed))
+                sumo.forbid_lane_changes()
             except SUMO_ERRORS as error:
                 raise SimulationError(f"SUMO cannot load scenario {scenario.id}: {error}") from error
         width, ego, traffic = scenario.road.lane_width, scenario.ego, scenario.traffic
@@ -89,7 +90,7 @@ class Simulation:
         self._start_cells = np.zeros((4, len(rows)))
         self._start_cells[SPEED] = [vehicle.speed for vehicle in traffic]
         self._start_cells[OFFSET] = self._start[:, 1]
-        self._start_cells[LANE] = [vehicle.lane for vehicle in traffic]  # no other vehicle changes lane: `reset` forbids it
+        self._start_cells[LANE] = [vehicle.lane for vehicle in traffic]  # no other vehicle changes lane: `load` forbids it
         self._start_cells[PLACE] = places[:-1]
         self._drifts = [
             (row, [vehicle.lane * width + offset for offset in drift_offsets(vehicle, scenario)])
@@ -132,9 +133,6 @@ class Simulation:
         try:
             sumo.clear()
             missing = sumo.place(self._starts)
-            for name in self._names:
-                if name not in missing:
-                    sumo.vehicle.setLaneChangeMode(name, sumo.NO_LANE_CHANGES)
         except SUMO_ERRORS as error:
             self._scenario = None
             raise SimulationError(f"SUMO cannot place the vehicles: {error}") from error
