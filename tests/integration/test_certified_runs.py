@@ -55,7 +55,7 @@ def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> 
         else:
             proved += 1
             assert simulated[answered.proven_by] == truth
-    assert proved >= 5
+    assert proved >= 3
 
 
 def test_a_check_simulates_and_compares() -> None:
