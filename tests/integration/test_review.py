@@ -18,6 +18,7 @@ from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.analysis.goals import EQUAL
+from drivecal.calibration_data import dcm
 from drivecal.client import Client
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -204,3 +205,42 @@ def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> No
         shown = collect(client, ended.several).robustness
     assert re.findall(r"degree of robustness</t[dh]><td[^>]*>([^<]+)<", sheet) == ["7"]
     assert [each.study.campaign for each in shown] == [made[CampaignState.SUCCEEDED]]
+
+
+def facts(content: bytes) -> dict[str, str]:
+    """Quality data of a DCM file."""
+    lines = (line[2:].partition(": ") for line in content.decode().splitlines() if line.startswith("* "))
+    return {name: text for name, _, text in lines}
+
+
+def test_a_set_is_a_file_for_calibration_tools_in_the_ranking_that_was_asked_for(ended: Ended) -> None:
+    with Client(ended.api.url) as client:
+        solution = client.solutions(ended.plain, "S1=4", 2).items[1]
+        known = facts(client.calibration_file(ended.plain, "dcm", 2, weights="S1=4", labels={"P1": "ACC_tGap_C"}))
+        assert known["rank"] == "2"
+        assert float(known["objective"]) == pytest.approx(solution.objective)
+        assert known["weights"].startswith("S1=4,")
+        content = client.calibration_file(ended.plain, "dcm", 2, weights="S1=4", labels={"P1": "ACC_tGap_C"})
+        read = {value.name: value.value for value in dcm.read(content, "set.dcm").characteristics}
+        assert read["ACC_tGap_C"] == solution.parameters["P1"]
+        assert set(read) - {"ACC_tGap_C"} == set(solution.parameters) - {"P1"}
+
+        summary = client.front_summary(ended.several)
+        of_front = facts(client.calibration_file(ended.several, "dcm", front=1, everything=True))
+        assert of_front["rank on the front"] == "1"
+        assert {f"objective {goal.name}" for goal in summary.objectives} <= set(of_front)
+        assert facts(client.calibration_file(ended.several, "dcm")) == facts(
+            client.calibration_file(ended.several, "dcm", front=1)
+        )
+        baseline = next(row for row in client.rows(ended.several, "solutions", weights="S1=4") if row["parameters"] == BASELINE)
+        told = facts(client.calibration_file(ended.several, "dcm", 1, weights="S1=4"))
+        assert float(told["objective of the baseline"]) == pytest.approx(baseline["objective"])
+        assert client.calibration_file(ended.plain, "csv").decode().startswith("name,value,unit,")
+        for wrong in ({"rank": 1, "front": 1}, {"rank": 999}, {"front": 1, "score": "x"}, {"rank": 1, "everything": True}):
+            with pytest.raises(InvalidInputError):
+                client.calibration_file(ended.plain, "cdfx", **wrong)
+        for labels in ({"P99": "a"}, {"P1": "two words"}, {"P1": "a", "P2": "a"}):
+            with pytest.raises(InvalidInputError):
+                client.calibration_file(ended.plain, "dcm", labels=labels)
+        with pytest.raises(NotFoundError):
+            client.calibration_file("0" * 32, "dcm")

@@ -12,6 +12,7 @@ import httpx
 from pydantic import RootModel, ValidationError
 
 from drivecal.client.answers import harmless, raise_for, unreachable
+from drivecal.client.chosen_sets import ChosenSets
 from drivecal.client.documents import Document, plain, weights_text
 from drivecal.client.event_stream import EventParser, ServerSentEvent
 from drivecal.client.following import READ_SECONDS, Following, Sent, Told
@@ -53,7 +54,7 @@ Action = Literal["pause", "resume", "cancel"]
 Table = Literal[TableName, "front/evaluated"]
 
 
-class Client(CampaignLists):
+class Client(CampaignLists, ChosenSets):
     """A client of the server at `url`.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
@@ -316,17 +317,6 @@ class Client(CampaignLists):
         """Returns the light of a campaign's result, or of the set at a `place`, its iteration and individual, and the reasons for it."""
         iteration, individual = (None, None) if place is None else place
         return self._get(TrustAnswer, "campaigns", identifier, "trust", iteration=iteration, individual=individual)
-
-    def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
-        """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the
-        front if there are several objectives. `against`: another set beside it, a rank, a campaign's id, or `ID:RANK`."""
-        place = ("campaigns", identifier, "review")
-        if against is not None:
-            other, *other_rank = against.split(":", 1)
-            against = other if other.isdecimal() and not other_rank else ":".join([self.full_id(other), *other_rank])
-        response = self._request("GET", place, query={"set": rank, "front": front, "against": against})
-        raise_for(response, *named(place))
-        return response.text
 
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""

@@ -8,7 +8,7 @@ import warnings
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 import mdfreader
 import numpy as np
@@ -17,11 +17,13 @@ from asammdf import MDF
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.command import command
-from tests.unit.cli.test_calibration_file import BEST, Campaigns
+from tests.unit.calibration_data.test_chosen import BEST, Data
 
 from drivecal.cli.commands import evaluate, results
 from drivecal.cli.views.measurements import RecordedScenario, measurement
+from drivecal.contracts.campaign import Campaign, Page
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
+from drivecal.contracts.tables import Solution
 
 BEGUN = datetime(2026, 11, 22, 1, 2, 3, tzinfo=UTC)
 DRIVEN = TraceAnswer(
@@ -94,8 +96,23 @@ def test_values_keep_their_bits(values: list[float]) -> None:
     assert np.array(read).tobytes() == np.array(values).tobytes()
 
 
-class Traced(Campaigns):
-    """A client that also has the time series of the set's runs."""
+class Traced:
+    """A client of one campaign with the time series of its best set's runs."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def full_id(self, identifier: str) -> str:
+        return identifier
+
+    def campaign(self, identifier: str) -> Campaign:
+        return Data().campaign().model_copy(update={"id": identifier})
+
+    def solutions(self, _: str, weights: None, limit: int, score: None) -> Page[Solution]:
+        return Page[Solution](items=Data().ranked(weights, score)[:limit])
 
     def cell(self, _: str, iteration: int, individual: int, scenario: str) -> int:
         return {(0, 1, "follow"): 7, (0, 1, "brake"): 8}[iteration, individual, scenario]

@@ -1,1 +1,1 @@
-"""The review sheet: its route, and its data from the functions behind the other answers."""
+"""A chosen set as a file: its review sheet and its calibration file, from the functions behind the other answers."""

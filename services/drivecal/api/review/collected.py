@@ -1,8 +1,10 @@
-"""The data of a review sheet, from the functions behind the other answers."""
+"""The data of a review sheet, from the functions behind the other answers, and what a calibration file needs of them."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import TypeVar
 from urllib.parse import urlencode
 
 from drivecal.api.responses import ROOT, calibration, campaign_answer
@@ -23,6 +25,8 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
+
+Ranked = TypeVar("Ranked", Solution, FrontRow)
 
 LARGEST_RANK = 10**6
 _AGAINST = re.compile(r"(?:(?P<campaign>[0-9A-Za-z-]{8,64})(?::(?P<rank>[1-9][0-9]{0,5}))?|(?P<own>[1-9][0-9]{0,5}))")
@@ -72,15 +76,12 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
     several = len(front.goals.objectives) > 1
     table: RankedIn = choice.table or ("front" if several else "solutions")
     rows = front_table(database, stored, front) if several or table == "front" else ()
-    chosen: Solution | FrontRow | None
+    chosen: Solution | FrontRow
     if table == "front":
-        chosen = next((row for row in rows if row.rank == choice.rank), None)
+        chosen = of_rank(rows, choice, stored.id, table)
     else:
         ranked = ranking(database, stored, resolved, None)
-        chosen = next(iter(ranked.solutions(choice.rank - 1, choice.rank)), None)
-    if chosen is None:
-        remedy = f"drivecal {table} {stored.id} lists those that it has"
-        raise InvalidInputError(Problem(choice.field, f"campaign {stored.id} has no set of rank {choice.rank}", remedy))
+        chosen = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
     made = background.list_studies(stored.id, database).items
     baseline = baseline_of(database, stored, front)
     place = (chosen.iteration or 0, chosen.individual or 0)  # both are known: no set of another campaign is among them
@@ -94,9 +95,18 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
         summary=summary(front, baseline),
         trust=background.trust_in(database, stored.id, front, in_question),
         front=rows if several else (),
-        robustness=_studied(database, made, "robustness", RobustnessRow),
-        validation=_studied(database, made, "validation", ValidationRow),
+        robustness=studied_by(database, made, "robustness", RobustnessRow),
+        validation=studied_by(database, made, "validation", ValidationRow),
     )
+
+
+def of_rank(listed: Sequence[Ranked], choice: Choice, campaign: str, table: RankedIn) -> Ranked:
+    """Returns the row of the choice's rank. Raises InvalidInputError if there is none."""
+    for row in listed:
+        if row.rank == choice.rank:
+            return row
+    remedy = f"drivecal {table} {campaign} lists those that it has"
+    raise InvalidInputError(Problem(choice.field, f"campaign {campaign} has no set of rank {choice.rank}", remedy))
 
 
 def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontRow) -> dict[str, ScoreOrigin]:
@@ -121,7 +131,8 @@ def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontR
     return cells
 
 
-def _studied(database: Database, made: list[Study], stage: StudyName, model: type[Row]) -> list[Studied[Row]]:
+def studied_by(database: Database, made: list[Study], stage: StudyName, model: type[Row]) -> list[Studied[Row]]:
+    """Returns the rows of those studies that succeeded, each with its study."""
     studied = []
     for study in made:
         if study.stage == stage and study.state == CampaignState.SUCCEEDED:

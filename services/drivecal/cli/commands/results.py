@@ -10,8 +10,7 @@ from typing import Annotated, Any, BinaryIO, Literal, TypeVar, cast, get_args
 
 import typer
 
-from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
-from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
+from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, tell
 from drivecal.cli.commands.calibration_data import NamesOption
 from drivecal.cli.commands.evaluate import trace_of, units_of
@@ -21,10 +20,8 @@ from drivecal.cli.views.output import dumped, print_answer, print_json, print_so
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments, value_text
-from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import HIGHWAY
-from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, TableName
-from drivecal.domain.campaigns import CampaignState
+from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
@@ -199,33 +196,11 @@ def _calibration_file(
     if form not in get_args(CalibrationFormat):
         raise InvalidInputError(Problem("--format", f"{form} holds no single set", "give dcm, cdfx or csv"))
     _refuse_unranked(table, query)
-    setup = client.setup(identifier)
-    labels = {} if names is None else labels_of(read_document(names), [parameter.name for parameter in setup.parameters])
-    weights, score = query.get("weights"), query.get("score")
-    given = None if weights is None else assignments(weights.split(","), "--weights")
-    campaign = client.campaign(identifier)
-    robustness = _examined(client, campaign)
-    chosen = _chosen(client, identifier, table, row, query)
-    if isinstance(chosen, FrontRow):
-        summary = client.front_summary(identifier, weights, everything="everything" in query)
-        figures = front_figures(campaign, chosen, summary, robustness, given)
-    else:
-        own = weights is None and score is None
-        ranked_by = None if own else RankedBy(score, given, _baseline(client, campaign, weights, score))
-        figures = solution_figures(campaign, setup, chosen, robustness, ranked_by)
-    characteristics = characteristics_of(chosen.parameters, setup.parameters, labels)
-    deserved = None
-    if "trust" in campaign.links and chosen.iteration is not None and chosen.individual is not None:
-        deserved = client.trust(campaign.id, (chosen.iteration, chosen.individual))
-    quality = quality_of(campaign, setup, chosen, deserved, figures)
-    return write(cast("CalibrationFormat", form), characteristics, quality)
-
-
-def _examined(client: Client, campaign: Campaign) -> list[RobustnessRow]:
-    """Returns the sets that robustness studies examined in the campaign's vehicle, those of the newest study first."""
-    ended = (study for study in client.studies(campaign.id).items if study.state == CampaignState.SUCCEEDED)
-    studies = (study for study in ended if study.stage == "robustness" and study.in_own_vehicle)
-    return [row for study in studies for row in client.robustness(study.campaign)]
+    labels = {} if names is None else labels_of(read_document(names))
+    rank, front = (None, row) if table == "front" else (row, None)
+    weights, score, everything = query.get("weights"), query.get("score"), "everything" in query
+    kind = cast("CalibrationFormat", form)
+    return client.calibration_file(identifier, kind, rank, front, weights, score, labels, everything=everything)
 
 
 def _refuse_unranked(table: TableName, query: Mapping[str, Any]) -> None:
@@ -269,14 +244,6 @@ def _of_rank(rows: Sequence[Ranked], rank: int, table: TableName) -> Ranked:
             return row
     remedy = f"see drivecal {table} for those it has"
     raise InvalidInputError(Problem("--row", f"the campaign has no set of rank {rank}", remedy))
-
-
-def _baseline(client: Client, campaign: Campaign, weights: str | None, score: str | None) -> float | None:
-    """Returns the baseline's objective in another ranking than the campaign's, None if it has none there."""
-    if campaign.baseline is None:
-        return None
-    ranked = client.rows(campaign.id, "solutions", weights=weights, score=score)
-    return next((row["objective"] for row in ranked if row["parameters"] == campaign.baseline.parameters), None)
 
 
 def _pieces(client: Client, identifier: str, table: TableName, form: Format, query: Mapping[str, Any]) -> Iterator[bytes]:

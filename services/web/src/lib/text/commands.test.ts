@@ -1,5 +1,5 @@
 import { expect, test, vi } from "vitest";
-import { copied, postCommands, pythonOf, setCommand, tableCommands, tradeOffCommands } from "./commands";
+import { calibrationFile, copied, postCommands, pythonOf, tableCommands, tradeOffCommands } from "./commands";
 
 test("values are written as Python writes them", () => {
   expect(pythonOf({ a: null, b: [true, 1.5, "x\"y"], c: {} })).toBe('{"a": None, "b": [True, 1.5, "x\\"y"], "c": {}}');
@@ -53,5 +53,5 @@ test("a front of everything that is stored is a flag of the command line and a t
   expect(cli).toBe("drivecal front 01234567 --between 3,12 --everything");
   expect(python).toContain('client.trade_off("0123456789abcdef", 3, 12, everything=True)');
   expect(curl).toBe("curl -s 'http://host/api/v1/campaigns/0123456789abcdef/front/trade-off?first=3&second=12&everything=true'");
-  expect(setCommand("0123456789abcdef", 12, "dcm", {})).toBe("drivecal export 01234567 --table front --row 12 --format dcm -o set-12.dcm");
+  expect(calibrationFile("0123456789abcdef", "dcm", { front: "12", weights: "a=1,b=2" })).toBe("/api/v1/campaigns/0123456789abcdef/calibration-file?front=12&weights=a%3D1%2Cb%3D2&format=dcm");
 });

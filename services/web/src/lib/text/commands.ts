@@ -31,9 +31,9 @@ export function tradeOffCommands(origin: string, id: string, first: number, seco
   };
 }
 
-/** The command that writes a set of the front for calibration tools. */
-export function setCommand(id: string, rank: number, format: string, query: Readonly<Record<string, string>>): string {
-  return [`drivecal export ${id.slice(0, 8)} --table front --row ${rank} --format ${format}`, ...options(query), `-o set-${rank}.${format}`].join(" ");
+/** The address of a set as a file for calibration tools; without a rank the best one. */
+export function calibrationFile(id: string, format: string, set: Readonly<Record<string, string>> = {}): string {
+  return `/api/v1/campaigns/${id}/calibration-file?${new URLSearchParams({ ...set, format })}`;
 }
 
 /** Options of the command line; what is true needs no value. */

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Self
+from collections.abc import Mapping
+from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from drivecal.calibration_data import cdfx, dcm
-from drivecal.cli.commands import results
-from drivecal.cli.main import app
-from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Page, Study, StudyPage
+from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
+from drivecal.calibration_data.files import CalibrationFormat, write
+from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective
 from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Light, Reason, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import Direction, Scale
 
+Weights = Mapping[str, float] | None
+FORMS: tuple[CalibrationFormat, ...] = ("dcm", "cdfx")
 DISCOMFORT = Scale("discomfort", Direction.MINIMISE, lower=0.0, upper=20.0, tolerance=0.5, failed=20.0)
 BASELINE = {"P1": 1.0, "mode": "eco"}
 BEST = {"P1": 2.0, "mode": "sport"}
@@ -26,26 +27,17 @@ SCORES = {  # of the best set and the baseline, under each score
 }
 
 
-class Campaigns:
-    """A client of one campaign; `baseline_ranked`: whether its baseline has a value of every score."""
+class Data:
+    """What is known of a campaign; `baseline_ranked`: whether its baseline has a value of every score."""
 
     def __init__(
         self, objective: FirstObjective | None = None, *, baseline_ranked: bool = True, light: Light | None = None
     ) -> None:
         self.objective, self.baseline_ranked, self.light = objective, baseline_ranked, light
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def full_id(self, identifier: str) -> str:
-        return identifier
-
-    def campaign(self, identifier: str) -> Campaign:
+    def campaign(self) -> Campaign:
         return Campaign(
-            id=identifier,
+            id="0" * 32,
             name="acc",
             state="succeeded",
             scale=DISCOMFORT,
@@ -53,19 +45,18 @@ class Campaigns:
             baseline=Baseline(objective=8.5, parameters=BASELINE, scores=SCORES[None][1]),
             error_rate={"brake": ErrorRate(upper_95=0.01)},
             spec={"problem": "acc"},
-            links={} if self.light is None else {"trust": "/trust"},
         )
 
-    def trust(self, _: str, place: tuple[int, int]) -> TrustAnswer:
-        assert place == (0, 1)
-        assert self.light is not None
+    def trust(self) -> TrustAnswer | None:
+        if self.light is None:
+            return None
         reasons = [
             Reason(light=self.light, about="end", text="Worst."),
             Reason(light="green", about="baseline", text="Better."),
         ]
         return TrustAnswer(light=self.light, reasons=reasons)
 
-    def setup(self, _: str) -> CampaignSetup:
+    def setup(self) -> CampaignSetup:
         mode = {"kind": "choice", "choices": ["eco", "sport"]}
         return CampaignSetup(
             evaluator="acc 1",
@@ -77,17 +68,7 @@ class Campaigns:
             scenarios=[ScenarioSetup(scenario=name, weight=0.5, fingerprint="f") for name in ("follow", "brake")],
         )
 
-    def studies(self, _: str) -> StudyPage:
-        study: dict[str, Any] = {"name": "s", "stage": "robustness", "settings": {}, "ended_at": None}
-        listed = [
-            Study(campaign="running", state="running", **study),
-            Study(campaign="another vehicle", state="succeeded", in_own_vehicle=False, **study),
-            Study(campaign="newest", state="succeeded", **study),
-        ]
-        return StudyPage(items=listed)
-
-    def robustness(self, campaign: str) -> list[RobustnessRow]:
-        assert campaign == "newest"
+    def robustness(self) -> list[RobustnessRow]:
         best = SCORES[None][0]
         row: dict[str, Any] = {
             "objective": 3.0,
@@ -100,15 +81,7 @@ class Campaigns:
         }
         return [RobustnessRow(rank=1, degree=7, recommended=True, reason="", scores=best, parameters=BEST, **row)]
 
-    def solutions(self, _: str, weights: str | None = None, limit: int = 20, score: str | None = None) -> Page[Solution]:
-        return Page[Solution](items=self._ranked(weights, score)[:limit])
-
-    def rows(self, _: str, table: str, **query: Any) -> Iterator[dict[str, Any]]:
-        assert table == "solutions"
-        ranked = self._ranked(query.get("weights"), query.get("score"))
-        yield from (solution.model_dump() for solution in ranked[: 2 if self.baseline_ranked else 1])
-
-    def _ranked(self, weights: str | None, score: str | None) -> list[Solution]:
+    def ranked(self, weights: Weights, score: str | None) -> list[Solution]:
         shares = {"follow": 0.5, "brake": 0.5} if weights is None else {"follow": 0.2, "brake": 0.8}
         return [
             Solution(
@@ -125,30 +98,26 @@ class Campaigns:
             )
         ]
 
-    def front(self, _: str, weights: str | None = None, *, everything: bool = False) -> list[FrontRow]:
-        assert not everything
-        return [
-            FrontRow(
-                rank=1,
-                objectives={"discomfort": 3.0, "jerk": 0.5},
-                weighted=None if weights is None else 0.75,
-                violation=0.0,
-                knee=True,
-                best_in=["discomfort"],
-                wins=0.6,
-                weights=None,
-                alternatives=1,
-                degree=7,
-                scores=SCORES[None][0],
-                reused=[],
-                parameters=BEST,
-                iteration=0,
-                individual=0,
-            )
-        ]
+    def front(self, weights: Weights) -> FrontRow:
+        return FrontRow(
+            rank=1,
+            objectives={"discomfort": 3.0, "jerk": 0.5},
+            weighted=None if weights is None else 0.75,
+            violation=0.0,
+            knee=True,
+            best_in=["discomfort"],
+            wins=0.6,
+            weights=None,
+            alternatives=1,
+            degree=7,
+            scores=SCORES[None][0],
+            reused=[],
+            parameters=BEST,
+            iteration=0,
+            individual=0,
+        )
 
-    def front_summary(self, _: str, __: str | None = None, *, everything: bool = False) -> FrontSummary:
-        assert not everything
+    def front_summary(self) -> FrontSummary:
         common = {"scenarios": {"follow": 0.5, "brake": 0.5}, "tolerance": 0.0, "reference": 20.0, "best": 1.0, "worst": 2.0}
         return FrontSummary(
             objectives=[
@@ -167,21 +136,32 @@ class Campaigns:
         )
 
 
-def exported(monkeypatch: pytest.MonkeyPatch, client: Campaigns, *options: str, table: str = "solutions") -> dict[str, str]:
+def written(
+    data: Data, form: CalibrationFormat, *, weights: Weights = None, score: str | None = None, table: str = "solutions"
+) -> bytes:
+    chosen: Solution | FrontRow
+    if table == "front":
+        chosen = data.front(weights)
+        figures = front_figures(data.campaign(), chosen, data.front_summary(), data.robustness(), weights)
+    else:
+        chosen, before = data.ranked(weights, score)
+        baseline = before.objective if data.baseline_ranked else None
+        by = None if weights is None and score is None else RankedBy(score, weights, baseline)
+        figures = solution_figures(data.campaign(), data.setup(), chosen, data.robustness(), by)
+    quality = quality_of(data.campaign(), data.setup(), chosen, data.trust(), figures)
+    return write(form, characteristics_of(chosen.parameters, data.setup().parameters, {}), quality)
+
+
+def exported(data: Data, *, weights: Weights = None, score: str | None = None, table: str = "solutions") -> dict[str, str]:
     """Returns the quality data of a DCM file, after a look at the CDFX."""
-    monkeypatch.setattr(results, "connect", lambda _: client)
-    written = []
-    for form in ("dcm", "cdfx"):
-        result = CliRunner().invoke(app, ["export", "0" * 32, "--table", table, "--row", "1", "--format", form, *options])
-        assert result.exit_code == 0, result.output
-        written.append(result.stdout_bytes)
-    values = [{value.name: value.value for value in read.characteristics} for read in map(_read, written, ("dcm", "cdfx"))]
+    content = [written(data, form, weights=weights, score=score, table=table) for form in FORMS]
+    values = [{value.name: value.value for value in read.characteristics} for read in map(_read, content, FORMS)]
     assert values == [BEST, BEST]
-    lines = (line[2:].partition(": ") for line in written[0].decode().splitlines() if line.startswith("* "))
+    lines = (line[2:].partition(": ") for line in content[0].decode().splitlines() if line.startswith("* "))
     facts = {name: text for name, _, text in lines}
     known = {"encoding", "state", "date", "problem", "campaign", "test object"}
     figures = {name: text for name, text in facts.items() if name not in known and not name.startswith("encoding")}
-    assert all(f'<SD GID="{name}">{text}</SD>' in written[1].decode() for name, text in figures.items())
+    assert all(f'<SD GID="{name}">{text}</SD>' in content[1].decode() for name, text in figures.items())
     return figures
 
 
@@ -190,21 +170,16 @@ def _read(content: bytes, form: str) -> Any:
 
 
 @pytest.mark.parametrize(("light", "state"), [("red", "prelimCalibrated"), ("amber", "calibrated"), ("green", "calibrated")])
-def test_a_set_of_a_campaign_with_a_red_light_is_preliminary(monkeypatch: pytest.MonkeyPatch, light: Light, state: str) -> None:
-    monkeypatch.setattr(results, "connect", lambda _: Campaigns(light=light))
-    written = (
-        CliRunner()
-        .invoke(app, ["export", "0" * 32, "--table", "solutions", "--row", "1", "--format", "dcm"])
-        .output.splitlines()
-    )
-    assert f"* state: {state}" in written
-    assert f"* light of the set: {light}" in written
-    assert ("* reason 1: Worst." in written) is (light != "green")
-    assert "* reason 2: Better." not in written
+def test_a_set_of_a_campaign_with_a_red_light_is_preliminary(light: Light, state: str) -> None:
+    lines = written(Data(light=light), "dcm").decode().splitlines()
+    assert f"* state: {state}" in lines
+    assert f"* light of the set: {light}" in lines
+    assert ("* reason 1: Worst." in lines) is (light != "green")
+    assert "* reason 2: Better." not in lines
 
 
-def test_the_campaigns_own_ranking_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert exported(monkeypatch, Campaigns()) == {
+def test_the_campaigns_own_ranking_is_named() -> None:
+    assert exported(Data()) == {
         "objective": "3",
         "objective of the baseline": "8.5",
         "score": "discomfort, minimise, 0 to 20",
@@ -217,7 +192,7 @@ def test_the_campaigns_own_ranking_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     }
 
 
-def test_another_score_is_named_and_the_baseline_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_score_is_named_and_the_baseline_has_it() -> None:
     expected = {
         "objective": "0.5",
         "objective of the baseline": "1",
@@ -227,33 +202,33 @@ def test_another_score_is_named_and_the_baseline_has_it(monkeypatch: pytest.Monk
         "score follow": "0.25",
         "score brake": "0.75",
     }
-    assert exported(monkeypatch, Campaigns(), "--score", "following") == expected
-    without = exported(monkeypatch, Campaigns(baseline_ranked=False), "--score", "following")
+    assert exported(Data(), score="following") == expected
+    without = exported(Data(baseline_ranked=False), score="following")
     assert without == {name: text for name, text in expected.items() if name != "objective of the baseline"}
 
 
-def test_other_weights_are_named_and_hold_for_the_baseline(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures = exported(monkeypatch, Campaigns(), "--weights", "brake=4")
+def test_other_weights_are_named_and_hold_for_the_baseline() -> None:
+    figures = exported(Data(), weights={"brake": 4.0})
     assert (figures["objective"], figures["objective of the baseline"]) == ("3.6", "10")
     assert figures["weights"] == "follow=1,brake=4"
     assert figures["score"].startswith("discomfort, minimise")
 
 
-def test_the_first_objective_is_named_if_it_ranks(monkeypatch: pytest.MonkeyPatch) -> None:
-    figures = exported(monkeypatch, Campaigns(FirstObjective(name="collisions", unit="1", direction="minimise")))
+def test_the_first_objective_is_named_if_it_ranks() -> None:
+    figures = exported(Data(FirstObjective(name="collisions", unit="1", direction="minimise")))
     assert figures["ranked by"] == "collisions, minimise"
-    client = Campaigns(FirstObjective(name="jerk", unit="m/s3", direction="minimise"))
-    figures = exported(monkeypatch, client)
+    client = Data(FirstObjective(name="jerk", unit="m/s3", direction="minimise"))
+    figures = exported(client)
     assert figures["ranked by"] == "jerk, minimise, m/s3"
     assert "weights" not in figures
-    figures = exported(monkeypatch, client, "--score", "discomfort")
+    figures = exported(client, score="discomfort")
     assert "ranked by" not in figures
     assert (figures["weights"], figures["objective of the baseline"]) == ("follow=0.5,brake=0.5", "8.5")
 
 
-def test_a_set_of_the_front_has_all_its_objectives(monkeypatch: pytest.MonkeyPatch) -> None:
-    client = Campaigns(FirstObjective(name="discomfort", unit="1", direction="minimise"))
-    figures = exported(monkeypatch, client, table="front")
+def test_a_set_of_the_front_has_all_its_objectives() -> None:
+    client = Data(FirstObjective(name="discomfort", unit="1", direction="minimise"))
+    figures = exported(client, table="front")
     assert (figures["objective discomfort"], figures["objective jerk"]) == ("3", "0.5")
     assert figures["scale of objective jerk"] == "minimise, max, m/s3"
     assert figures["scale of objective discomfort"] == "minimise, mean"
@@ -261,14 +236,5 @@ def test_a_set_of_the_front_has_all_its_objectives(monkeypatch: pytest.MonkeyPat
     assert figures["objective jerk of the baseline"] == "0.75"
     assert (figures["score follow"], figures["degree of robustness"]) == ("2", "7")
     assert "weights of the objectives" not in figures
-    weighted = exported(monkeypatch, client, "--weights", "jerk=2", table="front")
+    weighted = exported(client, weights={"jerk": 2.0}, table="front")
     assert (weighted["weights of the objectives"], weighted["weighted objectives"]) == ("discomfort=1,jerk=2", "0.75")
-
-
-@pytest.mark.parametrize(
-    "options",
-    [("--table", "optima"), ("--table", "front", "--row", "2"), ("--table", "solutions", "--row", "3"), ("--where", "rank=1")],
-)
-def test_sets_that_are_not_there_are_refused(options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(results, "connect", lambda _: Campaigns())
-    assert CliRunner().invoke(app, ["export", "0" * 32, "--format", "dcm", *options]).exit_code == 2

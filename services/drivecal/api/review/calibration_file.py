@@ -1,0 +1,96 @@
+"""A chosen set as a file for calibration tools."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from drivecal.api.responses import calibration, campaign_answer
+from drivecal.api.review.collected import Choice, of_rank, studied_by
+from drivecal.api.routes import background
+from drivecal.api.tables.chosen import set_at
+from drivecal.api.tables.front import front_table, summary
+from drivecal.api.tables.ranking import CampaignRanking, ranking
+from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
+from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import baseline_of, front_of
+from drivecal.contracts.assignments import assignments
+from drivecal.contracts.strict_json import shown
+from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.storage import campaigns
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+
+
+@dataclass(frozen=True, slots=True)
+class RankedOtherwise:
+    """Weights and score that a set is chosen by, each None for the campaign's own."""
+
+    weights: str | None = None
+    score: str | None = None
+
+
+def written(
+    database: Database,
+    choice: Choice,
+    form: CalibrationFormat,
+    by: RankedOtherwise,
+    labels: Sequence[str],
+    *,
+    everything: bool,
+) -> bytes:
+    """Returns the file of a set. `labels`: of parameters, `P1=ACC_tGap_C`. `everything`: the front of all stored sets. Raises NotFoundError
+    for an unknown campaign, InvalidInputError for a set that it does not have and unusable options, ConflictError as `review_of`."""
+    with database.read() as connection:
+        stored = calibration(campaigns.get(connection, choice.campaign), ", which ranks nothing")
+    resolved = resolved_spec(stored)
+    front = front_of(database, stored, resolved, everything=everything)
+    baseline = baseline_of(database, stored, front)
+    table = choice.table or ("front" if len(front.goals.objectives) > 1 else "solutions")
+    _check(table, by, everything=everything)
+    campaign, setup = campaign_answer(stored, now(), silent=None), background.setup(stored.id, database)
+    studied = studied_by(database, background.list_studies(stored.id, database).items, "robustness", RobustnessRow)
+    robustness = [row for each in studied if each.study.in_own_vehicle for row in each.rows]
+    given = None if by.weights is None else assignments(by.weights.split(","), "weights")
+    chosen: Solution | FrontRow
+    figures: Iterator[tuple[str, str]]
+    if table == "front":
+        row = of_rank(front_table(database, stored, front, by.weights), choice, stored.id, table)
+        chosen, figures = row, front_figures(campaign, row, summary(front, baseline), robustness, given)
+    else:
+        ranked = ranking(database, stored, resolved, by.weights, by.score)
+        solution = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
+        before = None if baseline is None else _objective_of(ranked, baseline.parameter_set)
+        ranked_by = None if by == RankedOtherwise() else RankedBy(by.score, given, before)
+        chosen, figures = solution, solution_figures(campaign, setup, solution, robustness, ranked_by)
+    deserved = None
+    if chosen.iteration is not None and chosen.individual is not None:  # else other campaigns alone evaluated it
+        searched = front_of(database, stored, resolved) if everything else front
+        place = (chosen.iteration, chosen.individual)
+        in_question = set_at(database, stored, searched, place, baseline_of(database, stored, searched))
+        deserved = background.trust_in(database, stored.id, searched, in_question)
+    named = labels_of(_document(labels), [parameter.name for parameter in setup.parameters])
+    characteristics = characteristics_of(chosen.parameters, setup.parameters, named)
+    return write(form, characteristics, quality_of(campaign, setup, chosen, deserved, figures))
+
+
+def _check(table: str, by: RankedOtherwise, *, everything: bool) -> None:
+    if by.score is not None and table != "solutions":
+        raise InvalidInputError(Problem("score", "a front has no single score", "give set, the rank in the solutions"))
+    if everything and table != "front":
+        raise InvalidInputError(Problem("everything", "solutions are the campaign's own", "give front, the rank on the front"))
+
+
+def _document(labels: Sequence[str]) -> dict[str, str]:
+    """Returns labels as a file of names has them. Raises InvalidInputError for two of one parameter."""
+    document = dict[str, str]()
+    for text in labels:
+        name, _, label = text.partition("=")
+        if name in document:
+            raise InvalidInputError(Problem("label", f"{shown(name)} has two labels", "give it one"))
+        document[name] = label
+    return document
+
+
+def _objective_of(ranked: CampaignRanking, parameter_set: int) -> float | None:
+    return next((each.objective for each in ranked.ranked if each.parameter_set == parameter_set), None)
