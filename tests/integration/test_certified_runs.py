@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.episode.certified import CertifiedRunner
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
+from drivecal.highway.planner.planner import FrenetPlanner
 from drivecal.highway.planner.spaces import HIGHWAY as SPACE
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
+from drivecal.plugins.ports import Floats, Observation
 
 NOMINAL = {one.name: one.nominal for one in SINGLE_TRACK.parameters}
 GRIDS = [[float(parameter.value(index)) for index in range(parameter.n_values)] for parameter in SPACE]
@@ -64,6 +67,42 @@ def test_a_check_simulates_and_compares() -> None:
     assert certifying.answer(parameters, 1, check=True).proven_by is None
     checked = certifying.answer(parameters, 2, check=True)
     assert (checked.proven_by, checked.agrees) == (1, True)
+
+
+def test_a_simulation_plans_nothing_that_is_proven(monkeypatch: pytest.MonkeyPatch) -> None:
+    certifying, plain = runner("S3"), runner("S3")
+    planner = certifying.planner
+    assert isinstance(planner, FrenetPlanner)
+    plan, repeat = Mock(wraps=planner.plan), Mock(wraps=planner.repeat)
+    monkeypatch.setattr(planner, "plan", plan)
+    monkeypatch.setattr(planner, "repeat", repeat)
+    *family, last = sets(seed=5, families=1, members=9)
+    for number, parameters in enumerate(family):
+        answered = certifying.answer(parameters, number, check=False)
+        assert replace(answered, proven_by=None) == plain.run(parameters)
+    assert repeat.call_count > 0.1 * plan.call_count
+    repeat.reset_mock()
+    certifying.answer(last, 9, check=True)
+    repeat.assert_not_called()
+
+
+def test_a_run_whose_proven_decisions_met_another_state_is_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    certifying, plain = runner("S5"), runner("S5")
+    first, second = sets(seed=4, families=1, members=2)
+    certifying.answer(first, 1, check=False)
+    planner = certifying.planner
+    assert isinstance(planner, FrenetPlanner)
+    repeat = planner.repeat
+
+    def disturbed(observation: Observation, chosen: int) -> Floats:
+        """Repeats a plan as if the simulation had gone another way."""
+        return repeat(replace(observation, ego=observation.ego + 1e-3), chosen)
+
+    monkeypatch.setattr(planner, "repeat", disturbed)
+    answered = certifying.answer(second, 2, check=False)
+    assert answered.agrees is False
+    assert replace(answered, agrees=None) == plain.run(second)
+    assert certifying.trie is None
 
 
 def test_certificates_report_what_they_took_apart_from_the_run() -> None:

@@ -79,6 +79,12 @@ class CertifiablePlanner(Planner, Protocol):
         A view, overwritten by the next plan.
         """
 
+    def repeat(self, observation: Observation, chosen: int) -> Floats:
+        """Returns the trajectory of a `plan` whose choice is known: candidate `chosen`.
+
+        Leaves the planner as `plan` does, except that no candidate is `infeasible`.
+        """
+
     def decide(self, state: Floats, parameters: Sequence[float]) -> int:
         """Returns the candidate that `plan` would choose in this `state` with these parameters.
 

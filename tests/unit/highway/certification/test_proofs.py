@@ -40,6 +40,8 @@ class Linear:
         self.chosen = -1
         self.state = np.zeros(4)
         self.offset = 0.0
+        self.planned = 0
+        """Number of plans whose candidate was chosen by `plan`."""
 
     def reset(self, parameters: Sequence[float]) -> None:
         self._weights = np.exp(np.array(parameters))
@@ -57,7 +59,13 @@ class Linear:
 
     def plan(self, observation: Observation) -> Floats:
         self.state[:3], self.state[3] = observation.ego, self.offset
+        self.planned += 1
         return np.array([self._choose(self.state), 0.0])
+
+    def repeat(self, observation: Observation, chosen: int) -> Floats:
+        self.state[:3], self.state[3] = observation.ego, self.offset
+        self.chosen, self.infeasible = chosen, np.zeros(self.n_candidates, dtype=np.bool_)
+        return np.array([chosen, 0.0])
 
     def decide(self, state: Floats, parameters: Sequence[float]) -> int:
         kept, self._weights = self._weights, np.exp(np.array(parameters))
@@ -116,7 +124,7 @@ def simulate_or_prove(trie: Trie[bytes], parameters: Sequence[float], number: in
     certificate = trie.prove(parameters)
     if certificate is not None:
         return certificate.result, certificate.proven_by
-    recording = trie.record()
+    recording = trie.record(trie.known)
     result = drive(recording, parameters)
     recording.finish(result, number)
     return result, None
@@ -158,6 +166,40 @@ def test_the_same_set_is_proved_by_its_own_run() -> None:
     assert by is None
     assert simulate_or_prove(trie, [0.0, 0.5, 1.0], 18) == (result, 17)
     assert trie.runs == 1
+
+
+def test_decisions_shared_with_a_recorded_run_are_known_and_not_planned_again() -> None:
+    planner = Linear(1, 6, 3, 0.0)
+    trie: Trie[bytes] = Trie(planner, Memory())
+    generator, judge = np.random.default_rng(1), Linear(1, 6, 3, 0.0)
+    shared = 0
+    for number in range(20):
+        parameters = generator.normal(0.0, 1.5, 3).tolist()
+        if trie.prove(parameters) is not None:
+            assert trie.known == []
+            continue
+        known, before = list(trie.known), planner.planned
+        recording = trie.record(known)
+        assert drive(recording, parameters) == drive(judge, parameters)
+        recording.finish(b"", number)
+        decisions = list(recording.recording.decisions)
+        assert known == decisions[: len(known)]
+        assert planner.planned - before == len(decisions) - len(known)
+        shared += len(known)
+    assert shared > 0
+
+
+def test_a_world_that_is_not_deterministic_is_noticed_although_decisions_are_known() -> None:
+    planner = Linear(5, 4, 2, 0.0)
+    trie: Trie[bytes] = Trie(planner, Memory())
+    simulate_or_prove(trie, [0.0, 0.0], 0)
+    assert trie.prove([0.0, 3.0]) is None
+    assert trie.known
+    planner.offset = 0.25
+    recording = trie.record(trie.known)
+    result = drive(recording, [0.0, 3.0])
+    with pytest.raises(NotDeterministicError):
+        recording.finish(result, 1)
 
 
 def test_a_winner_that_was_never_tested_for_feasibility_proves_nothing() -> None:

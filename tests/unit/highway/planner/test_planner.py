@@ -12,7 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.effort import tries
 from tests.unit.highway.planner.reference import ReferencePlanner
-from tests.unit.highway.planner.situations import BENDING, CHANGING, KEEPING, LANE, MIDDLE, random_drive, seen, vehicle
+from tests.unit.highway.planner.situations import (
+    BENDING,
+    CHANGING,
+    KEEPING,
+    LANE,
+    MIDDLE,
+    random_drive,
+    random_parameters,
+    random_scenario,
+    seen,
+    vehicle,
+)
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import Floats, reference_line, to_frenet
@@ -55,6 +66,21 @@ def ideal_drive(
         acceleration_xy = (acceleration * forward - turn * left, acceleration * left + turn * forward)
         ego = list(to_frenet(line, (x, y), (speed * forward, speed * left), acceleration_xy, ego[0] + speed * PERIOD))
     return np.array(rows)
+
+
+@given(st.integers(0, 10_000))
+def test_a_repeated_plan_is_the_plan_bit_for_bit(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    scenario, parameters = random_scenario(random), random_parameters(random)
+    planner, repeating = planner_for(scenario, parameters), planner_for(scenario)
+    for observation in random_drive(random, scenario, plans=4):
+        trajectory = planner.plan(observation)
+        repeated = repeating.repeat(observation, planner.chosen)
+        assert repeated.tobytes() == trajectory.tobytes()
+        assert repeating.state.tobytes() == planner.state.tobytes()
+        assert repeating.chosen == planner.chosen
+        assert not repeating.infeasible.any()
+        assert repeating.features().tobytes() == planner.features().tobytes()
 
 
 @pytest.mark.parametrize("seed", range(tries(4, 12)))

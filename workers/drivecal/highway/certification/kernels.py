@@ -108,6 +108,20 @@ def visit(node: int, parent: Any, visited: Any, clock: int) -> None:
 
 
 @compiled
+def decisions_to(node: int, parent: Any, decision: Any) -> Any:
+    """Returns the decisions from node 0 to `node` in order, shape (n,)."""
+    depth, above = 0, node
+    while parent[above] >= 0:
+        depth, above = depth + 1, parent[above]
+    decisions = np.empty(depth, dtype=np.int64)
+    while depth > 0:
+        depth -= 1
+        decisions[depth] = decision[node]
+        node = parent[node]
+    return decisions
+
+
+@compiled
 def move(starts: Any, counts: Any, old: Any, new: Any) -> None:
     """Copies `counts` rows of `old` from each of `starts` consecutively to `new`; overwrites `starts` with the new positions."""
     place = 0

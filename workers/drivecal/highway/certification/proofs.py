@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivecal.domain.errors import DrivecalError
-from drivecal.highway.certification.kernels import NONE, visit
+from drivecal.highway.certification.kernels import NONE, decisions_to, visit
 from drivecal.highway.certification.memory import Memory
 from drivecal.highway.certification.nodes import Floats, Nodes
 from drivecal.highway.certification.recording import DecisionRecord
@@ -60,6 +60,8 @@ class Trie(Generic[Result]):
         self._memory = memory
         self.is_intact = True
         """False if an exception interrupted a change."""
+        self.known: list[int] = []
+        """First decisions of the run that the last `prove` was about, if it has no certificate. They are proven, too."""
         memory.join(self)
 
     def use(self, planner: CertifiablePlanner) -> None:
@@ -93,6 +95,7 @@ class Trie(Generic[Result]):
 
     def _prove(self, parameters: Sequence[float]) -> Certificate[Result] | None:
         nodes, planner, described = self._nodes, self._planner, False
+        self.known, untried = [], []
         node = planner.walk(nodes, parameters, 0)
         if node == NONE:
             return None
@@ -104,18 +107,21 @@ class Trie(Generic[Result]):
                 described = True
             child = nodes.child(node, chosen)
             if child == NONE:
+                untried = [chosen]
                 break
-            node = planner.walk(nodes, parameters, child)
+            node = planner.walk(nodes, parameters, child) if nodes.row_count[child] else child
         self._visit(node)
         leaf = int(nodes.leaf[node])
         certificate = None if leaf == NONE else self._results[leaf]
+        if certificate is None:
+            self.known = decisions_to(node, nodes.parent, nodes.decision).tolist() + untried
         if described:
             self._memory.evict()
         return certificate
 
-    def record(self) -> RecordingPlanner[Result]:
-        """Returns a planner that records its next run in this trie."""
-        return RecordingPlanner(self._planner, self)
+    def record(self, known: Sequence[int] = ()) -> RecordingPlanner[Result]:
+        """Returns a planner that records its next run in this trie. `known`: the run's first decisions, which are not planned again."""
+        return RecordingPlanner(self._planner, self, known)
 
     def learn(self, recording: DecisionRecord, result: Result, run: int) -> None:
         """Adds a run under the number `run`. Raises NotDeterministicError if the same decisions led to another state before."""
@@ -177,8 +183,8 @@ class Trie(Generic[Result]):
 class RecordingPlanner(Generic[Result]):
     """A planner that delegates to another one and records the run for a trie."""
 
-    def __init__(self, planner: CertifiablePlanner, trie: Trie[Result]) -> None:
-        self._planner, self._trie = planner, trie
+    def __init__(self, planner: CertifiablePlanner, trie: Trie[Result], known: Sequence[int] = ()) -> None:
+        self._planner, self._trie, self._known = planner, trie, known
         self.period = planner.period
         self.recording = DecisionRecord()
         """The finished run."""
@@ -201,8 +207,12 @@ class RecordingPlanner(Generic[Result]):
         self._timed = 0
 
     def plan(self, observation: Observation) -> Floats:
-        trajectory = self._planner.plan(observation)
-        if len(self._decisions) % TIMED:
+        number = len(self._decisions)
+        if number < len(self._known):
+            trajectory = self._planner.repeat(observation, self._known[number])
+        else:
+            trajectory = self._planner.plan(observation)
+        if number % TIMED:
             self._record()
         else:
             start = thread_time_ns()

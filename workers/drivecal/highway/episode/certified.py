@@ -44,7 +44,8 @@ class CertifiedRunner(EpisodeRunner):
     def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
         """Returns the result for these parameter values, by a certificate if possible.
 
-        A simulated run is recorded under `number` and may certify later ones. `check`: simulate in any case. Raises like `run`.
+        A simulated run is recorded under `number` and may certify later ones. It does not make the decisions again that it provably shares
+        with recorded runs. `check`: simulate in any case, and plan everything. Raises like `run`.
         """
         if not self._certifiable:
             return self.run(parameters)
@@ -53,7 +54,8 @@ class CertifiedRunner(EpisodeRunner):
         certificate = trie.prove(parameters)
         if certificate is not None and not check:
             return replace(certificate.result, proven_by=certificate.proven_by, certifying=_milliseconds(start))
-        recording = trie.record()
+        known = [] if check else trie.known
+        recording = trie.record(known)
         before = _milliseconds(start)
         result = self.run(parameters, recording)
         start = thread_time_ns()
@@ -63,6 +65,8 @@ class CertifiedRunner(EpisodeRunner):
         except NotDeterministicError:
             self.forget()
             deterministic = False
+            if known:  # nothing was proven, so that the run may have driven decisions of another state
+                result = self.run(parameters)
         certifying = before + recording.milliseconds + _milliseconds(start)
         if not deterministic:
             return replace(result, agrees=False, certifying=certifying)

@@ -276,10 +276,13 @@ def choose(
 @compiled
 def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
-    elapsed: float, memory: Any, infeasible: Any, trajectory: Any, state: Any, work: Any,
+    elapsed: float, memory: Any, infeasible: Any, trajectory: Any, state: Any, work: Any, known: int,
 ) -> int:  # fmt: skip
     """Makes a plan: writes infeasible candidates (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,), all that
-    decided besides the weights. Returns the chosen candidate, -1 if no cost is a number."""
+    decided besides the weights. Returns the chosen candidate, -1 if no cost is a number.
+
+    `known`: the candidate if it is known to be chosen, else -1. A known choice is not made again: no feature is computed, and no
+    candidate is infeasible."""
     state[0], state[1] = scene[0], elapsed
     for index in range(6):
         state[2 + index] = ego[index]
@@ -289,10 +292,17 @@ def plan(
         for index in range(6):
             state[24 + 6 * m + index] = neighbours[m, index]
     quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
-    chosen = choose(
-        road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed,
-        memory, quintics, quartics, infeasible, work,
-    )  # fmt: skip
+    chosen = known
+    if known < 0:
+        chosen = choose(
+            road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed,
+            memory, quintics, quartics, infeasible, work,
+        )  # fmt: skip
+    else:
+        start = np.empty(8)
+        start_at(ego, memory, elapsed, start)
+        fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
+        infeasible[:] = False
     if chosen < 0:
         return -1
     i, j = place_of(chosen % LATERAL_PLANS, LATERAL_PLANS), place_of(chosen // LATERAL_PLANS, LONGITUDINAL_PLANS)

@@ -110,6 +110,13 @@ class FrenetPlanner:
 
         Raises ValueError if the observation holds numbers that are not finite.
         """
+        return self._plan(observation, -1)
+
+    def repeat(self, observation: Observation, chosen: int) -> Floats:
+        """See `drivecal.plugins.ports.CertifiablePlanner`."""
+        return self._plan(observation, chosen)
+
+    def _plan(self, observation: Observation, known: int) -> Floats:
         trajectory = np.empty((self._rows, 7))
         wanted = self._wanted(observation.time)
         if len(self.state) != 24 + observation.neighbours.size:
@@ -131,6 +138,7 @@ class FrenetPlanner:
             trajectory,
             self.state,
             self._work,
+            known,
         )
         if self.chosen < 0:
             raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
