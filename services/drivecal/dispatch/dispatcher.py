@@ -29,6 +29,8 @@ from drivecal.storage.retention import removal
 LOOK_SECONDS = 0.25
 """Interval between checks for new campaigns and requests."""
 TELL_SECONDS = 0.5
+WRITE_SECONDS = 0.25
+"""Least interval between transactions with results of a campaign while it has cells at workers: half of the time of small ones is fixed."""
 POLL_SECONDS = 0.1
 TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 """Intervals of tidying, and while there is more to remove than goes in a transaction."""
@@ -218,10 +220,11 @@ class Dispatcher:
         job = active.job
         if job is None:
             return
-        if active.unwritten:
+        if active.unwritten and (self._clock() >= active.write_at or not self._pool.held(active.tag)):
             with MEASURES.timed("record"):
                 work = job.record(active.unwritten)
             active.unwritten.clear()
+            active.write_at = self._clock() + WRITE_SECONDS
             self._submit(active, work)
         if active.stopping is not None:
             self._finish_stopping(active)

@@ -40,6 +40,8 @@ class Active:
     """State after the last cell leaves the workers: cancelled or paused."""
     not_before: float = 0.0
     """Earliest time to resume."""
+    write_at: float = 0.0
+    """Earliest time to store results while others are under way."""
 
     @property
     def tag(self) -> str:
