@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
+from zipfile import ZipFile
 
 import pytest
 from playwright.sync_api import Page, Route, expect
@@ -228,3 +229,18 @@ def test_how_a_view_is_drawn_changes_no_question_to_the_server(shown: Shown, ope
     page.get_by_role("slider", name="Opacity").fill("2.5")
     page.wait_for_url(re.compile("opacity="))
     assert asked == []
+
+
+def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.first, ""))
+    page.get_by_role("button", name="Report", exact=True).click()
+    assert barriers(page) == []
+    with page.expect_popup() as opened:
+        page.get_by_role("link", name="Open as a page").click()
+    expect(opened.value.get_by_role("heading", name="Best sets")).to_be_visible(timeout=60_000)
+    assert opened.value.locator("svg").count() >= 2
+    opened.value.close()
+    with page.expect_download(timeout=60_000) as report:
+        page.get_by_role("link", name="Download with figures and tables").click()
+    with ZipFile(report.value.path()) as archive:
+        assert any(name.endswith("/figures/figure-10-population.svg") for name in archive.namelist())

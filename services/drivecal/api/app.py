@@ -16,6 +16,7 @@ from drivecal.api.live.response_cache import ResponseCache
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
+from drivecal.api.review import report
 from drivecal.api.review import route as review
 from drivecal.api.routes import (
     background,
@@ -86,6 +87,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         tables,
         front,
         review,
+        report,
         background,
         evaluations,
         traces,

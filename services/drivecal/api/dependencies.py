@@ -28,6 +28,9 @@ WAITING_BODIES = 16
 OPEN_ARCHIVES = 4
 """Archives of problems that may be received or sent at the same time, each whole in memory."""
 
+REPORTS = 2
+"""Reports that may be written at the same time, each by a process of its own."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -42,6 +45,7 @@ class Limits:
     large_bodies: CapacityLimiter
     waiting_bodies: Places
     archives: Places
+    reports: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
@@ -49,6 +53,7 @@ class Limits:
         streams = Places(settings.event_streams, "event streams are open", retry_seconds=10)
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
         archives = Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5)
+        reports = Places(REPORTS, "reports are being written", retry_seconds=5)
         return cls(
             queued_campaigns=settings.queued_campaigns,
             largest_campaign=settings.largest_campaign,
@@ -59,6 +64,7 @@ class Limits:
             large_bodies=CapacityLimiter(LARGE_BODIES),
             waiting_bodies=bodies,
             archives=archives,
+            reports=reports,
         )
 
 
@@ -89,6 +95,15 @@ async def _archive(limits: LimitsDependency) -> AsyncIterator[None]:
 
 ArchivePlace = Annotated[None, Depends(_archive)]
 """Place of a route that sends an archive, until it is sent. Raises OverloadError (429) if there is none."""
+
+
+async def _report(limits: LimitsDependency) -> AsyncIterator[None]:
+    with limits.reports.take():
+        yield
+
+
+ReportPlace = Annotated[None, Depends(_report)]
+"""Place of a route that writes a report. Raises OverloadError (429) if there is none."""
 
 IdempotencyKey = Annotated[
     str | None,

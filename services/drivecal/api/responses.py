@@ -119,7 +119,9 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
     tables = get_args(ComparisonTable) if stored.kind == "comparison" else TABLES
-    links = {"self": here, "events": f"{here}/events"} | {table: f"{here}/{table}" for table in tables}
+    links = {"self": here, "events": f"{here}/events", "report": f"{here}/report"} | {
+        table: f"{here}/{table}" for table in tables
+    }
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"
     if stored.rerun_of is not None:

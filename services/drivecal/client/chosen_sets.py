@@ -1,4 +1,4 @@
-"""A chosen set of a campaign as a file."""
+"""A campaign, or a chosen set of it, as a file."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -8,7 +8,12 @@ from drivecal.client.transport import Transport, named
 
 
 class ChosenSets(Transport):
-    """The part of the client that hands a set on: to those who check it, and to calibration tools."""
+    """The part of the client that hands results on: to people who read and check them, and to calibration tools."""
+
+    def report(self, identifier: str, form: Literal["html", "zip"] = "html") -> bytes:
+        """Returns the report of a campaign or a comparison: one HTML page, or a ZIP archive of the page, its figures (SVG, PNG) and tables
+        (CSV)."""
+        return b"".join(self._pieces(("campaigns", identifier, "report"), {"format": form}))
 
     def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
         """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the

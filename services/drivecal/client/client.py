@@ -64,12 +64,20 @@ class Client(CampaignLists, ChosenSets):
     never repeats a call that may already have changed something.
     """
 
-    def __init__(self, url: str | None = None, token: str | None = None, *, timeout: float = 30.0) -> None:
-        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none."""
+    def __init__(
+        self,
+        url: str | None = None,
+        token: str | None = None,
+        *,
+        timeout: float = 30.0,
+        transport: httpx.BaseTransport | None = None,
+    ) -> None:
+        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none. `transport`: sends
+        the requests in the place of a connection."""
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
-        super().__init__(url, token, timeout)
+        super().__init__(url, token, timeout, transport)
         self._full_ids: dict[tuple[str, str], str] = {}
 
     def full_id(self, identifier: str) -> str:

@@ -42,7 +42,7 @@ PATIENCE_SECONDS = 30.0
 class Transport:
     """Requests to the server at `url`."""
 
-    def __init__(self, url: str, token: str | None, timeout: float) -> None:
+    def __init__(self, url: str, token: str | None, timeout: float, transport: httpx.BaseTransport | None = None) -> None:
         self.url = url.rstrip("/")
         if token and not (token.isascii() and token.isprintable() and " " not in token):
             message = "it has a blank, a line end or a character beyond ASCII"
@@ -50,7 +50,8 @@ class Transport:
         headers = {"Authorization": f"Bearer {token}"} if token else {}
         # Proxies of the environment are for other machines: they do not reach a server on this one.
         try:
-            transport = httpx.HTTPTransport() if is_this_machine(httpx.URL(self.url).host) else None
+            if transport is None and is_this_machine(httpx.URL(self.url).host):
+                transport = httpx.HTTPTransport()
             self._http = httpx.Client(base_url=self.url, timeout=timeout, headers=headers, transport=transport)
         except (ImportError, ValueError) as error:  # of a proxy that httpx does not know
             remedy = "correct it in the environment, or take it away"

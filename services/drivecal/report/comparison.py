@@ -2,15 +2,14 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
-from drivecal.contracts.tables import Generation
 from drivecal.domain.scales import objective_text
+from drivecal.report import PAGE
+from drivecal.report.data import ComparisonData
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 from drivecal.report.folder import writable
 from drivecal.report.markup import bullets, document, files, paragraph, table, verbatim
@@ -35,37 +34,15 @@ CONVERGED = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ComparisonData:
-    """A comparison and the results of its runs; `generations` by the id of the run."""
-
-    campaign: Campaign
-    runs: Sequence[ComparedRun]
-    groups: Sequence[ComparedGroup]
-    pairs: Sequence[ComparedPair]
-    effects: Sequence[ReductionEffect]
-    generations: Mapping[str, Sequence[Generation]]
-
-
-def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
-    """Reads the data of a comparison. Raises the client's exceptions."""
-    runs = client.compared_runs(campaign.id)
-    return ComparisonData(
-        campaign=campaign,
-        runs=runs,
-        groups=client.compared_groups(campaign.id),
-        pairs=client.compared_pairs(campaign.id),
-        effects=client.reduction_effects(campaign.id),
-        generations={run.run: [Generation.model_validate(row) for row in client.rows(run.run, "generations")] for run in runs},
-    )
-
-
-def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
+def write_comparison(
+    comparison: ComparisonData, tables: Mapping[str, Iterable[bytes]], folder: Path, *, page_alone: bool = False
+) -> list[Path]:
     """Writes page, figures, the `tables` (CSV by name, in pieces) and the specification. Returns the written files, the page last.
+    `page_alone`: writes the page only, without links to files.
 
     Raises InvalidInputError if a file cannot be written.
     """
-    with writable(folder) as target:
+    with writable(folder, page_alone=page_alone) as target:
         searches = [
             target.draw(figure)
             for figure in search_figures(comparison.runs, comparison.generations, comparison.campaign.scale.sign)
@@ -78,7 +55,7 @@ def write_comparison(comparison: ComparisonData, tables: Mapping[str, Iterable[b
             target.write(f"tables/{name}.csv", pieces)
         specification = json.dumps(comparison.campaign.spec, indent=2, ensure_ascii=False)
         target.write(SPECIFICATION, [specification.encode() + b"\n"])
-        target.write("index.html", [_page(comparison, searches, reduced, target.files).encode()])
+        target.write(PAGE, [_page(comparison, searches, reduced, target.files).encode()])
     return target.written
 
 
@@ -101,7 +78,7 @@ def _page(comparison: ComparisonData, searches: Sequence[str], reduced: str, nam
         "Reduction": [_effects(comparison.effects), reduced, _pairs(comparison.pairs)] if comparison.effects else [],
         "Runs": [_runs(comparison.runs, several=several)],
         "Again": [verbatim(f"drivecal compare-optimizers {SPECIFICATION} --wait")],
-        "Files": [files(names)],
+        "Files": [files(names)] if names else [],
     }
     ended = "" if campaign.ended_at is None else f", ended {campaign.ended_at:%Y-%m-%d %H:%M} UTC"
     spent = f"{campaign.seconds.wall:,.0f} s, CPU time of all simulations {campaign.seconds.simulating:,.0f} s"

@@ -27,7 +27,7 @@ def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], v
         "Validation": _validation(findings, drawn),
         "Cost": reuse.accounting(findings.accounting),
         "Versions and repetition": [*problem.versions(findings.setup, version), *problem.again(findings)],
-        "Files": [files(names)],
+        "Files": [files(names)] if names else [],
     }
     subtitle = f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}"
     return document(campaign.name, subtitle, (campaign.error, campaign.degraded), sections)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 
+from drivecal.report import PAGE
 from drivecal.report.data import ReportData
 from drivecal.report.figures import cells, front, optima_coordinates, population, robustness_degrees
 from drivecal.report.figures.drawing import Drawn
@@ -15,12 +16,15 @@ from drivecal.report.rows import by_scenario
 from drivecal.report.sections import robustness, savings, validation
 
 
-def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], folder: Path) -> list[Path]:
+def write_report(
+    findings: ReportData, tables: Mapping[str, Iterable[bytes]], folder: Path, *, page_alone: bool = False
+) -> list[Path]:
     """Writes page, figures, the `tables` (CSV by name, in pieces) and the specification. Returns the written files, the page last.
+    `page_alone`: writes the page only, without links to files.
 
     Raises InvalidInputError if a file cannot be written.
     """
-    with writable(folder) as target:
+    with writable(folder, page_alone=page_alone) as target:
         drawn = {figure.name: target.draw(figure) for figure in figures(findings)}
         for name, pieces in tables.items():
             target.write(f"tables/{name}.csv", pieces)
@@ -31,7 +35,7 @@ def write_report(findings: ReportData, tables: Mapping[str, Iterable[bytes]], fo
             target.table("balance", savings.balance(findings.accounting))
         document = json.dumps(findings.campaign.spec, indent=2, ensure_ascii=False)
         target.write("campaign.json", [document.encode() + b"\n"])
-        target.write("index.html", [page(findings, drawn, target.files, version("drivecal")).encode()])
+        target.write(PAGE, [page(findings, drawn, target.files, version("drivecal")).encode()])
     return target.written
 
 

@@ -20,7 +20,8 @@ from drivecal.campaigns.comparisons.results import pair_row
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.comparison import ComparedRun
 from drivecal.plugins.ports import Floats
-from drivecal.report.comparison import ComparisonData, summary, write_comparison
+from drivecal.report.comparison import summary, write_comparison
+from drivecal.report.data import ComparisonData
 from drivecal.report.figures.comparison import effects_figure, optima_figure, search_figures
 
 OPTIMIZERS, POPULATIONS, SEEDS, REDUCTIONS = ("genetic", "swarm"), (10, 20), (1, 2, 3), ("exact", "influence")
