@@ -244,3 +244,19 @@ def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown,
         page.get_by_role("link", name="Download with figures and tables").click()
     with ZipFile(report.value.path()) as archive:
         assert any(name.endswith("/figures/figure-10-population.svg") for name in archive.namelist())
+
+
+def test_workers_are_shown_before_the_stored_runs_are_counted(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.first, ""))
+    held: list[Route] = []
+    page.route(re.compile("/references"), lambda route: held.append(route))  # noqa: PLW0108  # Playwright marks its handlers
+    page.goto(f"{shown.api.url}/#/workers")
+    expect(page.get_by_role("heading", name="Workers by node")).to_be_visible()
+    expect(page.get_by_text("Counting …")).to_have_count(2)
+    for _ in range(2):
+        page.wait_for_event("response", lambda response: response.url.endswith("/workers"))
+    assert len(held) == 1
+    held[0].continue_()
+    expect(page.get_by_role("table", name="Stored runs")).to_be_visible()
+    assert barriers(page) == []
+    page.unroute_all()
