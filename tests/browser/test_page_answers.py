@@ -181,6 +181,38 @@ def test_a_comparison_measures_each_campaign_by_its_first_objective(shown: Shown
     expect(row.get_by_role("cell").last).to_have_text("0")
 
 
+def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown: Shown, opening: Opening) -> None:
+    def close(campaign: dict[str, Any]) -> dict[str, Any]:
+        best = campaign["best"]
+        scores = {name: score - gain for (name, score), gain in zip(best["scores"].items(), (1.5, 2.5), strict=True)}
+        baseline = {"objective": best["objective"] - 2, "parameters": best["parameters"], "scores": scores}
+        return campaign | {"baseline": baseline | {"violation": 0}, "scale": campaign["scale"] | {"tolerance": 2}}
+
+    page = opening(f"{shown.api.url}/#/nowhere")
+    changed(page, f"/campaigns/{shown.first.id}$", close)
+    page.goto(shown.at(shown.first, "overview"))
+    expect(page.get_by_role("region", name="Figures")).to_contain_text("+2, within the tolerance of 2")
+    table = page.get_by_role("table", name="Scores by scenario")
+    flat, hill = (table.get_by_role("row", name=name).locator(".change") for name in ("flat", "hill"))
+    expect(flat).to_have_text(re.compile(r"≈ \+1\.5\s*within the tolerance"))
+    expect(hill).to_have_text(re.compile(r"▲ 2\.5"))
+    probe = (
+        "name => { document.body.style.outlineColor = `var(${name})`; return getComputedStyle(document.body).outlineColor; }"
+    )
+    colours = [place.evaluate("place => getComputedStyle(place).color") for place in (flat, hill)]
+    assert colours == [page.evaluate(probe, name) for name in ("--quiet", "--well")]
+
+
+def test_a_trade_off_within_the_tolerance_of_an_objective_is_neutral(shown: Shown, opening: Opening) -> None:
+    page = opening(f"{shown.api.url}/#/nowhere")
+    tolerant = {"tolerance": 1000}
+    changed(page, "/front/summary", lambda answer: answer | {"objectives": [goal | tolerant for goal in answer["objectives"]]})
+    page.goto(f"{shown.at(shown.frugal, 'front')}?row=1&with=2")
+    gains = page.get_by_role("list", name="Gains and costs").get_by_role("listitem")
+    expect(gains.first).to_have_class(re.compile("within|equal"))
+    expect(page.get_by_role("table", name="Objectives of both sets")).to_contain_text("within the tolerance, ")
+
+
 def test_an_account_in_wall_clock_time_says_so_everywhere(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere")
     changed(page, "/accounting$", lambda account: account | {"clock": "wall", "sentence": "An account"})

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import pytest
@@ -262,3 +263,22 @@ def test_a_front_that_cannot_be_read_says_so_and_is_read_as_soon_as_it_can_be(sh
     page.context.set_offline(False)
     expect(page.get_by_role("region", name="Weights")).to_be_visible()
     expect(page.get_by_text("cannot be")).to_have_count(0)
+
+
+def test_labels_of_a_front_on_a_phone_do_not_overlap_and_the_knee_is_explained(shown: Shown, opening: Opening) -> None:
+    page = opening(shown.at(shown.two), phone=True)
+    expect(page.locator("svg text.label").first).to_be_visible()
+    boxes = page.locator("svg text.label").evaluate_all(
+        "(labels) => labels.map((label) => label.getBoundingClientRect()).map(({left, top, right, bottom}) => [left, top, right, bottom])"
+    )
+    assert len(boxes) > 1
+    for (left, top, right, bottom), other in combinations(boxes, 2):
+        apart = right <= other[0] or other[2] <= left or bottom <= other[1] or other[3] <= top
+        assert apart, boxes
+    page.get_by_role("button", name="knee", exact=True).first.click()
+    meaning = page.locator("[popover]:popover-open")
+    expect(meaning).to_contain_text("gives the most for what it costs")
+    box = meaning.bounding_box()
+    assert box is not None
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 390

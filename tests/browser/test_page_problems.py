@@ -377,9 +377,12 @@ def test_words_of_the_page_lead_to_their_meaning(heater: Heated, opening: Openin
     words = {"savings": "Net saving", "overview": "cells", "trust": "lots"}
     for tab, word in words.items():
         page.goto(heater.at(tab))
-        address = page.get_by_role("link", name=word, exact=True).first.get_attribute("href")
+        page.get_by_role("button", name=word, exact=True).first.press("Enter")
+        address = page.get_by_role("link", name="Glossary", exact=True).get_attribute("href")
         assert address is not None
         assert address.startswith("/help/concepts/glossary.html#")
+        page.keyboard.press("Escape")
+        expect(page.get_by_role("link", name="Glossary", exact=True)).to_be_hidden()
 
 
 def test_what_is_selected_is_what_is_exported(heater: Heated, opening: Opening) -> None:

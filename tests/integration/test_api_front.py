@@ -149,6 +149,22 @@ def test_a_trade_off_tells_what_the_second_set_gains_and_costs(ended: Ended) -> 
     assert [each.name for each in answer.values] == [f"{JERK}@{scenario}" for scenario in rows[0].scores]
 
 
+def test_a_trade_off_calls_no_difference_within_the_tolerance_better_or_worse(ended: Ended) -> None:
+    comfort, jerk = SPEC["objectives"]
+    tolerant = run_posted(
+        ended.api, SPEC | {"objectives": [comfort | {"tolerance": 0.5}, jerk | {"tolerance": 0.5}]}, backend()
+    )
+    with Client(ended.api.url) as client:
+        answers = [client.trade_off(tolerant, rank, rank + 1) for rank in range(1, len(rows_of(ended, tolerant)))]
+    told = [
+        (abs(pair.gain or 0) <= 0.5, text)
+        for answer in answers
+        for pair, text in zip(answer.objectives, answer.text, strict=True)
+    ]
+    assert {within for within, _ in told} == {True, False}
+    assert all(("stays within its tolerance of 0.5" in text) is within for within, text in told)
+
+
 def test_files_hold_the_same_rows(ended: Ended) -> None:
     exported = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front", params={"format": "csv"})
     assert exported.status_code == 200

@@ -30,7 +30,7 @@ NEARLY = 80
 """Percentage of the sets on the grid from which on a search has seen nearly all of them."""
 LARGEST_COUNT = 10**9
 """Sets on a grid up to which their number is written out."""
-_ORDER: tuple[Light, ...] = ("red", "amber", "green")
+_ORDER = ("red", "amber", "neutral", "green")
 _DEFAULT = ReductionSpecification()
 
 
@@ -104,7 +104,8 @@ def trust(
         *_robustness(driven),
     ]
     reasons.sort(key=lambda reason: _ORDER.index(reason.light))
-    ended, worst = CampaignState(campaign.state).ended, reasons[0].light if reasons else None
+    lights = [reason.light for reason in reasons if reason.light != "neutral"]
+    ended, worst = CampaignState(campaign.state).ended, (lights or ["green"])[0] if reasons else None
     return TrustAnswer(light=worst if ended or worst == "red" else None, reasons=reasons)
 
 
@@ -196,11 +197,9 @@ def _baseline(campaign: Campaign) -> Iterator[Reason]:
         yield baseline_breaks_more("the best set")
     elif gain > EQUAL:
         within = campaign.objective is None and gain <= campaign.scale.tolerance
-        tolerated = (
-            f"; differences up to {campaign.scale.amount(campaign.scale.tolerance)} are within the tolerance" if within else ""
-        )
+        tolerated = f", within the tolerance of {campaign.scale.amount(campaign.scale.tolerance)}" if within else ""
         text = f"The best set is better than the baseline, by {gain:.4g}{tolerated}."
-        yield Reason(light="green", about="baseline", text=text)
+        yield Reason(light="neutral" if within else "green", about="baseline", text=text)
     else:
         yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
 

@@ -318,7 +318,7 @@ class ExpectedRuns(Answer):
     workers: int | None = None
     """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None = None
-    """All simulations at most, on the `workers`; null if their time or the workers are not known."""
+    """All simulations at most, on the `workers`, without planning, optimizer and predictions; null if time or workers are unknown."""
     notes: list[str] = []
 
 

@@ -77,7 +77,7 @@ class ExpectedComparison(Answer):
     workers: int | None
     """Workers at this moment; null if the dispatcher is silent."""
     seconds: float | None
-    """`at_most` simulations on the `workers`; null if they are not known."""
+    """`at_most` simulations on the `workers`, without planning, optimizers and predictions; null if workers are unknown."""
     notes: list[str] = Field(default_factory=list)
 
 

@@ -10,18 +10,18 @@ Light = Literal["green", "amber", "red"]
 
 
 class Reason(Answer):
-    """A reason for a light. `about`: end, constraints, confirmation, baseline, search, later, earlier, map, references, predictions,
-    certificates, noise, failures, cut or robustness."""
+    """A reason for a light; a `neutral` one speaks neither for nor against the result. `about`: end, constraints, confirmation, baseline,
+    search, later, earlier, map, references, predictions, certificates, noise, failures, cut or robustness."""
 
-    light: Light
+    light: Light | Literal["neutral"]
     about: str
     scenario: str | None = None
     text: str
 
 
 class TrustAnswer(Answer):
-    """The trust that a campaign's result deserves. `light`: that of the gravest of the `reasons`, which comes first; null before the end,
-    unless it is red already, and without a search."""
+    """The trust that a campaign's result deserves. `light`: that of the gravest of the `reasons`, which comes first, green if all are
+    neutral; null before the end, unless it is red already, and without a search."""
 
     light: Light | None
     reasons: list[Reason]

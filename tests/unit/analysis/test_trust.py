@@ -161,8 +161,16 @@ def test_scores_that_were_cut_off_are_told_if_they_matter() -> None:
 def test_the_best_set_is_held_against_the_baseline(objective: float, light: str) -> None:
     before = Baseline(objective=objective, parameters={}, scores={})
     assert lights(campaign(baseline=before))["baseline", None] == light
-    opposite = {4.0: "amber", 6.0: "amber", 7.0: "green"}
+    opposite = {4.0: "amber", 6.0: "amber", 7.0: "neutral"}  # its tolerance is 2
     assert lights(campaign(baseline=before, scale=COST))["baseline", None] == opposite[objective]
+
+
+def test_a_gain_within_the_tolerance_speaks_neither_for_nor_against_a_result() -> None:
+    before = Baseline(objective=5.5, parameters={}, scores={})
+    judged = trust(campaign("exact", cells={"reused": 0}, baseline=before))
+    [reason] = [reason for reason in judged.reasons if reason.about == "baseline"]
+    assert (reason.light, judged.light) == ("neutral", "green")
+    assert reason.text.endswith("by 0.5, within the tolerance of 1 point.")
 
 
 @pytest.mark.parametrize(("objective", "light"), [(4.0, "amber"), (6.0, "amber"), (7.0, "green")])

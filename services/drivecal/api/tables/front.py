@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import Bound, Goal, Objective
+from drivecal.analysis.goals import EQUAL, Bound, Goal, Objective
 from drivecal.analysis.optima import distances
 from drivecal.analysis.robustness_difference import key_of
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember
@@ -169,10 +169,11 @@ def _of_rank(front: CampaignFront, rank: int, field: str) -> FrontMember:
 
 
 def _text(goal: Objective, difference: ValuePair) -> str:
-    first, second = (goal.compared(float(value or 0.0)) for value in (difference.first, difference.second))
+    gain = float(difference.gain or 0.0)
     equal = f"stays within its tolerance of {goal.tolerance:g}" if goal.tolerance else "stays as it is"
+    is_equal = abs(gain) <= max(goal.tolerance, EQUAL)
     values = f"{difference.first:.6g} to {difference.second:.6g}{unit_text(goal.unit)}"
-    return f"{goal.name} {equal if first == second else 'gets better' if second > first else 'gets worse'}: {values}"
+    return f"{goal.name} {equal if is_equal else 'gets better' if gain > 0 else 'gets worse'}: {values}"
 
 
 def _objective(goal: Objective, column: int, front: CampaignFront, reference: float) -> FrontObjective:

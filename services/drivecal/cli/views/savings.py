@@ -18,8 +18,9 @@ def print_trust(trust: TrustAnswer) -> None:
     if not trust.reasons:
         return
     typer.echo(f"\ntrust: {trust.light or 'open until the end'}")
+    width = max(len(reason.light) for reason in trust.reasons) + 1
     for reason in trust.reasons:
-        typer.echo(f"  {reason.light:<6}{reason.text}")
+        typer.echo(f"  {reason.light:<{width}}{reason.text}")
 
 
 def print_error_rates(rates: Mapping[str, ErrorRate], scale: Scale = COMFORT) -> None:

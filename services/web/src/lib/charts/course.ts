@@ -26,3 +26,27 @@ export function gain(best: number | null | undefined, baseline: number | null | 
   if (best === null || best === undefined || baseline === null || baseline === undefined) return null;
   return minimised ? baseline - best : best - baseline;
 }
+
+/** What a gain means: nothing as long as it is within the tolerance. */
+export type Change = "better" | "worse" | "equal" | "within";
+
+export const CHANGE: Readonly<Record<Change, { sign: string; words: string }>> = {
+  better: { sign: "▲", words: "better" },
+  worse: { sign: "▼", words: "worse" },
+  equal: { sign: "=", words: "equal" },
+  within: { sign: "≈", words: "within the tolerance" },
+};
+
+/** Differences by rounding alone are none. */
+const ROUNDING = 1e-9;
+
+export function changeOf(gain: number, tolerance: number): Change {
+  if (Math.abs(gain) <= ROUNDING) return "equal";
+  if (Math.abs(gain) <= tolerance + ROUNDING) return "within";
+  return gain > 0 ? "better" : "worse";
+}
+
+/** A gain with its sign. */
+export function signed(gain: number, text: string): string {
+  return `${gain > 0 ? "+" : gain < 0 ? "−" : ""}${text}`;
+}

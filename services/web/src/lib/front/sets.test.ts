@@ -1,7 +1,7 @@
 import { expect, test } from "vitest";
 import { cell } from "../server/columns";
 import type { FrontRow } from "../server/types";
-import { growthOf, hasFront, isOf, kindOf, madeOfText, marksOf, neighbour, pairOf, placed, rangeOf, tableOf, withColumns } from "./sets";
+import { growthOf, hasFront, isOf, kindOf, madeOfText, marksOf, neighbour, pairOf, rangeOf, tableOf, withColumns } from "./sets";
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, weighted: null, violation: 0, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
@@ -76,16 +76,6 @@ test("far dominated sets do not press the front into a corner, unless all are as
   expect(rangeOf([0, 10], undefined, [11, 500], true)).toEqual([0, 500]);
   expect(rangeOf([5], undefined, [], false)).toEqual([5, 5]);
   expect(rangeOf([5, 5], undefined, [2, 40], false)).toEqual([2, 40]);
-});
-
-test("labels lie beside their points and hide neither each other nor another point", () => {
-  const frame = { left: 0, right: 300, top: 0, bottom: 200 };
-  const [first, second] = placed([{ x: 100, y: 100, text: "knee" }, { x: 104, y: 104, text: "baseline" }], frame);
-  expect(first?.anchor).toBe("start");
-  expect([second?.x, second?.y]).not.toEqual([115, 108]);
-  expect(placed([{ x: 290, y: 100, text: "best comfort" }], frame)[0]?.anchor).toBe("end");
-  const crowd = placed([{ x: 60, y: 40, text: "set 1, best discomfort" }, { x: 66, y: 36, text: "set 23, wins, knee" }, { x: 120, y: 25, text: "" }], { left: 54, right: 230, top: 2, bottom: 200 });
-  expect(Math.abs((crowd[0]?.y ?? 0) - (crowd[1]?.y ?? 0))).toBeGreaterThan(13);
 });
 
 test("the growth of a front is counted from 1, what was stored before from 0", () => {

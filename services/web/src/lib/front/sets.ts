@@ -156,32 +156,6 @@ export function isOf({ objectives, parameters }: Pick<TradeOff, "objectives" | "
   return like(objectives, "objectives") && like(parameters, "parameters");
 }
 
-export interface Label {
-  x: number;
-  y: number;
-  text: string;
-}
-
-/** Labels at places where they hide neither each other nor the points of the others, the first ones first; in pixels. */
-export function placed(labels: readonly Label[], frame: { left: number; right: number; top: number; bottom: number }): (Label & { anchor: "start" | "end" | "middle" })[] {
-  const taken: [number, number, number, number][] = labels.map(({ x, y }) => [x - 5, y - 5, x + 5, y + 5]);
-  return labels.map((label) => {
-    const wide = 6.6 * label.text.length;
-    const tries = [[11, 4, "start"], [-11, 4, "end"], [0, -11, "middle"], [0, 20, "middle"], [9, -9, "start"], [-9, 17, "end"], [9, 17, "start"], [-9, -9, "end"], [0, -25, "middle"], [0, 34, "middle"], [9, 34, "start"], [9, 48, "start"], [-9, 48, "end"]] as const;
-    const boxes = tries.map(([dx, dy, anchor]) => {
-      const x = label.x + dx;
-      const left = anchor === "start" ? x : anchor === "end" ? x - wide : x - wide / 2;
-      return { x, y: label.y + dy, anchor, box: [left, label.y + dy - 11, left + wide, label.y + dy + 3] as [number, number, number, number] };
-    });
-    const inside = boxes.filter(({ box }) => box[0] >= frame.left && box[2] <= frame.right && box[1] >= frame.top && box[3] <= frame.bottom);
-    const hidden = (box: readonly [number, number, number, number]): number => taken.reduce((sum, other) => sum + Math.max(0, Math.min(box[2], other[2]) - Math.max(box[0], other[0])) * Math.max(0, Math.min(box[3], other[3]) - Math.max(box[1], other[1])), 0);
-    const offered = inside.length > 0 ? inside : boxes.slice(0, 1);
-    const chosen = offered.reduce((best, entry) => (hidden(entry.box) < hidden(best.box) ? entry : best));
-    taken.push(chosen.box);
-    return { text: label.text, x: chosen.x, y: chosen.y, anchor: chosen.anchor };
-  });
-}
-
 /** The summary's iterations as a chart counts them: from 1, and 0 for what was stored before. */
 export function growthOf(growth: FrontSummary["growth"]): { x: number[]; volumes: (number | null)[]; sizes: number[] } {
   return { x: growth.map(({ iteration }) => iteration + 1), volumes: growth.map(({ hypervolume }) => hypervolume), sizes: growth.map(({ size }) => size) };

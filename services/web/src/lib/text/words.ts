@@ -11,7 +11,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   pending: "still to be answered",
   repeated: "answered by the stored result of the same parameter set",
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
-  predicted: "predicted from simulated answers, and released with its lot after a sample of the lot was simulated; never a reference, never an optimum",
+  predicted: "predicted from simulated answers; it counts once a random sample of the cells that were predicted with it was simulated; never a reference, never an optimum",
   certified: "answered by a stored run that this one provably repeats, bit for bit",
   simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
@@ -87,9 +87,10 @@ export function referenceWords(reason: string): string {
 }
 
 /** The lights of a result; `open` while its search goes on. */
-export const LIGHTS: Record<"green" | "amber" | "red" | "open", { sign: string; title: string; meaning: string }> = {
+export const LIGHTS: Record<"green" | "amber" | "red" | "neutral" | "open", { sign: string; title: string; meaning: string }> = {
   green: { sign: "✓", title: "Trustworthy", meaning: "Nothing that is known speaks against the result." },
   amber: { sign: "!", title: "Check first", meaning: "The best set has its scores, but something limits what they mean." },
   red: { sign: "✕", title: "Do not use", meaning: "There is no result, or its scores are in doubt." },
+  neutral: { sign: "≈", title: "Neutral", meaning: "It speaks neither for nor against the result." },
   open: { sign: "…", title: "Open until the end", meaning: "The light comes when the search has ended." },
 };

@@ -1,0 +1,76 @@
+/** Terms of the page with their meanings: each is the beginning of its entry in the glossary of the documentation (`docs/pages/concepts/glossary.md`). */
+
+import { MEANING } from "./words";
+
+export const TERMS = {
+  audit: "A cell that could have been reused, and was simulated as a check.",
+  cell: "A parameter set in a scenario.",
+  certificate: "A proof that a run would repeat a stored one, bit for bit.",
+  confirmation: "After the search, copied and predicted scores of the best set are simulated.",
+  "degree-of-robustness": "The number of boxes around the nominal vehicle, each wider than the last, in which a set keeps its scores.",
+  "influence-map": "Says per scenario where a parameter can change the score.",
+  knee: "The set of a front that gives the most for what it costs: a little more of one objective costs much of another from there on.",
+  lot: "Answers of a batch that are inspected together: a random sample is simulated.",
+  "net-saving": "The CPU time, or wall-clock time if simulators wait, of the simulations that were not needed, less the time of the analysis, the predictor and the certificates.",
+  prediction: "A score that a model of earlier runs gives in the place of a simulation, released after a sample of its lot was simulated.",
+  r_err: "Wrong answers among the compared ones.",
+  reference: "A stored run that answers for a set which differs only where the influence map says that it does not matter.",
+  released: "Counted as an answer without a simulation, because the sample of its lot had few errors.",
+  s_rel: "The sensitivity of a score to a parameter within an interval, as a share of the score's range.",
+  sample: "The cells of a lot that are drawn at random and simulated, to judge all of its answers.",
+  tolerance: "The difference of two scores that does not matter to you.",
+} as const;
+
+export type Word = keyof typeof TERMS | keyof typeof MEANING;
+
+/** A sentence: of a term, or of an outcome of cells. */
+export function meaningOf(word: Word): string {
+  if (word in TERMS) return TERMS[word as keyof typeof TERMS];
+  const meaning = MEANING[word as keyof typeof MEANING];
+  return `${meaning.charAt(0).toUpperCase()}${meaning.slice(1)}.`;
+}
+
+/** The anchor in the glossary; outcomes stand at the cells. */
+export function anchorOf(word: Word): string {
+  return word in TERMS ? word : "cell";
+}
+
+/** How texts of the server and of settings write the terms. */
+const WRITTEN: readonly [Word, RegExp][] = [
+  ["influence-map", /\binfluence maps?\b/i],
+  ["lot", /\blots?\b/i],
+  ["audit", /\baudit(s|ed)?\b/i],
+  ["certificate", /\bcertificates?\b/i],
+  ["certified", /\bcertified\b/i],
+  ["reference", /\breferences?\b/i],
+  ["released", /\breleased\b/i],
+  ["sample", /\bsample(?= of each lot)\b/i],
+  ["knee", /\bknee\b/i],
+];
+
+export interface Piece {
+  text: string;
+  /** The term that the text stands for. */
+  word?: Word;
+}
+
+/** Texts in pieces, with each term marked where it is met first; code in backticks stays as it is. */
+export function explained(texts: readonly string[]): Piece[][] {
+  const open = new Map(WRITTEN);
+  return texts.map((text) => {
+    const pieces: Piece[] = [];
+    let rest = text;
+    for (;;) {
+      const code = [...rest.matchAll(/`[^`]*`/g)].map((match): [number, number] => [match.index, match.index + match[0].length]);
+      const next = [...open].map(([word, pattern]) => ({ word, match: pattern.exec(rest) }))
+        .flatMap(({ word, match }) => (match && !code.some(([from, to]) => match.index > from && match.index < to) ? [{ word, at: match.index, text: match[0] }] : []))
+        .sort((one, other) => one.at - other.at)[0];
+      if (next === undefined) break;
+      open.delete(next.word);
+      if (next.at > 0) pieces.push({ text: rest.slice(0, next.at) });
+      pieces.push({ text: next.text, word: next.word });
+      rest = rest.slice(next.at + next.text.length);
+    }
+    return rest === "" ? pieces : [...pieces, { text: rest }];
+  });
+}
