@@ -1,8 +1,13 @@
-"""A user's simulator that attacks its neighbours, copied into a bundle by tests. Bounded, in case that nothing holds it."""
+"""A user's simulator that attacks its neighbours, copied into a bundle by tests. Bounded, in case that nothing holds it.
+
+The scenario's data say where and how much: `mark` (a word in names of files and processes that are left), `home`, `cache`
+(folders), `secret` (a file), `server` (a process), `url`, `port`, `others` (addresses), `doublings` (of processes), `memory_mb`, `disk_mb`.
+"""
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import ctypes
 import fcntl
 import mmap
@@ -21,10 +26,13 @@ Data = Mapping[str, Any]
 SLEEPER = [sys.executable, "-S", "-c", "import time; time.sleep(600)"]
 
 
-def fork_bomb(_data: Data) -> None:
-    for _ in range(9):  # 512 processes
-        if os.fork() == 0:
-            os.setsid()
+def fork_bomb(data: Data) -> None:
+    for _ in range(data["doublings"]):
+        try:
+            if os.fork() == 0:
+                os.setsid()
+        except OSError:  # no more processes for anyone here
+            break
     time.sleep(600)
 
 
@@ -37,6 +45,11 @@ def daemon(data: Data) -> None:
 
 def memory_of_one(_data: Data) -> None:
     hold = [bytearray(50 << 20) for _ in range(40)]
+    time.sleep(len(hold) * 600)
+
+
+def memory_without_end(data: Data) -> None:
+    hold = [bytearray(b"1") * (10 << 20) for _ in range(data["memory_mb"] // 10)]
     time.sleep(len(hold) * 600)
 
 
@@ -75,6 +88,31 @@ def fills_the_disk_with_small_files(_data: Data) -> None:
     for number in range(12_000):
         (folder / str(number)).write_bytes(bytes(1))
     time.sleep(600)
+
+
+def fills_the_disk_with_a_large_file(data: Data) -> None:
+    _fill(Path("large"), data["disk_mb"])
+    time.sleep(600)
+
+
+def _fill(path: Path, most_mb: int) -> None:
+    """Writes until no room is left, and keeps what was written."""
+    with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        for _ in range(most_mb):
+            file.write(bytes(1 << 20))
+
+
+def writes_outside(data: Data) -> None:
+    refusal: OSError | None = None
+    for folder in ("/", "/etc", "/var/tmp", sys.prefix, data["home"], data["cache"], "/tmp"):
+        try:
+            Path(folder, data["mark"]).touch()
+        except OSError as error:
+            refusal = error
+        else:
+            return
+    if refusal is not None:
+        raise refusal
 
 
 def answers_for_others(_data: Data) -> None:
@@ -131,7 +169,7 @@ def holds_up_the_database(data: Data) -> None:
 
 
 def reads_the_secret(data: Data) -> None:
-    raise RuntimeError(Path(data["home"], "push.secret").read_text())
+    raise RuntimeError(Path(data["secret"]).read_text())
 
 
 def reads_the_environment(data: Data) -> None:
@@ -163,8 +201,28 @@ def listens(data: Data) -> None:
     subprocess.Popen([*SLEEPER, data["mark"]], pass_fds=[server.fileno()])
 
 
+def opens_sockets(data: Data) -> None:
+    sockets = [socket.create_server(("", 0)) for _ in range(200)]
+    subprocess.Popen([*SLEEPER, data["mark"]], pass_fds=[server.fileno() for server in sockets])
+
+
+def reaches_others(data: Data) -> None:
+    refusal: OSError | None = None
+    for address in data["others"]:
+        try:
+            socket.create_connection(tuple(address), timeout=1).close()
+        except OSError as error:
+            refusal = error
+        else:
+            return
+    if refusal is not None:
+        raise refusal
+
+
 ATTACKS: dict[str, Callable[[Data], None]] = {
-    name: value for name, value in list(globals().items()) if name.islower() and getattr(value, "__module__", "") == __name__
+    name: value
+    for name, value in list(globals().items())
+    if name.islower() and not name.startswith("_") and getattr(value, "__module__", "") == __name__
 }
 
 
