@@ -227,7 +227,8 @@ def iterations(database: Database, campaign: StoredCampaign) -> int:
 
 
 def brushed(page: Page) -> float:
-    """The longest frame, milliseconds, while ranges are drawn along two axes and taken away again."""
+    """The longest frame, milliseconds, while ranges are drawn along two axes and taken away again. Finding the button is no part of it:
+    the search computes roles and names of the page's elements with the page's own time."""
     axes = [page.get_by_role("slider", name=re.compile(rf"Range of P{number}\b")) for number in (1, 8)]
     boxes = [axis.bounding_box() for axis in axes]
     page.evaluate(WATCH)
@@ -239,9 +240,14 @@ def brushed(page: Page) -> float:
         for step in range(1, STEPS + 1):
             page.mouse.move(x, top + 0.6 * height * step / STEPS)
         page.mouse.up()
-    page.get_by_role("button", name="Show all again").click()
     page.wait_for_timeout(300)
-    return float(page.evaluate(LONGEST))
+    drawn = float(page.evaluate(LONGEST))
+    button = page.get_by_role("button", name="Show all again").bounding_box()
+    assert button is not None
+    page.evaluate(WATCH)
+    page.mouse.click(button["x"] + button["width"] / 2, button["y"] + button["height"] / 2)
+    page.wait_for_timeout(300)
+    return max(drawn, float(page.evaluate(LONGEST)))
 
 
 def scrolled(page: Page) -> float:
@@ -249,11 +255,12 @@ def scrolled(page: Page) -> float:
     grid = page.get_by_role("grid")
     grid.scroll_into_view_if_needed()
     grid.hover()
+    grid.focus()
     page.evaluate(WATCH)
     for _ in range(STEPS):
         page.mouse.wheel(0, 400)
         page.wait_for_timeout(16)
-    grid.press("End")
+    page.keyboard.press("End")
     page.wait_for_timeout(300)
     return float(page.evaluate(LONGEST))
 

@@ -1,5 +1,5 @@
 import { describe, expect, test } from "vitest";
-import { brushText, brushes, parse, wordsOf, wordsText, write } from "./address";
+import { brushText, brushes, parse, selecting, wordsOf, wordsText, write } from "./address";
 
 describe("an address", () => {
   test("is read as it was written", () => {
@@ -30,6 +30,14 @@ describe("an address", () => {
       score: [4, Infinity],
     });
     expect(brushText([0.1 + 0.2, Infinity])).toBe("0.3:");
+  });
+
+  test("tells a selection from all else: a chosen row and a chart select nothing anew", () => {
+    const query = { "b.P 1": "0:2.5", outcome: "reused,a%2Cb", row: "7", chart: "scatter", sort: "-score" };
+    const part = selecting(query, ["outcome", "stage"]);
+    expect(selecting({ ...query, row: "8", sort: "score", lines: "1" }, ["outcome", "stage"])).toBe(part);
+    expect(Object.fromEntries(new URLSearchParams(part))).toEqual({ "b.P 1": "0:2.5", outcome: "reused,a%2Cb" });
+    expect(selecting({ ...query, stage: "baseline" }, ["outcome", "stage"])).not.toBe(part);
   });
 
   test("holds every row at an end of a range: ends are rounded only outwards", () => {

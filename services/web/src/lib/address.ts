@@ -47,6 +47,11 @@ export function brushes(query: Readonly<Record<string, string>>): Record<string,
   return ranges;
 }
 
+/** The part of a query that selects rows by these columns or by ranges; equal parts are equal texts. */
+export function selecting(query: Readonly<Record<string, string>>, columns: readonly string[]): string {
+  return new URLSearchParams(Object.entries(query).filter(([name]) => name.startsWith("b.") || columns.includes(name))).toString();
+}
+
 /** Ends are rounded only outwards: a row at an end stays in its range. */
 export function brushText([low, high]: readonly [number, number]): string {
   const end = (value: number, outwards: 1 | -1): string => {

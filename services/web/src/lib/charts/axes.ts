@@ -84,11 +84,10 @@ export function positions(table: Table, axis: Pick<Axis, "name" | "choices">): F
   const column = table.columns[axis.name];
   if (column === undefined) return new Float64Array(0);
   if (column.kind === "number") return column.values;
-  const places = column.words.map((word) => axis.choices?.indexOf(word) ?? -1);
-  return Float64Array.from(column.codes, (code) => {
-    const place = places[code] ?? -1;
-    return place < 0 ? Number.NaN : place;
-  });
+  const places = column.words.map((word) => axis.choices?.indexOf(word) ?? -1).map((place) => (place < 0 ? Number.NaN : place));
+  const values = new Float64Array(column.codes.length);
+  for (let row = 0; row < values.length; row++) values[row] = places[column.codes[row] as number] ?? Number.NaN;
+  return values;
 }
 
 /** The choices within a range of their positions. */

@@ -40,3 +40,28 @@ test("all lines come, over several frames, and those without a value have a gap"
   expect(drawn).toEqual({ moveTo: 4_999, lineTo: 4_999 });
   vi.unstubAllGlobals();
 });
+
+test("lines never take more than a frame of the screen for long, whether it shows 60 or 30 in a second", () => {
+  // A browser that paints 100 lines in a millisecond, and a screen that shows a frame only at its own times.
+  const longest = (refresh: number): number => {
+    let next: FrameRequestCallback | null = null;
+    vi.stubGlobal("requestAnimationFrame", (callback: FrameRequestCallback) => (next = callback));
+    const pen = { beginPath: () => undefined, stroke: () => undefined, moveTo: () => undefined, lineTo: () => undefined } as unknown as CanvasRenderingContext2D;
+    let sum = 0;
+    let added = 0;
+    drawLines(pen, [{ axis: AXIS, values: new Float64Array(60_000) }], 10, [{ rows: Uint32Array.from({ length: 60_000 }, (_, row) => row), style: "#000" }], (count) => ([added, sum] = [count - sum, count]));
+    let [now, most] = [0, 0];
+    while (next !== null) {
+      const callback: FrameRequestCallback = next;
+      next = null;
+      callback(now);
+      const took = Math.max(1, Math.ceil(added / 100 / refresh)) * refresh;
+      [now, most] = [now + took, Math.max(most, took)];
+    }
+    expect(sum).toBe(60_000);
+    vi.unstubAllGlobals();
+    return most;
+  };
+  expect(longest(16)).toBe(32);
+  expect(longest(32)).toBe(64);
+});

@@ -17,11 +17,13 @@ export interface Axis {
 }
 
 /** Lines in one frame: adapted to what the browser can paint, so that nothing is ever held up by a hundred thousand of them. */
-const FIRST_QUOTA = 500;
+const FIRST_QUOTA = 250;
 const LEAST_QUOTA = 100;
 const MOST_QUOTA = 4_000;
 /** Milliseconds from one frame to the next. */
 const SLOW_FRAME = 40;
+/** A frame that lasts so many times as long as the shortest is slow, too: the screen was ready, and the lines were not. */
+const SLOWER = 1.5;
 const FIRST_PASS = 2_000;
 
 export function heightOf(axis: Axis, value: number): number {
@@ -67,9 +69,14 @@ export function drawLines(
   let sum = 0;
   let quota = FIRST_QUOTA;
   let last = 0;
+  let shortest = Infinity;
   let frame = requestAnimationFrame(function go(now) {
     // Browsers paint after the frame's script has ended: only the time between frames tells what lines cost.
-    if (last > 0) quota = now - last > SLOW_FRAME ? Math.max(LEAST_QUOTA, quota / 2) : Math.min(MOST_QUOTA, quota * 1.3);
+    if (last > 0) {
+      const took = now - last;
+      shortest = Math.min(shortest, took);
+      quota = took > Math.min(SLOW_FRAME, SLOWER * shortest) ? Math.max(LEAST_QUOTA, quota / 2) : Math.min(MOST_QUOTA, quota * 1.3);
+    }
     last = now;
     let left = Math.round(quota);
     while (pass < passes && left > 0) {

@@ -13,23 +13,40 @@ export interface Wanted {
   axes?: readonly Axis[];
 }
 
+// Plain loops over typed arrays: callbacks take several times as long, and a brush selects among all rows within a frame.
+
 export function select(table: Table, wanted: Wanted): Uint32Array {
   const kept = new Uint8Array(table.length).fill(1);
   for (const [name, words] of Object.entries(wanted.words)) {
     const column = table.columns[name];
     if (column?.kind !== "text" || words.length === 0) continue;
     const fits = column.words.map((word) => words.includes(word));
-    column.codes.forEach((code, row) => {
-      if (fits[code] !== true) kept[row] = 0;
-    });
+    for (let row = 0; row < kept.length; row++) if (fits[column.codes[row] as number] !== true) kept[row] = 0;
   }
   for (const [name, [low, high]] of Object.entries(wanted.ranges)) {
-    const axis = wanted.axes?.find((entry) => entry.name === name) ?? { name };
-    positions(table, axis).forEach((value, row) => {
-      if (!(value >= low && value <= high)) kept[row] = 0;
-    });
+    const values = positions(table, wanted.axes?.find((entry) => entry.name === name) ?? { name });
+    // A range of a column that this table does not have keeps all of it.
+    for (let row = 0; row < values.length; row++) if (!((values[row] as number) >= low && (values[row] as number) <= high)) kept[row] = 0;
   }
-  return numbered(table.length).filter((row) => kept[row] === 1);
+  return picked(numbered(kept.length), (row) => kept[row] === 1);
+}
+
+/** Those of `rows` that are in a selection, in their order. */
+export function within(rows: Uint32Array, selected: Uint32Array): Uint32Array {
+  const kept = new Uint8Array(rows.length);
+  for (const row of selected) kept[row] = 1;
+  return picked(rows, (row) => kept[row] === 1);
+}
+
+/** The rows that are wanted, in their order. */
+function picked(rows: Uint32Array, wanted: (row: number) => boolean): Uint32Array {
+  const kept = new Uint32Array(rows.length);
+  let count = 0;
+  for (let place = 0; place < rows.length; place++) {
+    const row = rows[place] as number;
+    if (wanted(row)) kept[count++] = row;
+  }
+  return kept.slice(0, count);
 }
 
 /** The selection as conditions of the API, for files and commands. */
@@ -61,16 +78,44 @@ export interface Share {
 export function drawn(table: Table, rows: Uint32Array, { by, sign, share, least }: Share): Uint32Array {
   const column = table.columns[by];
   if (share >= 1 || rows.length <= least || column?.kind !== "number") return rows;
+  const { values } = column;
   const stages = table.columns["stage"];
   const search = stages?.kind === "text" ? stages.words.indexOf("calibration") : -1;
-  const searched = search < 0 || stages?.kind !== "text" ? rows : rows.filter((row) => stages.codes[row] === search);
-  const known = (searched.length > 0 ? searched : rows).filter((row) => !Number.isNaN(column.values[row]));
+  const searched = search < 0 || stages?.kind !== "text" ? rows : picked(rows, (row) => stages.codes[row] === search);
+  const known = picked(searched.length > 0 ? searched : rows, (row) => !Number.isNaN(values[row]));
   const most = Math.max(least, Math.ceil(share * known.length));
-  // Sorting numbers is many times as fast as sorting rows by them: the worst value that is drawn decides.
-  const worth = Float64Array.from(known, (row) => sign * (column.values[row] as number));
-  const last = worth.slice().sort()[worth.length - most] ?? -Infinity;
-  let equals = most - worth.reduce((sum, value) => sum + Number(value > last), 0);
-  return known.filter((_, place) => (worth[place] as number) > last || (worth[place] === last && equals-- > 0));
+  if (known.length <= most) return known;
+  // The worst value that is drawn decides: finding it takes a fifth of the time of sorting.
+  const worth = new Float64Array(known.length);
+  for (let place = 0; place < known.length; place++) worth[place] = sign * (values[known[place] as number] as number);
+  const last = nthLeast(worth, known.length - most);
+  let equals = most;
+  for (const value of worth) if (value > last) equals -= 1;
+  return picked(known, (row) => {
+    const value = sign * (values[row] as number);
+    return value > last || (value === last && equals-- > 0);
+  });
+}
+
+/** The value at a place of the numbers in ascending order, by Hoare's selection, which leaves the numbers in another order. */
+export function nthLeast(numbers: Float64Array, place: number): number {
+  let [low, high] = [0, numbers.length - 1];
+  while (low < high) {
+    const pivot = numbers[(low + high) >> 1] as number;
+    let [up, down] = [low, high];
+    while (up <= down) {
+      while ((numbers[up] as number) < pivot) up += 1;
+      while ((numbers[down] as number) > pivot) down -= 1;
+      if (up > down) break;
+      const number = numbers[up] as number;
+      numbers[up++] = numbers[down] as number;
+      numbers[down--] = number;
+    }
+    if (place <= down) high = down;
+    else if (place >= up) low = up;
+    else break;
+  }
+  return numbers[place] as number;
 }
 
 /** The rows ordered by a column; those without a value come last, equal ones stay in their order. */
@@ -108,7 +153,9 @@ export function tally(table: Table, name: string): [string, number][] {
 
 /** The numbers from 0 on. */
 export function numbered(length: number): Uint32Array {
-  return new Uint32Array(length).map((_, row) => row);
+  const numbers = new Uint32Array(length);
+  for (let row = 0; row < length; row++) numbers[row] = row;
+  return numbers;
 }
 
 /** Rows by the size of a value: first those without one, then `count` equal parts from `lower` to `upper`, which may be less, each in the order of the rows. */
@@ -121,4 +168,9 @@ export function binned(rows: Uint32Array, values: Float64Array | null, lower: nu
     bins[part]?.push(row);
   }
   return bins.map((bin) => new Uint32Array(bin));
+}
+
+/** The places from `first` on, by the lines that show them: as long as a place is among them, it stays in its line. */
+export function recycled(first: number, lines: number): number[] {
+  return Array.from({ length: lines }, (_, line) => line + lines * Math.ceil((first - line) / lines));
 }
