@@ -3,10 +3,10 @@
 A campaign of each size, whose simulation is a formula, is shown by the API in a process of its own to a headless Chromium of the system.
 Measured: from an empty tab to the campaign's state, to the first chart and table of its evaluations, and until all of them are there and
 drawn; what reading them costs the server; the longest frame while a brush is drawn along two axes and while the table is scrolled, by the
-browser's own animation frames; the memory of the browser's tab, and of it what its script holds; by how much the server grows for each
-page that is open; and, of a campaign that this process carries out, the longest time from a stored iteration to its point on the
-overview. Then the view Front of a campaign whose sets are all on the front: the longest frame, the least of several tries, while a
-slider of weights is drawn, the weights are moved on their map, and a range is drawn along an axis and in the scatter.
+browser's own animation frames, at the first try and the least of several; the memory of the tab, and of its script; by how much the
+server grows for each page that is open; and, of a campaign that this process carries out, the longest time from a stored iteration to
+its point on the overview. Then the view Front of a campaign whose sets are all on the front: the longest frame, the least of several
+tries, while a slider of weights is drawn, the weights are moved on their map, and a range is drawn along an axis and in the scatter.
 
 Where there is no Chromium or the page was not built, it says so and ends with 0.
 
@@ -45,7 +45,7 @@ TARGET = Path(".drivecal/bench/page.json")
 SCENARIOS = 6
 PAGES = 3
 """Open at once, for what each costs the server."""
-MOST_SECONDS, MOST_FRAME, MOST_SERVER = 3.0, 200.0, 100.0
+MOST_SECONDS, MOST_FRAME, MOST_SERVER = 3.0, 51.0, 100.0
 """To the first view, of a frame in milliseconds, of the server's growth for each page in MB."""
 MOST_FRONT_FRAME = 50.0
 """Milliseconds."""
@@ -177,8 +177,9 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
     found["seconds_to_all"] = found["seconds_to_evaluations"] + time.perf_counter() - began
     now = api.process.cpu_times()
     found["server_cpu_seconds_to_all"] = now.user + now.system - spent.user - spent.system
-    found["brush_longest_frame_ms"] = brushed(page)
-    found["scroll_longest_frame_ms"] = scrolled(page)
+    for what, frame in (("brush", brushed), ("scroll", scrolled)):
+        frames = [frame(page) for _ in range(TRIES)]
+        found[f"{what}_first_longest_frame_ms"], found[f"{what}_longest_frame_ms"] = frames[0], min(frames)
     memory: Any = page.context.new_cdp_session(page).send("Runtime.getHeapUsage")
     found["heap_megabytes"] = (memory["usedSize"] + memory.get("backingStorageSize", 0)) / 2**20
     found["tab_megabytes"] = largest_tab()
@@ -188,6 +189,8 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
         one.goto(f"{address}/evaluations")
         expect(one.get_by_role("grid")).to_be_visible(timeout=120_000)
     found["server_megabytes_for_each_page"] = max(0.0, api.megabytes - before) / PAGES
+    for one in (page, *others):
+        one.close()
     return found
 
 
@@ -251,8 +254,9 @@ def brushed(page: Page) -> float:
 
 
 def scrolled(page: Page) -> float:
-    """The longest frame, milliseconds, while the table is scrolled, to its end at last."""
+    """The longest frame, milliseconds, while the table is scrolled, from its begin and to its end at last."""
     grid = page.get_by_role("grid")
+    grid.evaluate("grid => grid.scrollTo(0, 0)")
     grid.scroll_into_view_if_needed()
     grid.hover()
     grid.focus()

@@ -40,7 +40,8 @@ class MapCost(Answer):
 class ScenarioAccount(Answer):
     """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation without certificates, over the simulated cells; if
     there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
-    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes. `predictor_seconds`: CPU time of
+    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes, less the decisions of simulated
+    runs that they spared (negative if that is more). `predictor_seconds`: CPU time of
     the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
     nothing. `proved`: of the reused cells, those for which a worker happened to know, by a certificate, the result of a simulation;
     `proved_different`: their score is another one, `proved_wrong`: by more than the tolerance. Two equal campaigns need not know

@@ -185,7 +185,7 @@ class CellResult:
     """The time series that were wanted, as gzipped JSON."""
     certifying: float = 0.0
     """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of a bundle's
-    second run."""
+    second run. Less what decisions spared that were proven and not made again, so that it may be negative."""
 
     wall_milliseconds: float | None = None
     """Wall-clock time of the run, without a second one; None for simulations that never wait."""
@@ -197,7 +197,7 @@ class CellResult:
 
     @property
     def run_milliseconds(self) -> float:
-        """CPU time that the cell would have taken without certificates; next to nothing if it was certified."""
+        """CPU time (ms) that the cell would have taken without certificates; next to nothing if it was certified."""
         return max(0.0, self.milliseconds - self.certifying)
 
 

@@ -67,7 +67,8 @@ class RunResult:
 
     `proven_by`: the number of the run that the result provably repeats, None without a certificate. `agrees`: whether a simulation gave
     the same result as the certificate, None if it was not simulated. `agrees` is False without `proven_by` if the simulation turned out
-    not to be deterministic. `certifying`: CPU time (ms) of looking for the certificate and of recording the run; no part of the result.
+    not to be deterministic. `certifying`: CPU time (ms) of looking for the certificate and of recording the run, less what repeated
+    decisions spared; no part of the result.
     """
 
     rating: Rating

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -187,6 +188,30 @@ def test_decisions_shared_with_a_recorded_run_are_known_and_not_planned_again() 
         assert planner.planned - before == len(decisions) - len(known)
         shared += len(known)
     assert shared > 0
+
+
+class Slow(Linear):
+    """Computes for a millisecond before it chooses."""
+
+    def plan(self, observation: Observation) -> Floats:
+        start = time.thread_time_ns()
+        while time.thread_time_ns() - start < 1_000_000:
+            pass
+        return super().plan(observation)
+
+
+def test_a_run_is_charged_for_its_recording_less_the_plans_that_it_was_spared() -> None:
+    planner = Slow(1, 6, 3, 0.0)
+    trie: Trie[bytes] = Trie(planner, Memory())
+    first = trie.record()
+    drive(first, [0.0, 0.5, 1.0])
+    first.finish(b"", 1)
+    assert 0 < first.milliseconds < 0.5 * PLANS
+    again = trie.record(first.recording.decisions)
+    drive(again, [0.0, 0.5, 1.0])
+    assert planner.planned == len(first.recording.decisions)
+    spared = -again.milliseconds / len(first.recording.decisions)
+    assert 0.5 < spared < trie.spent[False].mean / 1e6
 
 
 def test_a_world_that_is_not_deterministic_is_noticed_although_decisions_are_known() -> None:

@@ -34,7 +34,7 @@ BYTES_PER_RESULT = 4000
 DECISIONS_UNTIL_DESCRIPTION = 4
 """Decisions of the planner in a state before it is described: a description costs as much as four to six decisions."""
 TIMED = 8
-"""Every so many plans the recording is timed: reading the clock takes a good part of what recording a plan does."""
+"""Every so many plans planning and recording are timed: reading the clock takes a good part of what recording a plan does."""
 
 
 class NotDeterministicError(DrivecalError):
@@ -47,6 +47,19 @@ class Certificate(Generic[Result]):
 
     result: Result
     proven_by: int
+
+
+@dataclass(slots=True)
+class Spent:
+    """CPU time in nanoseconds of so many timed plans."""
+
+    nanoseconds: int = 0
+    plans: int = 0
+
+    @property
+    def mean(self) -> float:
+        """Nanoseconds of a plan."""
+        return self.nanoseconds / self.plans if self.plans else 0.0
 
 
 class Trie(Generic[Result]):
@@ -62,6 +75,8 @@ class Trie(Generic[Result]):
         """False if an exception interrupted a change."""
         self.known: list[int] = []
         """First decisions of the run that the last `prove` was about, if it has no certificate. They are proven, too."""
+        self.spent = {False: Spent(), True: Spent()}
+        """CPU time of plans that were made, and of those that repeated a known decision."""
         memory.join(self)
 
     def use(self, planner: CertifiablePlanner) -> None:
@@ -197,9 +212,13 @@ class RecordingPlanner(Generic[Result]):
 
     @property
     def milliseconds(self) -> float:
-        """CPU time of recording so far, estimated from every `TIMED`-th plan."""
-        timed = -(-len(self._decisions) // TIMED)
-        return self._timed / 1e6 * len(self._decisions) / timed if timed else 0.0
+        """CPU time of recording so far, less what repeated decisions spared; negative if they spared more. Both are estimated from every
+        `TIMED`-th plan."""
+        count, spent = len(self._decisions), self._trie.spent
+        timed = -(-count // TIMED)
+        recording = self._timed * count / timed if timed else 0.0
+        spared = spent[False].mean - spent[True].mean if spent[False].plans else 0.0
+        return (recording - spared * min(count, len(self._known))) / 1e6
 
     def reset(self, parameters: Sequence[float]) -> None:
         self._planner.reset(parameters)
@@ -208,17 +227,24 @@ class RecordingPlanner(Generic[Result]):
 
     def plan(self, observation: Observation) -> Floats:
         number = len(self._decisions)
-        if number < len(self._known):
-            trajectory = self._planner.repeat(observation, self._known[number])
-        else:
-            trajectory = self._planner.plan(observation)
         if number % TIMED:
+            trajectory = self._plan(observation, number)
             self._record()
-        else:
-            start = thread_time_ns()
-            self._record()
-            self._timed += thread_time_ns() - start
+            return trajectory
+        start = thread_time_ns()
+        trajectory = self._plan(observation, number)
+        planned = thread_time_ns()
+        self._record()
+        self._timed += thread_time_ns() - planned
+        spent = self._trie.spent[number < len(self._known)]
+        spent.nanoseconds += planned - start
+        spent.plans += 1
         return trajectory
+
+    def _plan(self, observation: Observation, number: int) -> Floats:
+        if number < len(self._known):
+            return self._planner.repeat(observation, self._known[number])
+        return self._planner.plan(observation)
 
     def _record(self) -> None:
         planner = self._planner
