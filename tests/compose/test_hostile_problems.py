@@ -149,7 +149,6 @@ def test_an_attack_on_a_node_costs_its_cell_and_nothing_of_a_campaign_beside_it(
         assert (again.state, again.cells, again.best) == ("succeeded", alone.cells, alone.best)
 
 
-@pytest.mark.xfail(raises=AssertionError, reason="costs workers and nodes: see Security, what containers do not hold yet")
 @pytest.mark.parametrize(("name", "doublings", "memory_mb"), [("memory_without_end", 9, 8000), ("fork_bomb", 13, 300)])
 def test_an_attack_as_large_as_a_node_costs_its_cell_only(
     cluster: Cluster, tmp_path: Path, name: str, doublings: int, memory_mb: int
