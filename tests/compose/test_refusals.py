@@ -134,7 +134,7 @@ def test_a_secret_that_is_missing_or_empty_is_named_by_its_file(cluster: Cluster
     assert str(folder / "ray_token") in attempt("ray-head")
     for name in ("postgres_password", "ray_token", "tokens"):
         (folder / name).touch(0o644)
-    assert "the cluster's token in /run/secrets/ray_token has 0 characters, 16 are the least" in attempt("ray-head")
+    assert "the cluster's token in /run/secrets/ray_token has 0 characters" in attempt("ray-head")
     assert "/run/secrets/postgres_password is empty" in attempt("api")
     assert "/run/secrets/postgres_password is empty" in attempt("dispatcher")
     (folder / "postgres_password").write_text("anything")
