@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from drivecal.analysis.goals import EQUAL
 from drivecal.contracts.assignments import value_text
@@ -14,18 +15,24 @@ AT_END = 0.005
 
 @dataclass(frozen=True, slots=True)
 class BesideBaseline:
-    """The value of an objective beside the baseline's. `sign`: 1 if more is better, else -1."""
+    """The value of an objective beside the baseline's. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count."""
 
     name: str
     value: float
     baseline: float
     sign: int
     unit: str = "1"
+    tolerance: float = 0.0
 
     @property
     def gain(self) -> float:
         """By how much the value is better; below 0 if it is worse."""
         return self.sign * (self.value - self.baseline)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether the difference does not count."""
+        return abs(self.gain) <= max(EQUAL, self.tolerance)
 
     @property
     def text(self) -> str:
@@ -34,7 +41,8 @@ class BesideBaseline:
         change = (
             "equal" if abs(self.gain) <= EQUAL else f"{'better' if self.gain > 0 else 'worse'} by {abs(self.gain):.4g}{unit}"
         )
-        return f"{self.name} {self.value:.6g}{unit}, baseline {self.baseline:.6g}{unit}: {change}"
+        tolerated = f", within the tolerance of {self.tolerance:.4g}{unit}" if self.is_alike and abs(self.gain) > EQUAL else ""
+        return f"{self.name} {self.value:.6g}{unit}, baseline {self.baseline:.6g}{unit}: {change}{tolerated}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +81,12 @@ def _baseline(chosen: Chosen) -> Iterator[Reason]:
     if chosen.violation < chosen.baseline_violation:
         yield baseline_breaks_more("the chosen set")
     elif chosen.compared:
-        gains = [each.gain for each in chosen.compared]
-        light: Light = "green" if min(gains) >= -EQUAL and max(gains) > EQUAL else "amber"
+        counted = [each.gain for each in chosen.compared if not each.is_alike]
+        light: Light | Literal["neutral"] = "amber"
+        if counted:
+            light = "green" if min(counted) > 0 else "amber"
+        elif max(each.gain for each in chosen.compared) > EQUAL:
+            light = "neutral"
         text = f"The chosen set beside the baseline: {'; '.join(each.text for each in chosen.compared)}."
         yield Reason(light=light, about="baseline", text=text)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -326,7 +327,16 @@ def about_the_set(chosen: Chosen, later: Later | None = None, **given: Any) -> d
 
 @pytest.mark.parametrize(
     ("compared", "light"),
-    [([COMFORT, ENERGY], "amber"), ([COMFORT], "green"), ([ENERGY], "amber"), ([BesideBaseline("a", 1.0, 1.0, 1)], "amber")],
+    [
+        ([COMFORT, ENERGY], "amber"),
+        ([COMFORT], "green"),
+        ([ENERGY], "amber"),
+        ([BesideBaseline("a", 1.0, 1.0, 1)], "amber"),
+        ([COMFORT, replace(ENERGY, tolerance=1.0)], "green"),
+        ([replace(ENERGY, tolerance=1.0)], "amber"),
+        ([replace(COMFORT, tolerance=2.0)], "neutral"),
+        ([replace(COMFORT, tolerance=2.0), replace(ENERGY, tolerance=1.0)], "neutral"),
+    ],
 )
 def test_a_chosen_set_is_compared_with_the_baseline_in_each_objective(compared: list[BesideBaseline], light: str) -> None:
     about = about_the_set(Chosen({}, compared))
@@ -339,6 +349,7 @@ def test_a_chosen_set_is_compared_with_the_baseline_in_each_objective(compared: 
 def test_words_of_a_comparison_follow_the_direction() -> None:
     assert ENERGY.text == "energy 153.8, baseline 153.2: worse by 0.6"
     assert COMFORT.text.endswith("better by 2")
+    assert replace(COMFORT, tolerance=2.0).text.endswith("better by 2, within the tolerance of 2")
 
 
 def test_copied_scores_and_broken_constraints_of_a_chosen_set_are_named() -> None:

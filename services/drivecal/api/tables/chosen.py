@@ -1,6 +1,7 @@
 """A set of a campaign beside its baseline, for the light of this very set."""
 
 from drivecal.analysis.chosen import BesideBaseline, Chosen
+from drivecal.analysis.goals import Objective
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.campaigns.results.front import CampaignFront
 from drivecal.storage import results
@@ -28,7 +29,10 @@ def set_at(
     compared: list[BesideBaseline] = []
     if baseline and baseline.judgement:
         amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
-        compared = [BesideBaseline(goal.name, value, before, goal.sign, goal.unit) for goal, value, before in amounts]
+        compared = [
+            BesideBaseline(goal.name, value, before, goal.sign, goal.unit, _tolerance(goal, len(front.goals.objectives)))
+            for goal, value, before in amounts
+        ]
     return Chosen(
         parameters=parameters,
         compared=compared,
@@ -37,3 +41,10 @@ def set_at(
         baseline_violation=0.0 if baseline is None else baseline.shares_violated,
         is_best=is_best,
     )
+
+
+def _tolerance(goal: Objective, objectives: int) -> float:
+    """Returns the differences that do not count: the objective's own; if it is the only one, else those of its score's scale."""
+    if goal.tolerance or objectives > 1 or goal.value.scale is None:
+        return goal.tolerance
+    return goal.value.scale.tolerance
