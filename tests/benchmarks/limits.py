@@ -20,6 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,13 @@ class Met:
     refused: Counter[int] = field(default_factory=Counter)
     wrong: Counter[str] = field(default_factory=Counter)
     open_at_the_end: int = 0
+    answered: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set once there are as many answers as clients."""
 
     def note(self, status: int, headers: Mapping[bytes, bytes], milliseconds: float) -> float:
         """Counts an answer. Returns the seconds after which to ask again."""
+        if len(self.served) + self.refused.total() + 1 >= self.clients:
+            self.answered.set()
         if status not in REFUSALS:
             self.served.append(milliseconds)
             if status >= 400:
@@ -177,6 +182,8 @@ async def load(url: str, campaign: str, clients: Mapping[str, int], seconds: flo
         group.create_task(asking(url, ("GET", HEALTH, b""), met[HEALTH], until, pause=0.1))
         for _ in range(clients[STREAMS]):
             group.create_task(streaming(url, f"{here}/events", met[STREAMS], until))
+        with suppress(TimeoutError):
+            await asyncio.wait_for(met[STREAMS].answered.wait(), seconds)  # a stream that is being opened is a request
         for kind, request in requests.items():
             for _ in range(clients[kind]):
                 group.create_task(asking(url, request, met[kind], until))
