@@ -1,5 +1,6 @@
 """When a predictor is asked, and in which batches."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -14,7 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.campaigns.cells import predicting
-from drivecal.campaigns.cells.past_lots import pays, released_by_scenario, skipped_text
+from drivecal.campaigns.cells.past_lots import (
+    ASKING_SECONDS,
+    LIKELY,
+    pays,
+    released_by_scenario,
+    skipped_text,
+    training_seconds,
+)
 from drivecal.campaigns.cells.predicting import LotPlanner, batch_of, slice_size
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
@@ -35,50 +43,69 @@ def lot(size: int, sample: int = 16, *, seconds: float = 1.0, known: int = 1000,
     return StoredLot(1, 0, "S1", size, sample, 1, 0.0, 0.05, known, seconds, Outcome.PREDICTED, 1, verdict, errors)
 
 
+PARAMETERS = 11
+TRAINING = training_seconds(1000, PARAMETERS)
+"""CPU seconds; cells take a hundredth of it in the tests below."""
+SHARE_ASKED = ASKING_SECONDS / TRAINING
+
+
+def just_paid(share: float, *, paid: bool = True) -> StoredLot:
+    """The lot that saves so many hundredths of a training, or one cell less."""
+    return lot(16 + math.ceil(100 * share - 1e-9) - (0 if paid else 1))
+
+
 @pytest.mark.parametrize(
     ("lots_so_far", "known", "cell_seconds", "expected"),
     [
         ([], 100, 0.0, True),
-        ([lot(116)], 1100, 0.01, True),
-        ([lot(115)], 1100, 0.01, False),
-        ([lot(115)], 1250, 0.04, True),
-        ([lot(0, 0), lot(216)], 1100, 0.01, True),
-        ([lot(216, errors=2), lot(116)], 1100, 0.01, False),
+        ([just_paid(1 + SHARE_ASKED)], 1100, TRAINING / 100, True),
+        ([just_paid(1 + SHARE_ASKED, paid=False)], 1100, TRAINING / 100, False),
+        ([lot(0, 0)], 1250, (TRAINING + ASKING_SECONDS) / (LIKELY * 99), True),
+        ([lot(0, 0)], 1250, (TRAINING + ASKING_SECONDS) / (LIKELY * 101), False),
+        ([lot(0, 0), just_paid(1 + 2 * SHARE_ASKED)], 1100, TRAINING / 100, True),
+        ([lot(216, errors=2), just_paid(1 + SHARE_ASKED)], 1100, TRAINING / 100, False),
         ([lot(200), lot(0, 0, known=1100)], 1374, 1.0, False),
         ([lot(200), lot(0, 0, known=1100)], 1375, 1.0, True),
-        ([lot(0, 0, seconds=26.0)], 2000, 1.0, False),
     ],
 )
 def test_a_predictor_is_trained_if_it_saves_more_than_it_costs(
     lots_so_far: list[StoredLot], known: int, cell_seconds: float, expected: bool
 ) -> None:
-    assert pays(lots_so_far, known, 100, cell_seconds) is expected
+    assert pays(lots_so_far, known, 100, PARAMETERS, cell_seconds) is expected
 
 
 @pytest.mark.parametrize(
     ("again", "expected"),
     [
         ([], True),
-        ([lot(0, 0, seconds=0.1)], True),
-        ([lot(216, seconds=0.1, errors=2), lot(0, 0, seconds=0.1)], True),
-        ([lot(0, 0, seconds=0.1)] * 2 + [lot(47, seconds=0.1)], True),
-        ([lot(0, 0, seconds=0.1)] * 2 + [lot(45, seconds=0.1)], False),
-        ([lot(0, 0, seconds=0.1)] * 3 + [lot(56, seconds=0.1)], True),
-        ([lot(36, seconds=0.1), lot(0, 0, seconds=0.1), lot(0, 0, seconds=0.1)], False),
+        ([lot(0, 0)], True),
+        ([lot(216, errors=2), lot(0, 0)], True),
+        ([lot(0, 0)] * 2 + [just_paid(3 * SHARE_ASKED)], True),
+        ([lot(0, 0)] * 2 + [just_paid(3 * SHARE_ASKED, paid=False)], False),
+        ([lot(0, 0)] * 3 + [just_paid(4 * SHARE_ASKED)], True),
+        ([just_paid(2 * SHARE_ASKED), lot(0, 0), lot(0, 0)], False),
     ],
 )
 def test_a_trained_predictor_is_asked_again_a_few_times_and_then_if_its_predictions_alone_pay(
     again: list[StoredLot], expected: bool
 ) -> None:
     """Training costs ten times as much as its first lot saved: that is spent, and predicting costs little."""
-    trained = lot(26, seconds=1.0)
-    assert pays([trained, *again], 1099, 100, 0.01) is expected
+    assert pays([lot(26), *again], 1099, 100, PARAMETERS, TRAINING / 100) is expected
 
 
 def test_a_training_is_paid_by_all_the_batches_that_it_served() -> None:
-    served = [lot(26, seconds=1.0), *(lot(66, seconds=0.1) for _ in range(3))]
-    assert pays(served, 1100, 100, 0.01)
-    assert not pays(served[:3], 1100, 100, 0.01)
+    served = [lot(26), *(just_paid(0.3 + SHARE_ASKED) for _ in range(4))]
+    assert pays(served, 1100, 100, PARAMETERS, TRAINING / 100)
+    assert not pays(served[:3], 1100, 100, PARAMETERS, TRAINING / 100)
+
+
+def test_a_predictor_that_is_trained_once_more_after_a_crash_is_judged_as_before() -> None:
+    served = [just_paid(1 + 2 * SHARE_ASKED), lot(0, 0)]
+    trained_again = [served[0], replace(served[1], seconds=60.0)]
+    for known in (1000, 1100, 1250):
+        assert pays(served, known, 100, PARAMETERS, TRAINING / 100) is pays(
+            trained_again, known, 100, PARAMETERS, TRAINING / 100
+        )
 
 
 def test_batches_are_slices_of_the_start_population_then_generations() -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from drivecal.contracts.campaign import Released
 from drivecal.reduction.lots import SamplingPlan, most_released
-from drivecal.reduction.prediction import REFIT
+from drivecal.reduction.prediction import MOST_KNOWN, REFIT
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 PATIENCE = 3
@@ -16,8 +16,15 @@ LIKELY = 0.25
 """Share of a batch that a predictor is expected to save if it has saved nothing yet."""
 
 
-def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds: float) -> bool:
-    """Whether a scenario's predictor can save more than it costs in a batch of so many cells.
+TRAINING_SECONDS, SECONDS_PER_ANSWER, SECONDS_PER_VALUE = 0.015, 20e-6, 4e-6
+"""CPU time of a training: in any case, for each known answer, and for each parameter of it. Usual times in the place of measured ones:
+a dispatcher that was killed trains once more, and its campaign would go on with other lots."""
+ASKING_SECONDS = 0.01
+"""CPU time of a batch's predictions."""
+
+
+def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, parameters: int, cell_seconds: float) -> bool:
+    """Whether a scenario's predictor of so many parameters can save more than it costs in a batch of so many cells.
 
     Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
     more answers are `known`. Until a training is due, asking again costs a prediction: it goes on for `PATIENCE` batches, and then as long
@@ -29,13 +36,19 @@ def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, cell_seconds:
     served = [lot for lot in lots_so_far if lot.known == trained_on]
     if known < REFIT * trained_on:
         asked = served[1:]
-        return len(asked) < PATIENCE or _paid(asked, cell_seconds)
-    grown = known >= GROWTH * trained_on and max(lot.seconds for lot in served) <= LIKELY * cells * cell_seconds
-    return grown or _paid(served, cell_seconds)
+        return len(asked) < PATIENCE or ASKING_SECONDS * len(asked) <= _saved_seconds(asked, cell_seconds)
+    training = training_seconds(trained_on, parameters)
+    grown = known >= GROWTH * trained_on and training + ASKING_SECONDS <= LIKELY * cells * cell_seconds
+    return grown or training + ASKING_SECONDS * len(served) <= _saved_seconds(served, cell_seconds)
 
 
-def _paid(served: Sequence[StoredLot], cell_seconds: float) -> bool:
-    return sum(lot.seconds for lot in served) <= sum(lot.released for lot in served) * cell_seconds
+def training_seconds(known: int, parameters: int) -> float:
+    """Returns the usual CPU time of a training on so many known answers."""
+    return TRAINING_SECONDS + min(known, MOST_KNOWN) * (SECONDS_PER_ANSWER + SECONDS_PER_VALUE * parameters)
+
+
+def _saved_seconds(served: Sequence[StoredLot], cell_seconds: float) -> float:
+    return sum(lot.released for lot in served) * cell_seconds
 
 
 def released_by_scenario(

@@ -1,7 +1,7 @@
 """Predicts the cells of a calibration batch by batch, and accepts predictions in lots.
 
 A batch is a slice of the start population or a later generation. Its predictors learn from all earlier answers that were simulated or
-certified, so lots depend on stored rows, never on the order of answers. CPU times decide only whether a predictor pays.
+certified, so lots depend on stored rows, never on the order of answers. The stored times of simulations decide whether a predictor pays.
 """
 
 import math
@@ -188,6 +188,7 @@ class LotPlanner:
                 [lot for lot in self._lots_so_far if lot.scenario == scenario],
                 learner.known,
                 len(sets),
+                features.shape[1],
                 self._cell_seconds(scenario),
             )
         ]
