@@ -237,3 +237,26 @@ def test_bounds_of_new_lots_are_prepared_while_the_workers_simulate(monkeypatch:
         planner.weigh()
         weighed.append(cost_of_an_error.cache_info().currsize)
     assert 0 < weighed[0] < weighed[1] == weighed[2]
+
+
+def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their predicted objective, or by half a standard deviation above the mean of what is believed."""
+    monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
+    space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
+    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
+    weights = {"S1": 0.5, "S2": 0.5}
+    planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
+    cells = [
+        NewEvaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
+        for place in range(98)
+        for scenario in weights
+    ]
+    scores, variances = np.full(98, 4.0), np.zeros(98)
+    means = scores.copy()
+    scores[0], scores[1], means[2:4], variances[2:4] = 6.0, 5.5, 5.0, (8.0, 7.9)
+    predictions = Predictions(scores, scores, np.ones(98), means, variances)
+    planner._rows = {place: place for place in range(98)}
+    planner._forecasts = {name: predicting._Forecast(predictions, np.zeros(98), 500, 3.0) for name in weights}
+    planned = planner.plan(NOTHING, cells, 6.0, ())
+    assert {cell.individual for cell in planned if cell.plan is Outcome.SIMULATED} == {0, 2}
+    assert {cell.individual for cell in planned if cell.plan is Outcome.PREDICTED} == {1, *range(3, 98)}
