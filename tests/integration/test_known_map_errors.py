@@ -10,14 +10,17 @@ from sqlalchemy import update
 from tests.support.computed import ComputedBackend
 from tests.support.runs import get, influenced, nothing_matters, post_map, run, submit
 
-from drivecal.api.submission import expected
+from drivecal.api.dependencies import Limits
+from drivecal.api.submission import expected, rerun
 from drivecal.campaigns.resolve.maps import doubts
-from drivecal.contracts.specification import CampaignSpecification
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
 
+LIMITS = Limits.of(load_settings())
 VALIDATION = {"samples": 20, "references": 3, "largest": 20}
 
 
@@ -40,6 +43,8 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
     assert any("wrong in S1" in note for note in run(database, uninspected, ComputedBackend(answer=influenced)).notes)
     narrowed = submit(database, stored_map=stored, reduction={"mode": "predicted", "narrow": True})
     assert any("wrong in S1" in note for note in run(database, narrowed, ComputedBackend(answer=influenced)).notes)
+    again = rerun(database, LIMITS, before.id, RerunSpecification(weights={"S1": 2.0}), None)
+    assert any("wrong in S1" in note for note in run(database, again, ComputedBackend(answer=influenced)).notes)
     unaffected = run(
         database, submit(database, stored_map=stored, reduction={"mode": "exact"}), ComputedBackend(answer=influenced)
     )

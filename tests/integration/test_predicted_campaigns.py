@@ -10,17 +10,24 @@ from typing import Any
 
 import pytest
 from tests.integration.test_certified_campaigns import alike
+from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
 
+from drivecal.api import submission
+from drivecal.api.dependencies import Limits
 from drivecal.api.routes.campaigns import accounting
+from drivecal.campaigns.cells.predicting import slice_size
+from drivecal.campaigns.comparisons.results import compared
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results import prediction
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -305,3 +312,46 @@ def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(d
     assert ended.cells.predicted > 0.8 * ended.cells.requested
     assert ended.best is not None
     assert ended.best.objective == 6.0
+
+
+def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Database) -> None:
+    first = run(database, ask(database, population=400), ComputedBackend(answer=slowly))
+    wanted = RerunSpecification.model_validate({"weights": {"S1": 3.0}, "optimizer": {"kind": "genetic", "seed": 4}})
+    again = submission.rerun(database, Limits.of(load_settings()), first.id, wanted, None)
+    ended = run(database, again, ComputedBackend(answer=slowly))
+    counts = Counter(row.outcome for row in rows_of(database, ended))
+    assert ended.cells.predicted == counts[Outcome.PREDICTED] > 0
+    assert ended.cells.repeated > 0
+    assert ended.cells.simulated < first.cells.simulated
+    earliest = min(
+        row.individual for row in rows_of(database, ended) if row.outcome is Outcome.PREDICTED and row.iteration == 0
+    )
+    assert earliest < slice_size(400), "the first batch waits for no answer of its own"
+    assert ended.best is not None
+    best = Cell(1, ended.best.parameters)
+    assert ended.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+
+
+def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(database: Database) -> None:
+    comparison = submit_comparison(
+        database,
+        parameters=SPACE,
+        optimizers=[{"kind": "genetic"}],
+        populations=[400],
+        seeds=[1, 2, 3],
+        reductions=["off", {"mode": "predicted", "certified": False}],
+    )
+    ended = run(database, comparison, ComputedBackend(answer=slowly))
+    with database.read() as connection:
+        found = compared(connection, ended)
+    plain, predicting = found.campaigns[0::2], found.campaigns[1::2]
+    assert all(one.cells.predicted == 0 for one in plain)
+    assert all(one.cells.predicted > 0 for one in predicting)
+    for one, campaign in zip(found.runs(), found.campaigns, strict=True):
+        rows = rows_of(database, campaign)
+        assert one.simulations == sum(row.outcome is Outcome.SIMULATED for row in rows)
+        assert campaign.best is not None
+        best = Cell(1, campaign.best.parameters)
+        assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
+    assert all(pair.saved > 0 for pair in found.pairs())
+    assert [check for check in verify(database, full=True) if check.problems] == []
