@@ -107,10 +107,10 @@ def _moment(number: int, copies: int) -> datetime:
 
 
 class _Group:
-    """The rows of the first campaigns, in temporary tables of the connection that copies them."""
+    """The rows of the first campaigns, read once and copied with other numbers."""
 
     def __init__(self, connection: Connection) -> None:
-        self._columns = {name: _columns(connection, name) for name in _COPIED}
+        self._kept: dict[str, dict[str, tuple[list[Any], list[int]]]] = {}
         self._last = {
             name: connection.scalar(text(f"SELECT coalesce(max({_number(name)}), 0) FROM {name}")) for name in COUNTED
         }
@@ -153,34 +153,48 @@ class _Group:
         keys: Mapping[bytes, bytes],
         texts: Mapping[str, str],
     ) -> None:
+        """Stores a table's rows of the copy, made column by column."""
+        if table not in self._kept:
+            self._kept[table] = self._read(connection, table, texts)
+        made: list[list[Any]] = []
+        for name, (values, named) in self._kept[table].items():
+            pointed = _POINTS.get((table, name), _POINTS.get(("", name)))
+            if (table, name) == ("campaigns", "id"):
+                made.append([texts[value] for value in values])
+            elif pointed is not None:
+                offset = offsets[pointed]
+                made.append([value + offset if value else value for value in values] if offset else values)
+            elif name == "reference_key":
+                made.append([None if value is None else keys[bytes(value)] for value in values])
+            elif name in _MOMENTS:
+                stored = _stored(moment)
+                made.append([None if value is None else stored for value in values])
+            else:
+                changed = list(values) if named else values
+                for place in named:
+                    changed[place] = _replaced(values[place], texts)
+                made.append(changed)
+        _insert(connection, f"{table} ({', '.join(self._kept[table])})", list(zip(*made, strict=True)))
+
+    def _read(self, connection: Connection, table: str, texts: Mapping[str, str]) -> dict[str, tuple[list[Any], list[int]]]:
+        """Returns the columns of the group's rows, documents as text, each with the places of the texts that name what a copy renames."""
         own = "campaign_sequence" if table not in {"campaigns", "ratings"} else _number(table)
         last = self._last["runs" if table == "ratings" else "campaigns"]
-        query = text(f"SELECT * FROM {table} WHERE {own} <= :last")  # names of tables
-        columns = self._columns[table]
-        copied: list[tuple[Any, ...]] = []
-        for row in connection.execute(query, {"last": last}):
-            values = list(row)
-            for position, name in enumerate(columns):
-                value = values[position]
-                if value is None:
-                    continue
-                if (table, name) == ("campaigns", "id"):
-                    values[position] = texts[value]
-                    continue
-                pointed = _POINTS.get((table, name), _POINTS.get(("", name)))
-                if pointed is not None:
-                    values[position] = value + offsets[pointed] if value else value
-                elif name == "reference_key":
-                    values[position] = keys[bytes(value)]
-                elif name in _MOMENTS:
-                    values[position] = _stored(moment)
-                elif name in _DOCUMENTS and not isinstance(value, float):  # generations have a number `best`
-                    document = value if connection.dialect.name == "sqlite" else json.dumps(value)
-                    values[position] = document if name == "metrics" else _replaced(document, texts)
-                elif name in _NAMES:
-                    values[position] = _replaced(value, texts)
-            copied.append(tuple(values))
-        _insert(connection, f"{table} ({', '.join(columns)})", copied)
+        result = connection.execute(text(f"SELECT * FROM {table} WHERE {own} <= :last"), {"last": last})  # names of tables
+        names, rows = list(result.keys()), result.all()
+        kept: dict[str, tuple[list[Any], list[int]]] = {}
+        for name, column in zip(names, zip(*rows, strict=True) if rows else ((),) * len(names), strict=True):
+            values, named = list(column), []
+            if name in _DOCUMENTS and connection.dialect.name == "postgresql":
+                values = [
+                    value if value is None or isinstance(value, float) else json.dumps(value) for value in values
+                ]  # generations have a number `best`
+            if name in _DOCUMENTS | _NAMES:
+                named = [
+                    place for place, value in enumerate(values) if isinstance(value, str) and any(old in value for old in texts)
+                ]
+            kept[name] = values, named
+        return kept
 
     def _ensure_setups(self, connection: Connection, problem: int) -> dict[str, str]:
         """Stores the setups of a problem, and returns their fingerprints by those of the group."""
@@ -258,10 +272,6 @@ def _shifted(parameter_set: ParameterSet, number: int) -> ParameterSet:
     place = parameter_set.names.index("P1")
     values[place] = int(values[place]) + number * SHIFT
     return ParameterSet(parameter_set.names, tuple(values))
-
-
-def _columns(connection: Connection, table: str) -> list[str]:
-    return list(connection.execute(text(f"SELECT * FROM {table} LIMIT 0")).keys())  # names of tables
 
 
 def _stored(moment: datetime) -> str:

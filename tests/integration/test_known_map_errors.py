@@ -15,7 +15,9 @@ from drivecal.api.submission import expected, rerun
 from drivecal.campaigns.resolve.maps import doubts
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.domain.events import EventKind
 from drivecal.reduction.audit import clopper_pearson
+from drivecal.storage import events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
@@ -44,6 +46,12 @@ def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Databa
     narrowed = submit(database, stored_map=stored, reduction={"mode": "predicted", "narrow": True})
     assert any("wrong in S1" in note for note in run(database, narrowed, ComputedBackend(answer=influenced)).notes)
     again = rerun(database, LIMITS, before.id, RerunSpecification(weights={"S1": 2.0}), None)
+    assert any("wrong in S1" in note for note in again.notes), "the answer of the submission says it"
+    with database.read() as connection:
+        told = [
+            event.data["text"] for event in events.since(connection, again.sequence, 0, 100) if event.kind == EventKind.NOTE
+        ]
+    assert told == list(again.notes)
     assert any("wrong in S1" in note for note in run(database, again, ComputedBackend(answer=influenced)).notes)
     unaffected = run(
         database, submit(database, stored_map=stored, reduction={"mode": "exact"}), ComputedBackend(answer=influenced)

@@ -11,7 +11,7 @@ from drivecal.api.pace import pace
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
-from drivecal.campaigns.resolve.maps import check_basis, doubts, is_outdated
+from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import specification_of, stored_document
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
@@ -66,10 +66,8 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     problem = _checked(database, limits, specification)
     with database.read() as connection:
         used = _stored_parts(connection, problem)
-        reduction = specification.reduction
         known = pace(connection, [setup.fingerprint for setup in problem.bench.setups.values()])
-        uses_map = reduction.uses_map or reduction.narrow
-        warnings = doubts(connection, used, reduction.max_error, now()) if used is not None and uses_map else []
+        warnings = warnings_of(connection, problem, used, now())
         of_predictions = runs_at_most(connection, problem)
     runs = problem.expected_runs()
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
@@ -181,6 +179,7 @@ def _queue(
         idempotency_key=key,
         body_digests=body_digests,
         priority=specification.priority,
+        notes=warnings_of(connection, problem, used, now()),
     )
     return _pinned(connection, stored, problem)
 

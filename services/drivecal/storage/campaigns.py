@@ -158,6 +158,8 @@ def insert(
     if inserted is not None:
         queued = by_sequence(connection, inserted)
         _tell(connection, queued.sequence, EventKind.QUEUED, CampaignState.QUEUED, name=name)
+        for note in notes:
+            events.add(connection, queued.sequence, EventKind.NOTE, {"text": note})
         return queued
     earlier = admission.earlier(connection, idempotency_key, body_digests)
     if earlier is None:

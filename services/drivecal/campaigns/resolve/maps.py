@@ -23,6 +23,7 @@ from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
 from drivecal.contracts.specification import (
     InfluenceMapSpecification,
     InfluenceSpecification,
+    MapReference,
     ProblemSpecification,
     ReductionSpecification,
 )
@@ -186,6 +187,17 @@ def check_basis(stored: StoredInfluenceMap, problem: CalibrationProblem) -> None
         raise InvalidInputError(
             *(Problem("sensitivity.map", f"the map does not hold here: {reason}", remedy) for reason in reasons)
         )
+
+
+def warnings_of(
+    connection: Connection, problem: CalibrationProblem, influence_map_id: str | None, before: datetime
+) -> list[str]:
+    """Returns the `doubts` about the map that a campaign names and uses; none for a map of its own analysis."""
+    reduction = problem.specification.reduction
+    given = isinstance(problem.specification.sensitivity, MapReference)
+    if influence_map_id is None or not given or not (reduction.uses_map or reduction.narrow):
+        return []
+    return doubts(connection, influence_map_id, reduction.max_error, before)
 
 
 def doubts(connection: Connection, influence_map_id: str, largest_error: float, before: datetime) -> list[str]:

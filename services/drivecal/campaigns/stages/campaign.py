@@ -6,7 +6,7 @@ from dataclasses import replace
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.maps import check_basis, doubts, stored_map
+from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.calibration import Calibration
 from drivecal.campaigns.stages.prediction_validation import PredictionValidation
@@ -14,7 +14,6 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
-from drivecal.contracts.specification import MapReference
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
@@ -59,20 +58,13 @@ class StagedCampaign(Job):
         rate_stored_runs(self._database, self._view)
         note = note_of(self._database, self._view)
         campaign = self._campaign()
-        notes = [*self._doubts(campaign), *([] if note is None else [note])]
+        with self._database.read() as connection:  # what was known of the map when the campaign was submitted
+            warnings = warnings_of(connection, self._problem, campaign.influence_map_id, campaign.created_at)
+        notes = [*warnings, *([] if note is None else [note])]
         if notes:
             self._problem = replace(self._problem, notes=(*self._problem.notes, *notes))
         self._stage = self._next(campaign)
         self._begun = True
-
-    def _doubts(self, campaign: StoredCampaign) -> list[str]:
-        """Returns the known errors of a given map when the campaign was submitted. A map of its own analysis has none yet."""
-        reduction = self._problem.specification.reduction
-        given = isinstance(self._problem.specification.sensitivity, MapReference)
-        if campaign.influence_map_id is None or not given or not (reduction.uses_map or reduction.narrow):
-            return []
-        with self._database.read() as connection:
-            return doubts(connection, campaign.influence_map_id, reduction.max_error, campaign.created_at)
 
     def _campaign(self) -> StoredCampaign:
         with self._database.read() as connection:
