@@ -250,7 +250,7 @@ _POINTS = {
     ("", "evaluation_id"): "evaluations",
 }
 _MOMENTS = {"created_at", "started_at", "ended_at"}
-_NAMES = {"rerun_of"}
+_NAMES = {"rerun_of", "robustness_of", "validation_of"}
 _DOCUMENTS = {
     *("spec", "resolution", "narrowed", "notes", "progress", "error_rate", "released", "best", "baseline", "pruned", "cells"),
     *("population", "changed", "optimizer_state", "objectives", "metrics", "document", "data"),

@@ -63,7 +63,7 @@ PER_MILLION = dict.fromkeys(WHOLE, 2.0) | {
     "start of the API": 1.0,
     "backup": 20.0,
     "check": 60.0,
-    "upgrade from 0012": 30.0,
+    "upgrade from 0013": 30.0,
     "prune, plan": 20.0,
     "prune, longest slice": 2.0,
 }
@@ -114,7 +114,7 @@ def measure(url: str, cells: int, folder: Path) -> Figures:
     )
     if verdicts:
         raise SystemExit(f"the database is not whole: {verdicts}")
-    figures["upgrade from 0012"] = upgrade(database)
+    figures["upgrade from 0013"] = upgrade(database)
     plans: list[retention.RetentionPlan] = []
     figures["prune, plan"] = timed(lambda: plans.append(retention.plan(database, now() - timedelta(days=365), 10)))
     slices: list[float] = []
@@ -219,22 +219,12 @@ def asked(http: httpx.Client, address: str) -> None:
 def upgrade(database: Database) -> float:
     """Times the upgrade from the revision before the newest, whose changes are taken back first."""
     with database.transaction() as connection:
-        for statement in (
-            "DROP INDEX ix_campaigns_rerun_of",
-            "DROP INDEX ix_evaluations_run_id",
-            "DROP INDEX ix_campaigns_listed",
-            "ALTER TABLE metric_names RENAME TO kept_names",
-            "ALTER TABLE campaigns DROP COLUMN pruned",
-            "UPDATE drivecal_revision SET version_num = '0012'",
-        ):
-            connection.execute(text(statement))
-        if connection.dialect.name == "postgresql":
-            connection.execute(text("ALTER INDEX pk_metric_names RENAME TO pk_kept_names"))
-    seconds = timed(database.upgrade)
-    with database.transaction() as connection:
-        connection.execute(text("INSERT INTO metric_names SELECT * FROM kept_names"))
-        connection.execute(text("DROP TABLE kept_names"))
-    return seconds
+        for name in ("robustness_of", "validation_of", "influence_map_id"):
+            connection.execute(text(f"DROP INDEX ix_campaigns_{name}"))
+        for name in ("robustness_of", "validation_of"):
+            connection.execute(text(f"ALTER TABLE campaigns DROP COLUMN {name}"))
+        connection.execute(text("UPDATE drivecal_revision SET version_num = '0013'"))
+    return timed(database.upgrade)
 
 
 def timed(use: Callable[[], Any]) -> float:

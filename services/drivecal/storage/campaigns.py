@@ -145,6 +145,7 @@ def insert(
         "rerun_of": rerun_of,
         "parent_sequence": parent_sequence,
         "influence_map_id": influence_map_id,
+        **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
         "body_digest": next(iter(body_digests), None),
         "notes": list(notes),

@@ -36,6 +36,7 @@ from drivecal.storage import (
     processes,
     results,
     revision_queries,
+    studies,
 )
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
@@ -296,6 +297,21 @@ def test_a_page_of_campaigns_reads_no_single_evaluation(database: Database) -> N
         assert len(campaigns.page(connection, limit=50)[0]) == 5
     assert "ix_campaigns_listed" in plan, plan
     assert "TEMP B-TREE" not in plan
+
+
+@pytest.mark.slow("postgresql")
+def test_studies_about_a_campaign_are_found_among_many(database: Database) -> None:
+    with database.transaction() as connection:
+        for number in range(1500):
+            made = campaigns.insert(connection, name="study", spec={"robustness": {"of": f"{number:032x}"}})
+            studies.save(connection, made.sequence, StageName.ROBUSTNESS, {"items": []})
+        first = campaigns.by_sequence(connection, 1)
+    gather_statistics(database)
+    with database.read() as connection:
+        plan = plans(connection, lambda one: studies.about(one, f"{7:032x}", 1, "0" * 32))
+        assert scanned(plan) <= {"about_it"}, plan  # what was found by indexes
+        assert "ix_campaigns_robustness_of" in plan
+        assert scanned(plans(connection, lambda one: deletion.references(one, first))) <= {"influence_maps"}
 
 
 @pytest.mark.slow("postgresql")

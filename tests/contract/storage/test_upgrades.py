@@ -29,7 +29,7 @@ from drivecal.storage.engine import locks, schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import reference_keys, runs, setups
 
-REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009", "0010", "0011", "0012", "0013")
+REVISIONS = ("0001", "0002", "0003", "0004", "0005", "0006", "0007", "0008", "0009", "0010", "0011", "0012", "0013", "0014")
 RELEASED = ("0001", "0003", "0005")
 
 

@@ -67,6 +67,9 @@ campaigns = Table(
     Column("rerun_of", Name, ForeignKey("campaigns.id")),
     Column("parent_sequence", Identity, ForeignKey("campaigns.sequence")),
     Column("influence_map_id", Name, ForeignKey("influence_maps.id")),
+    # `of` of the specification's stages: the campaigns whose best sets and whose predictions it studies.
+    Column("robustness_of", Name),
+    Column("validation_of", Name),
     Column("idempotency_key", Name, unique=True),
     Column("body_digest", Name),
     Column("watermark", Identity),
@@ -91,7 +94,10 @@ campaigns = Table(
     Column("deleted_at", UtcDateTime),
     Column("pruned", Document),  # when most of its cells were removed, and which sets stayed (`storage.retention`)
     _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
-    _partial_index(None, "rerun_of", where="rerun_of IS NOT NULL"),
+    *(
+        _partial_index(None, name, where=f"{name} IS NOT NULL")
+        for name in ("rerun_of", "influence_map_id", "robustness_of", "validation_of")
+    ),
     # Lists show these: without it, a page reads past every single evaluation and every run of a comparison.
     _partial_index("ix_campaigns_listed", "sequence", where="kind <> 'evaluation' AND parent_sequence IS NULL"),
     # The dispatcher asks for these all the time: some campaigns among all that ever were.

@@ -6,20 +6,18 @@ the same, bit by bit.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from typing import Any
 
 from sqlalchemy import (
     JSON,
-    BigInteger,
     Boolean,
     Column,
     Connection,
     DateTime,
-    Float,
-    Integer,
     LargeBinary,
     MetaData,
-    SmallInteger,
     String,
     Table,
     func,
@@ -34,9 +32,11 @@ from drivecal.storage.engine.failures import translated
 from drivecal.storage.engine.schema import REVISION_TABLE
 
 CHUNK = 20_000
-"""Rows that are in memory at a time, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked."""
+"""Most rows of a portion, and in one COPY of PostgreSQL, which remembers each row until its foreign keys are checked. Two portions are
+in memory at a time."""
 CHUNK_BYTES = 64 * 2**20
-"""Bytes of archives and characters of documents after which a portion ends."""
+"""Most bytes of archives and characters of documents in a portion, unless a single row has more."""
+Row = tuple[Any, ...]
 
 Progress = Callable[[str, int, int], None]
 """Told every now and then: the table, how many of its rows are copied, and how many it has."""
@@ -67,57 +67,61 @@ def copy_rows(source: Connection, target: Connection, progress: Progress) -> dic
         raise DatabaseError(f"{urls.shown(source.engine.url)} lacks tables of its revision: {', '.join(missing)}")
     tables = _reflected(source, names)
     counts = count_rows(source, tables)
-    for table in tables:
-        done = 0
-        rows = _read(source, table)
-        while chunk := _some(source, rows):
-            with translated(urls.shown(target.engine.url)):
-                _write(target, table, chunk)
-            done += len(chunk)
-            progress(table.name, done, counts[table.name])
+    with ThreadPoolExecutor(1) as reader:  # it reads the next rows while the last ones are written
+        for table in tables:
+            done = 0
+            portions = _portions(source, table)
+            following: Future[list[Row]] = reader.submit(next, portions, [])
+            while rows := _result(following, source):
+                following = reader.submit(next, portions, [])
+                with translated(urls.shown(target.engine.url)):
+                    _write(target, table, rows)
+                done += len(rows)
+                progress(table.name, done, counts[table.name])
     _set_sequences(target, last_numbers(source, tables))
     return counts
 
 
-def _some(source: Connection, rows: Iterator[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+def _result(rows: Future[list[Row]], source: Connection) -> list[Row]:
     with translated(urls.shown(source.engine.url)):  # here, or what is wrong with one database would be said of the other
-        some: list[tuple[Any, ...]] = []
-        size = 0
-        for row in rows:
-            some.append(row)
-            size += sum(len(value) for value in row if isinstance(value, bytes | str))
-            if len(some) >= CHUNK or size >= CHUNK_BYTES:
-                break
-        return some
+        return rows.result()
 
 
-def _read(connection: Connection, table: Table) -> Iterator[tuple[Any, ...]]:
+def _portions(connection: Connection, table: Table) -> Iterator[list[Row]]:
+    """Reads all rows in the order of their keys, as many at a time as fit into memory."""
+    columns = [column.name if connection.dialect.name != "postgresql" else _neutral(column) for column in table.columns]
+    long = [f"coalesce(length({name}), 0)" for name, column in zip(columns, table.columns, strict=True) if _is_long(column)]
+    longest = connection.scalar(text(f"SELECT max({' + '.join(long) or 0}) FROM {table.name}"))  # noqa: S608  # the database's own names
+    size = min(max(CHUNK_BYTES // max(longest or 0, 1), 1), CHUNK)
     order = ", ".join(column.name for column in table.primary_key)
+    query = f"SELECT {', '.join(columns)} FROM {table.name} ORDER BY {order}"  # noqa: S608  # the same
     driver: Any = connection.connection.driver_connection
-    if connection.dialect.name != "postgresql":
-        names = ", ".join(column.name for column in table.columns)
-        yield from driver.execute(f"SELECT {names} FROM {table.name} ORDER BY {order}")  # noqa: S608  # the database's own names
-        return
-    columns = [_neutral(column) for column in table.columns]
-    query = f"SELECT {', '.join(name for name, _ in columns)} FROM {table.name} ORDER BY {order}"  # noqa: S608  # the same
-    with driver.cursor() as cursor, cursor.copy(f"COPY ({query}) TO STDOUT (FORMAT BINARY)") as copy:
-        copy.set_types([kind for _, kind in columns])
-        yield from copy.rows()
+    if connection.dialect.name == "postgresql":
+        cursor = driver.cursor("copied", binary=True)  # at the server, which sends a portion when it is fetched
+        cursor.execute(query)
+    else:
+        cursor = driver.execute(query)
+    with closing(cursor):
+        while rows := cursor.fetchmany(size):
+            yield rows
 
 
-def _neutral(column: Column[Any]) -> tuple[str, str]:
-    """Returns PostgreSQL's expression of the value that SQLite would store, and its type."""
+def _is_long(column: Column[Any]) -> bool:
+    return isinstance(column.type, JSON | LargeBinary | String)
+
+
+def _neutral(column: Column[Any]) -> str:
+    """Returns PostgreSQL's expression of the value that SQLite would store."""
     if isinstance(column.type, JSON):
-        return f"{column.name}::text", "text"
+        return f"{column.name}::text"
     if isinstance(column.type, DateTime):
-        return f"to_char({column.name} AT TIME ZONE 'UTC', 'YYYY-MM-DD HH24:MI:SS.US')", "text"
+        return f"to_char({column.name} AT TIME ZONE 'UTC', 'YYYY-MM-DD HH24:MI:SS.US')"
     if isinstance(column.type, Boolean):
-        return f"{column.name}::int", "int4"
-    kinds = {LargeBinary: "bytea", SmallInteger: "int2", BigInteger: "int8", Integer: "int4", Float: "float8", String: "text"}
-    return column.name, next(name for kind, name in kinds.items() if isinstance(column.type, kind))
+        return f"{column.name}::int"
+    return str(column.name)
 
 
-def _write(connection: Connection, table: Table, rows: Sequence[tuple[Any, ...]]) -> None:
+def _write(connection: Connection, table: Table, rows: Sequence[Row]) -> None:
     names = ", ".join(column.name for column in table.columns)
     driver: Any = connection.connection.driver_connection
     if connection.dialect.name == "postgresql":

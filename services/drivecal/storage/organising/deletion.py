@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, delete, exists, func, or_, select, update
+from sqlalchemy import Connection, delete, exists, func, select, update
 
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns as stored_campaigns
@@ -51,10 +51,9 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
     ids = list(family.values())
     outside = table.sequence.not_in(list(family)), table.deleted_at.is_(None)
     maps = select(influence_maps.c.id).where(influence_maps.c.source.in_(ids))
-    examined = [table.spec[stage, "of"].as_string().in_(ids) for stage in ("robustness", "validation")]
     uses = (
         ("rerun of it", table.rerun_of.in_(ids)),
-        ("study of it", or_(*examined)),
+        ("study of it", table.robustness_of.in_(ids) | table.validation_of.in_(ids)),
         ("use of its influence map", table.influence_map_id.in_(maps)),
     )
     referring: dict[str, CampaignUse] = {}
