@@ -27,7 +27,7 @@ OLDEST_SQLITE = (3, 35, 0)
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """Waits for the database before UnavailableError, s. All but `lock` concern PostgreSQL."""
+    """Waits for the database before UnavailableError, s, and the memory of a connection. All but `lock` and `cache` concern PostgreSQL."""
 
     lock: float
     """Limit for a lock of another transaction, and for a connection of the pool."""
@@ -37,12 +37,14 @@ class Patience:
     """Limit for one statement; None: no limit."""
     watched: bool
     """Whether to notice a server that accepts connections and does not answer, within seconds; see `answering`."""
+    cache: int = 64
+    """Largest memory for pages of an SQLite file, MB."""
 
 
 PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
 """Limits for background work: it waits for an outage to end, and a statement may take long."""
-PROMPT = Patience(lock=4, connect=2, statement=30, watched=True)
-"""Limits for requests, for which a client waits."""
+PROMPT = Patience(lock=4, connect=2, statement=30, watched=True, cache=16)
+"""Limits for requests, for which a client waits. They read little, and by many connections."""
 QUEUE_SECONDS = 0.003
 """Pause between two looks whether another process has begun to write."""
 QUEUE_KEPT_SECONDS = 0.5
@@ -262,7 +264,7 @@ def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
         pool_pre_ping=url.get_backend_name() == "postgresql",
     )
     if url.get_backend_name() == "sqlite":
-        event.listen(engine, "connect", _prepare_sqlite)
+        event.listen(engine, "connect", partial(_prepare_sqlite, patience))
         event.listen(engine, "begin", partial(_begin_sqlite, patience.lock))
         return engine
     if patience.watched:
@@ -276,8 +278,8 @@ _KEEP_ALIVE = {"keepalives_idle": 5, "keepalives_interval": 5, "keepalives_count
 """Settings with which a connection to a machine that is gone ends within some 20 s instead of hours."""
 
 
-def _prepare_sqlite(connection: Any, _record: Any) -> None:
-    for pragma in ("synchronous = FULL", "foreign_keys = ON", "cache_size = -65536", "temp_store = MEMORY"):
+def _prepare_sqlite(patience: Patience, connection: Any, _record: Any) -> None:
+    for pragma in ("synchronous = FULL", "foreign_keys = ON", f"cache_size = -{1024 * patience.cache}", "temp_store = MEMORY"):
         connection.execute(f"PRAGMA {pragma}")
 
 
