@@ -40,6 +40,9 @@ Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
 _WITHDRAWN, _COPIED = is_withdrawn(evaluations), is_copied(evaluations)
+# Made once: an alias computes its columns anew, which takes longer than to read a small campaign.
+_ANSWERING_RUN, _OWN_RUN, _PROOF = runs.alias("answering_run"), runs.alias("own_run"), evaluations.alias("proof")
+_OWN_RATING, _PROVED_RATING = ratings.alias("own_rating"), ratings.alias("proved_rating")
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +185,7 @@ def answers(
     believed = copied
     run_id: ColumnElement[Any] = case((~copied, table.run_id))
     if corrected_by is not None:
-        own_run, proof = runs.alias("own_run"), evaluations.alias("proof")
-        own, proved = ratings.alias("own_rating"), ratings.alias("proved_rating")
+        own_run, proof, own, proved = _OWN_RUN, _PROOF, _OWN_RATING, _PROVED_RATING
         same_cell = (own_run.c.setup_id == table.setup_id) & (own_run.c.parameter_set_id == table.parameter_set_id)
         proves = (proof.c.id == table.proven_by) & ~_WITHDRAWN
         by_own, by_proof = own.c.evaluator == corrected_by, proved.c.evaluator == corrected_by
@@ -200,10 +202,9 @@ def answers(
         rating = func.coalesce(own.c.rating, proved.c.rating, rating)
         believed = copied & own.c.run_id.is_(None) & proved.c.run_id.is_(None)
         run_id = case((copied, func.coalesce(own_run.c.id, proof.c.run_id)), else_=table.run_id)
-    run = runs.alias("answering_run")
-    measured = (run.c.metrics, run.c.failure) if valued is not None else ()
+    measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure) if valued is not None else ()
     if valued is not None:
-        source = source.outerjoin(run, run.c.id == run_id)
+        source = source.outerjoin(_ANSWERING_RUN, _ANSWERING_RUN.c.id == run_id)
     query = (
         select(
             table.parameter_set_id,

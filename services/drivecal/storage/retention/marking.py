@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,7 @@ from drivecal.storage.references.withdrawal import is_copied
 
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
-CHUNK = 50_000
+CHUNK = 5_000
 """Rows that are read at a time."""
 
 
@@ -171,7 +172,7 @@ def _largest(connection: Connection, column: Column[int]) -> int:
 
 def _chunks(connection: Connection, query: Select[tuple[int, ...]]) -> Iterator[Integers]:
     for rows in connection.execute(query.execution_options(yield_per=CHUNK)).partitions():
-        yield np.array([tuple(row) for row in rows], dtype=np.int64)
+        yield np.fromiter(chain.from_iterable(rows), dtype=np.int64).reshape(len(rows), -1)
 
 
 _TABLES = (evaluations, runs, ratings, reference_keys)
