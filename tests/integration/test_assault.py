@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import os
 import socket
+import sqlite3
 import stat
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from html import unescape
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -61,6 +63,28 @@ def test_a_simple_post_of_a_foreign_page_stores_nothing(server: Server, content_
     assert response.status_code == 403
     assert not [name for name in response.headers if name.startswith("access-control")]
     assert httpx.get(f"{server.url}/api/v1/campaigns", timeout=60).json()["items"] == []
+
+
+def test_an_image_of_a_foreign_page_starts_nothing(server: Server) -> None:
+    """Images and frames carry no Origin, and a trace is simulated at the first GET."""
+
+    def asked(path: str, **headers: str) -> int:
+        return httpx.get(f"{server.url}{path}", headers=headers, timeout=60).status_code
+
+    foreign = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}
+    with Client(server.url) as client:
+        evaluation = client.evaluate({"parameters": {f"P{number}": 0.5 for number in range(1, 12)}, "scenario": "S1"}).id
+        while client.evaluation(evaluation).state not in {"succeeded", "failed"}:
+            time.sleep(0.1)
+    for site in ("cross-site", "same-site"):
+        assert asked(f"/api/v1/evaluations/{evaluation}/trace", **foreign | {"Sec-Fetch-Site": site}) == 403
+    [file] = server.folder.rglob("drivecal.db")
+    with closing(sqlite3.connect(file)) as stored:
+        assert stored.execute("SELECT count(*) FROM traces").fetchone() == (0,)
+    assert asked(f"/api/v1/evaluations/{evaluation}/trace") == 202
+    for own in ({"Sec-Fetch-Site": "same-origin"}, {"Sec-Fetch-Site": "none"}, foreign | {"Sec-Fetch-User": "?1"}, {}):
+        assert asked("/api/v1/campaigns", **own) == 200
+    assert asked("/help/", **foreign) == asked("/help/")
 
 
 def test_a_name_that_was_bent_to_loopback_gets_nothing(server: Server) -> None:

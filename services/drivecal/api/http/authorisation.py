@@ -3,7 +3,8 @@
 With a tokens file every request needs `Authorization: Bearer TOKEN` or the session of a token. Requests that change something need a token
 that may write; with a session, they must also come from a page of this very origin. Without a tokens file the server listens on loopback
 only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS rebinding) by the Host header, posts and WebSockets
-of other pages by the Origin header. No answer ever carries a CORS header.
+of other pages by the Origin header, images and frames of other pages, which have none, by Sec-Fetch-Site. No answer ever carries a CORS
+header.
 """
 
 from typing import Protocol
@@ -29,6 +30,8 @@ HELP = "/help"
 LIVE = f"{ROOT}/live"
 """The only WebSocket."""
 READING = {"GET", "HEAD", "OPTIONS"}
+FOREIGN = {"cross-site", "same-site"}
+"""Values of Sec-Fetch-Site in requests of pages of other origins."""
 CHECKED = {f"{ROOT}/campaigns", f"{ROOT}/comparisons"}
 """Paths at which `validate_only=true` stores nothing."""
 ANYBODY = Token("anybody", may_write=True, digest=b"")
@@ -112,7 +115,19 @@ class Authorisation:
             return 421, detail, {}
         if request.method not in READING and "origin" in request.headers and not sessions.same_origin(request.headers):
             return 403, "without tokens this server takes no changes from web pages of other origins", {}
+        if _is_embedded(request):
+            return (
+                403,
+                "without tokens this server gives web pages of other origins nothing; type the address, or click on a link",
+                {},
+            )
         return None
+
+
+def _is_embedded(request: Request) -> bool:
+    """Returns whether a page of another origin loads an answer of the API by itself: some GET requests start simulations or processes."""
+    is_foreign = request.headers.get("sec-fetch-site") in FOREIGN and request.headers.get("sec-fetch-user") != "?1"
+    return is_foreign and request.url.path.startswith(f"{ROOT}/")
 
 
 def refuse_reader(request: Request) -> None:
