@@ -24,6 +24,8 @@ from drivecal.storage.maintenance.transfer import Progress, copy_rows, count_row
 
 PAGES = 4_096
 """Pages of an SQLite database that are copied at a time, 16 MB."""
+REMAINS = ("-journal", "-wal", "-shm")
+"""Endings of files that SQLite keeps beside a database and reads again when it opens it."""
 PASSING = ("processes",)
 """Tables of the processes that served a database: a database with rows only there counts as empty."""
 
@@ -38,8 +40,8 @@ class Copied:
 
 
 def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
-    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too, and
-    UnavailableError; `file` is then as it was."""
+    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too, or is a database
+    that another process has open, and UnavailableError; `file` then holds what it held."""
     _refuse_target(database, file, force=force)
     schema.refuse_missing(database.url)
     with database.read() as connection:
@@ -103,6 +105,15 @@ def _refuse_target(database: Database, file: Path, *, force: bool) -> None:
         raise DatabaseError(f"{file} is the database itself; name another file")
     if file.exists() and not force:
         raise DatabaseError(f"{file} exists already; name another file, or replace it by --force")
+    remains = [path.name for path in _remains(file) if path.exists()]
+    if remains and not force:
+        raise DatabaseError(
+            f"{', '.join(remains)} of another {file.name} would change the backup; name another file, or use --force"
+        )
+
+
+def _remains(file: Path) -> list[Path]:
+    return [file.with_name(file.name + ending) for ending in REMAINS]
 
 
 @contextmanager
@@ -116,21 +127,48 @@ def _partial(file: Path) -> Iterator[Path]:
     try:
         yield Path(name)
     finally:
-        for remains in ("", "-journal", "-wal", "-shm"):
-            Path(name + remains).unlink(missing_ok=True)
+        for path in (Path(name), *_remains(Path(name))):
+            path.unlink(missing_ok=True)
 
 
 def _publish(partial: Path, file: Path) -> None:
     """Gives a complete backup its name, durably."""
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
-    partial.replace(file)
-    if os.name == "posix":  # elsewhere folders cannot be opened
-        folder = os.open(file.parent, os.O_RDONLY)
+    with _alone(file):
+        for path in _remains(file):  # without its own database: SQLite would play it into the backup
+            path.unlink(missing_ok=True)
+        _sync_folder(file.parent)
+        partial.replace(file)
+    _sync_folder(file.parent)
+
+
+@contextmanager
+def _alone(file: Path) -> Iterator[None]:
+    """Keeps other processes from a database that is to be replaced, once it is whole without its log. Another file is left alone."""
+    if not file.exists():
+        yield
+        return
+    with closing(sqlite3.connect(file, timeout=0, isolation_level=None)) as replaced:
         try:
-            os.fsync(folder)
+            replaced.execute("PRAGMA journal_mode = DELETE")
+            replaced.execute("BEGIN EXCLUSIVE")
+        except sqlite3.OperationalError as error:
+            raise DatabaseError(
+                f"{file} cannot be replaced ({error}); end the process that uses it, or name another file"
+            ) from error
+        except sqlite3.DatabaseError:  # no database, which --force replaces too
+            pass
+        yield
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
         finally:
-            os.close(folder)
+            os.close(descriptor)
 
 
 def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
