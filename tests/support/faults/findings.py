@@ -37,6 +37,7 @@ OF_A_CAMPAIGN = (
     "degraded",
     *STAGES.values(),
     "error_rate",
+    "released",
     "best",
     "baseline",
     "narrowed",
@@ -81,6 +82,8 @@ def found(coordinator: Served, campaign_id: str) -> Found:
         }
     with coordinator.database.read() as connection:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
+    for released in campaign["released"].values():
+        released.pop("seconds")
     for counts in (*(campaign[name] for name in STAGES.values()), *tables["generations"]):
         _without_certificates(counts)
     tables["evaluations"] = _by_place(tables["evaluations"])
@@ -96,9 +99,11 @@ def _without_certificates(counts: dict[str, Any]) -> None:
 
 def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
     places = {row["id"]: " ".join(row[name] for name in PLACE) for row in rows}
+    lots = sorted({int(row["lot"]) for row in rows if row["lot"]})
     kept = [
         {name: value for name, value in row.items() if name not in OF_ONE_RUN}
         | {"reference": places.get(row["reference"], row["reference"])}
+        | {"lot": str(lots.index(int(row["lot"]))) if row["lot"] else ""}
         | (NOT_PROVED if row["outcome"] in {"simulated", "certified"} and row["audited"] == "false" else {})
         for row in rows
     ]

@@ -18,7 +18,7 @@ from tests.support.faults.findings import Found, assert_equal, assert_sound, fou
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.report import Note, noted
-from tests.support.faults.workload import ANALYSING, Accepted, single_evaluations, submit
+from tests.support.faults.workload import ANALYSING, Accepted, draw_alike, single_evaluations, submit
 from tests.support.serve import alive
 
 from drivecal.domain.campaigns import CampaignState
@@ -262,6 +262,7 @@ def live(
     coordinator.start_ready()
     life.tell("ready")
     accepted = submit(coordinator.url, documents)
+    draw_alike(coordinator.database, accepted)
     with single_evaluations(coordinator.url, accepted):
         for moment, fault in plan:
             answered = life.wait_for(moment, accepted)

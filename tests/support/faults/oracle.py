@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.faults.findings import Found, assert_sound, found
-from tests.support.faults.workload import submit
+from tests.support.faults.workload import draw_alike, submit
 from tests.support.runs import dispatcher
 from tests.support.server import serving
 
@@ -64,6 +64,7 @@ def undisturbed(folder: Path) -> dict[str, Found]:
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
     assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
     assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
+    assert min(results["predicting"].campaign["cells"][name] for name in ("predicted", "sampled")) > 10
     return results
 
 
@@ -71,6 +72,7 @@ def carried_out(folder: Path, documents: Mapping[str, Mapping[str, Any]] | None 
     """What campaigns find, by name: those of the suite where no others are given; on SQLite."""
     with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
         accepted = submit(api.url, documents)
+        draw_alike(api.database, accepted)
         one = dispatcher(api.database, InThisProcess())
         left = set(accepted.campaigns.values())
         begin = time.monotonic()

@@ -1,4 +1,4 @@
-"""What a server under faults has to do: two campaigns side by side and a stream of single evaluations, all of it real simulation."""
+"""What a server under faults has to do: three campaigns side by side and a stream of single evaluations, all of it real simulation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
+from sqlalchemy import update
 from tests.support.effort import tries
+
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.tables import campaigns
 
 COARSE: list[dict[str, Any]] = [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.25} for i in range(1, 7)]
 """So few values that the search comes back to sets that it has seen."""
@@ -43,6 +47,18 @@ ANALYSING: dict[str, Any] = {
     "validation": {"samples": tries(5, 10), "references": 2, "largest": 20},
 }
 """Every stage there is. Its vehicle is another one, so that what it finds does not depend on how far the other campaign is."""
+PREDICTING: dict[str, Any] = {
+    "name": "predicting",
+    "catalogue": ["S3"],
+    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 4)],
+    "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
+    "vehicle": {"parameters": {"mass": 1500}},
+    "optimizer": {"kind": "genetic", "population": tries(300, 400), "iterations": 3, "seed": 3},
+    "reduction": {"mode": "predicted", "certified": False},
+}
+"""Without certificates: with them a cell is so cheap that its measured time decides whether a predictor pays, in each run anew."""
+SECRET = b"faults and lots!"
+"""Draws the samples of lots, in the place of a campaign's own, so that equal campaigns draw equal ones."""
 SINGLE: dict[str, Any] = {"scenario": "S3", "vehicle": {"parameters": {"mass": 1700}}}
 PATIENCE_SECONDS = 600.0
 """In which a request is accepted at last, while a server is killed and comes back."""
@@ -81,11 +97,20 @@ class Accepted:
 
 
 def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -> Accepted:
-    """Posts the two campaigns."""
+    """Posts the three campaigns."""
     if documents is None:
         map_id = post(url, "/api/v1/influence-maps", BOLD_MAP)
-        documents = {"reusing": REUSING | {"sensitivity": {"map": map_id}}, "analysing": ANALYSING}
+        reusing = REUSING | {"sensitivity": {"map": map_id}}
+        documents = {"reusing": reusing, "analysing": ANALYSING, "predicting": PREDICTING}
     return Accepted({name: post(url, "/api/v1/campaigns", document) for name, document in documents.items()})
+
+
+def draw_alike(database: Database, accepted: Accepted) -> None:
+    """Gives the campaigns, just submitted, the same secret in each run. AssertionError if a campaign has drawn a sample before."""
+    with database.transaction() as connection:
+        mine = campaigns.c.id.in_(accepted.campaigns.values()) & campaigns.c.secret.is_(None)
+        given = connection.execute(update(campaigns).where(mine).values(secret=SECRET)).rowcount
+    assert given == len(accepted.campaigns)
 
 
 @contextmanager
