@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
@@ -26,16 +26,22 @@ from drivecal.api.responses import campaign_answer
 from drivecal.api.routes.campaigns import accounting
 from drivecal.api.tables.ranking import earlier_best, ranking
 from drivecal.campaigns import retention
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.campaigns.retention import RetentionPlan
+from drivecal.campaigns.stages.prediction_validation import check_predictions
+from drivecal.campaigns.stages.robustness import check_source
 from drivecal.cli.main import app
-from drivecal.domain.errors import ConflictError
+from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.errors import ConflictError, InvalidInputError
 from drivecal.storage import campaigns, generations, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
+from drivecal.storage.retention import removal
+from drivecal.storage.retention.selection import fingerprints_of
 
 SPACE = [{"name": f"P{number}", "lower": 0, "upper": 1, "step": 0.25} for number in range(1, 12)]
 CUTOFF = timedelta(days=90)
@@ -256,6 +262,70 @@ def test_a_campaign_that_another_reruns_stays_whole(database: Database, old: Sto
     assert [spared.id for spared in planned(database, 0).selection.spared] == [old.id]
     set_column(database, again, "ended_at", (now() - 2 * CUTOFF).strftime("%Y-%m-%d %H:%M:%S.%f"))
     assert len(planned(database, 0).selection.prunable) == 2
+
+
+@pytest.mark.parametrize("field", ["rerun_of", "validation_of"])
+def test_a_campaign_that_one_names_after_the_plan_stays_whole(database: Database, old: StoredCampaign, field: str) -> None:
+    plan = planned(database, 0)
+    queued = submit(database, **SMALL)
+    if field == "rerun_of":
+        set_column(database, queued, field, old.id)
+    else:
+        set_column(database, queued, "spec", json.dumps(queued.spec | {"validation": {"of": old.id}}))
+    before = answers(database, old)
+    with pytest.raises(ConflictError):
+        carry_out(database, plan)
+    assert answers(database, old) == before
+
+
+def test_a_campaign_that_fails_before_its_setups_are_known_keeps_nothing(database: Database, old: StoredCampaign) -> None:
+    plan = planned(database, 0)
+    failed = submit(database, **SMALL)
+    moment = now().strftime("%Y-%m-%d %H:%M:%S.%f")
+    for column, value in {"state": "failed", "started_at": moment, "ended_at": moment}.items():
+        set_column(database, failed, column, value)
+    carry_out(database, plan)
+    assert get(database, old).pruned_at is not None
+
+
+def test_a_campaign_that_is_starting_is_waited_for(
+    database: Database, old: StoredCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = planned(database, 0)
+    starting = submit(database, **SMALL)
+    set_column(database, starting, "started_at", now().strftime("%Y-%m-%d %H:%M:%S.%f"))
+    waits: list[float] = []
+
+    def wait(seconds: float) -> None:
+        waits.append(seconds)
+        if len(waits) == 2:  # the setups of another problem
+            set_column(database, starting, "resolution", json.dumps({"setups": {"S1": "another"}}))
+
+    monkeypatch.setattr("drivecal.campaigns.retention.time.sleep", wait)
+    carry_out(database, plan)
+    assert len(waits) == 2
+    assert get(database, old).pruned_at is not None
+
+
+@pytest.mark.usefixtures("old")
+def test_runs_of_more_setups_than_a_statement_takes_values_are_pruned(database: Database) -> None:
+    many = range(10**6, 10**6 + 70_000)
+    plan = planned(database, 0)
+    with database.transaction() as connection:
+        assert fingerprints_of(connection, [*plan.doomed.setups, *many]) == plan.fingerprints
+        assert removal.retire_indexes(connection, many) == []
+
+
+@pytest.mark.parametrize(("study", "check"), [("validation", check_predictions), ("robustness", check_source)])
+def test_a_pruned_campaign_is_no_source_of_a_study(
+    database: Database, old: StoredCampaign, study: str, check: Callable[[Connection, CalibrationProblem], None]
+) -> None:
+    carry_out(database, planned(database, 1))
+    given = {"parameters": SPACE, "catalogue": ["S1"], "optimizer": None, "sensitivity": None, study: {"of": old.id}}
+    asked = resolve(CampaignSpecification.model_validate(given))
+    with database.read() as connection, pytest.raises(InvalidInputError) as refused:
+        check(connection, asked)
+    assert [(problem.field, "pruned" in problem.message) for problem in refused.value.problems] == [(f"{study}.of", True)]
 
 
 def test_a_campaign_whose_influence_map_another_uses_stays_whole(database: Database, old: StoredCampaign) -> None:

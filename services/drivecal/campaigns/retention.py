@@ -6,6 +6,7 @@ database, and the next one goes on.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,11 +32,13 @@ from drivecal.storage.retention.selection import (
     fingerprints_of,
     open_campaigns,
     select_campaigns,
-    started_since,
+    user_since,
 )
 
 SLICE = 1_000
 """Cells that go in a transaction, for which other writers wait."""
+STARTING = 60
+"""Seconds for which a campaign may be starting before a pruning gives way to it."""
 CAMPAIGNS = 20
 """Campaigns that are marked, or removed, in a transaction."""
 Item = TypeVar("Item")
@@ -46,10 +49,11 @@ Told = Callable[[str, int, int], None]
 @dataclass(frozen=True, slots=True)
 class RetentionPlan:
     """A planned pruning: `doomed` cells go from the campaigns in `selection`, whose `best` sets stay, by campaign. `bytes`: about what that
-    frees."""
+    frees. `fingerprints`: of the setups whose runs go."""
 
     selection: Selection
     doomed: Doomed
+    fingerprints: frozenset[str]
     best: Mapping[int, Sequence[int]]
     bytes: int
     open: tuple[Sequence[int], int]
@@ -65,11 +69,13 @@ def plan(database: Database, before: datetime, keep_best: int, problem: str | No
         best = {campaign.sequence: _best(connection, campaign, keep_best) for campaign in selection.prunable}
         doomed = mark(connection, list(best), best)
         freed = bytes_of(connection, doomed)
-        return RetentionPlan(selection, doomed, best, freed, open_campaigns(connection))
+        fingerprints = fingerprints_of(connection, doomed.setups)
+        return RetentionPlan(selection, doomed, fingerprints, best, freed, open_campaigns(connection))
 
 
 def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> None:
-    """Removes what was planned. Raises ConflictError if a campaign started meanwhile that may use what goes; the rest stays then."""
+    """Removes what was planned. Raises ConflictError if a campaign came meanwhile that names a prunable one, or started and may use what
+    goes; the rest stays then."""
     moment = now()
     touched = [campaign for campaign in planned.selection.prunable if campaign.sequence in planned.doomed.by_campaign]
     for some in _slices(touched, CAMPAIGNS):
@@ -105,13 +111,19 @@ def _remove_keys(database: Database, index: int) -> bool:
 
 @contextmanager
 def _guarded(database: Database, planned: RetentionPlan) -> Iterator[Connection]:
-    """Yields a transaction beside which no campaign starts. Raises ConflictError if one has started that may use what goes."""
-    with database.transaction() as connection:
-        removal.alone(connection)
-        user = started_since(connection, *planned.open, fingerprints_of(connection, planned.doomed.setups))
-        if user is not None:
-            raise ConflictError(f"campaign {user} has started and may use what goes; run the command again when it has ended")
-        yield connection
+    """Yields a transaction beside which no campaign starts. Raises ConflictError if one may use what goes; waits for the setups of one
+    that is just starting."""
+    prunable = {campaign.id for campaign in planned.selection.prunable}
+    for left in reversed(range(STARTING)):
+        with database.transaction() as connection:
+            removal.alone(connection)
+            user = user_since(connection, *planned.open, planned.fingerprints, prunable)
+            if user is None:
+                yield connection
+                return
+            if user.known or not left:
+                raise ConflictError(f"campaign {user.id} may use what goes; run the command again when it has ended")
+        time.sleep(1.0)
 
 
 def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[int]:

@@ -107,9 +107,11 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
     """Returns the best set of the `earlier` campaign under the weights, the score and the objectives of its rerun; None if there is none,
-    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluator of the built-in problem. Reads all
-    answers of the earlier campaign."""
+    before the end of the rerun, if the earlier campaign was pruned, and if setups, space or constraints on sets differ, or the evaluator of
+    the built-in problem. Reads all answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
+        return None
+    if earlier.pruned_at is not None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
     driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())

@@ -65,8 +65,9 @@ def retire_indexes(connection: Connection, setup_ids: Collection[int]) -> list[i
     """Takes the reference indexes of setups out of use; the next campaign that needs one computes it from the remaining runs. Returns all
     retired indexes, whose keys `remove_keys` removes."""
     table = reference_indexes.c
-    used = (table.setup_id.in_(list(setup_ids)), table.influence_map_sequence > 0)
-    connection.execute(update(reference_indexes).where(*used).values(influence_map_sequence=-table.id))
+    for chunk in among(connection, table.setup_id, sorted(setup_ids)):
+        used = update(reference_indexes).where(chunk, table.influence_map_sequence > 0)
+        connection.execute(used.values(influence_map_sequence=-table.id))
     return list(connection.scalars(select(table.id).where(table.influence_map_sequence < 0).order_by(table.id)))
 
 

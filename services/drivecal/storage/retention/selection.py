@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Text, cast, or_, select
+from sqlalchemy import ColumnElement, Connection, Text, cast, or_, select
 
 from drivecal.domain.campaigns import CampaignState
+from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns, influence_maps, setups
 
 _ID = re.compile(r"[0-9a-f]{32}")
@@ -120,7 +121,7 @@ def _prunable(row: _Campaign) -> Prunable:
     return Prunable(row.sequence, row.id, row.name, row.kind, row.ended_at, () if row.deleted else kept, whole)
 
 
-def _campaigns(connection: Connection) -> Iterable[_Campaign]:
+def _campaigns(connection: Connection, *conditions: ColumnElement[bool]) -> Iterable[_Campaign]:
     table = campaigns.c
     columns = (
         *(table.sequence, table.id, table.name, table.kind, table.state, table.started_at, table.ended_at),
@@ -128,7 +129,7 @@ def _campaigns(connection: Connection) -> Iterable[_Campaign]:
         *(cast(table.spec, Text).label("spec"), influence_maps.c.source.label("map_maker")),
     )
     with_maps = campaigns.outerjoin(influence_maps, influence_maps.c.id == table.influence_map_id)
-    query = select(*columns).select_from(with_maps).order_by(table.sequence)
+    query = select(*columns).select_from(with_maps).where(*conditions).order_by(table.sequence)
     for row in connection.execute(query.execution_options(yield_per=100)):
         named = {name for name in (row.rerun_of, row.map_maker) if name}
         fingerprints = _setups(row.resolution)
@@ -155,17 +156,26 @@ def _setups(resolution: Mapping[str, Any] | None) -> frozenset[str]:
     return frozenset((resolution or {}).get("setups", {}).values())
 
 
-def started_since(
-    connection: Connection, open_before: Collection[int], newest: int, fingerprints: Collection[str]
-) -> str | None:
-    """Returns the id of a campaign that may use runs of these setups: started, and open or unknown when the newest campaign had the number
-    `newest`; None without one. The caller holds `removal.alone`."""
+@dataclass(frozen=True, slots=True)
+class User:
+    """A campaign that may use what a pruning would remove; `known`: False if it has started and its setups follow in a moment."""
+
+    id: str
+    known: bool
+
+
+def user_since(
+    connection: Connection, open_before: Collection[int], newest: int, fingerprints: Collection[str], prunable: Collection[str]
+) -> User | None:
+    """Returns a campaign that may use runs of these setups, or that came after the campaign numbered `newest` and names one of the
+    `prunable` ids; None without one. The caller holds `removal.alone`."""
     table = campaigns.c
     watched = or_(table.sequence.in_(list(open_before)), table.sequence > newest)
-    query = select(table.id, table.kind, table.resolution).where(watched, table.started_at.is_not(None))
-    for row in connection.execute(query):
-        if row.kind != "comparison" and (row.resolution is None or _setups(row.resolution) & set(fingerprints)):
-            return str(row.id)
+    for row in _campaigns(connection, watched):
+        if row.sequence > newest and row.names & set(prunable):
+            return User(row.id, known=True)
+        if row.started and (not row.known or row.setups & set(fingerprints)):
+            return User(row.id, row.known)
     return None
 
 
@@ -176,6 +186,7 @@ def open_campaigns(connection: Connection) -> tuple[list[int], int]:
     return list(listed), newest or 0
 
 
-def fingerprints_of(connection: Connection, setup_ids: Collection[int]) -> list[str]:
+def fingerprints_of(connection: Connection, setup_ids: Collection[int]) -> frozenset[str]:
     """Returns the fingerprints of setups by their ids."""
-    return list(connection.scalars(select(setups.c.fingerprint).where(setups.c.id.in_(list(setup_ids)))))
+    query = select(setups.c.fingerprint)
+    return frozenset(row.fingerprint for row in rows_among(connection, query, setups.c.id, sorted(setup_ids)))
