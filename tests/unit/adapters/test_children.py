@@ -381,13 +381,3 @@ def test_descendants_are_found_and_none_besides(mark: str) -> None:
         assert process.pid in [seen.pid for seen in keeper.descendants(os.getpid())]
         os.kill(sleeper.pid, signal.SIGKILL)
     assert keeper.seen(process.pid) is None
-
-
-def test_a_folder_that_was_made_unreadable_is_removed(tmp_path: Path) -> None:
-    folder = tmp_path / "scratch"
-    (folder / "deep" / "deeper").mkdir(parents=True)
-    (folder / "deep" / "file").write_text("")
-    (folder / "link").symlink_to(tmp_path)
-    (folder / "deep").chmod(0)
-    keeper.remove(folder)
-    assert list(tmp_path.iterdir()) == []

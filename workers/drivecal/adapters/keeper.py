@@ -4,9 +4,9 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library and `confinement` only. FD is a socket of messages (SOCK_SEQPACKET):
-the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at once; the keeper
-answers in JSON, see `Keeper`.
+Runs by path, `python -I -S keeper.py FD`, with the standard library, `confinement` and `files` only. FD is a socket of messages
+(SOCK_SEQPACKET): the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at
+once; the keeper answers in JSON, see `Keeper`.
 """
 
 import contextlib
@@ -15,7 +15,6 @@ import json
 import os
 import resource
 import select
-import shutil
 import signal
 import socket
 import subprocess
@@ -28,6 +27,7 @@ if __name__ == "__main__":  # isolated, without site-packages
     sys.path.append(str(Path(__file__).parents[2]))
 
 from drivecal.adapters.confinement import confine, ruleset
+from drivecal.adapters.files.removal import remove
 
 START, END, KILL = b"s", b"t", b"k"
 GRACE_SECONDS = 2.0
@@ -249,17 +249,6 @@ class Keeper:
 
 def _has_ended(child: int) -> bool:
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-
-
-def remove(folder: Path) -> None:
-    """Removes a scratch folder, including folders that were made unreadable."""
-    for _ in range(2):
-        shutil.rmtree(folder, ignore_errors=True)
-        for parent, folders, _files in os.walk(folder):
-            for path in (Path(parent), *(Path(parent, name) for name in folders)):
-                with contextlib.suppress(OSError):
-                    if not path.is_symlink():
-                        path.chmod(0o700)
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import drivecal
-from drivecal.adapters.keeper import remove
+from drivecal.adapters.files.removal import remove
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 """Environment variable: folders, separated by colons, that simulators may change besides their scratch folder. `/`: no confinement."""
