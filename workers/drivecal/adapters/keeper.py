@@ -73,14 +73,22 @@ def seen(pid: int) -> Seen | None:
     return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
 
 
-def share(process: Seen) -> int:
-    """Returns the memory of a process in bytes, with pages that several processes have divided among them; without them if /proc reports
-    no share."""
+class Share(NamedTuple):
+    """Memory of a process in bytes, and the part of it that is mapped files in memory and other shared memory."""
+
+    memory: int
+    of_files: int
+
+
+def share(process: Seen) -> Share:
+    """Returns the memory of a process, with pages that several processes have divided among them; without them if /proc reports no
+    share."""
     try:
         lines = Path(f"/proc/{process.pid}/smaps_rollup").read_bytes().splitlines()
     except OSError:
-        return process.resident
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss:")), process.resident)
+        lines = []
+    sizes = {line.split()[0]: int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss")}
+    return Share(sizes.get(b"Pss:", process.resident), sizes.get(b"Pss_Shmem:", 0))
 
 
 def descendants(root: int) -> list[Seen]:

@@ -1,1 +1,1 @@
-"""Files that simulators leave: how much they take, and their removal. Standard library only: the keeper imports it."""
+"""Files of simulators: their limits and their removal. Standard library only: the keeper imports `removal`."""
