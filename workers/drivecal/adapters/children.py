@@ -177,11 +177,12 @@ class Children:
         self._family = tuple(process.pid for process in family)
         if len(family) > MOST_PROCESSES:
             raise NoMeasuresError(Breakdown.ERROR, f"it runs {len(family):,} processes, more than {MOST_PROCESSES}")
-        excess = self._disk.excess(self._family)
+        threads = [process.thread for process in family]
+        excess = self._disk.excess(threads)
         if excess is not None:
             self._overflows = True
             raise NoMeasuresError(Breakdown.ERROR, excess)
-        nameless = usage.nameless(self._family, str(self._scratch.folder), of_every_thread=False)
+        nameless = usage.nameless(threads, str(self._scratch.folder), of_every_thread=False)
         files = sum(nameless.in_memory.values())
         if sum(process.resident for process in family) + files >> 20 <= self._launch.memory_mb:
             return

@@ -44,13 +44,17 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 
 
 class Seen(NamedTuple):
-    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes."""
+    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes.
+
+    `thread`: the number under which /proc shows its memory and files: another than its own once its first thread has ended.
+    """
 
     pid: int
     parent: int
     own_seconds: float
     waited_seconds: float
     resident: int
+    thread: int
 
 
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -59,18 +63,36 @@ _PAGE = os.sysconf("SC_PAGESIZE")
 
 def seen(pid: int) -> Seen | None:
     """Returns what /proc says of a process, None if it is gone."""
+    fields = _fields(pid)
+    if fields is None:
+        return None
+    own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
+    thread, resident = (pid, int(fields[21])) if fields[0] != b"Z" else _of_living_thread(pid)
+    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, resident * _PAGE, thread)
+
+
+def _fields(pid: int) -> list[bytes] | None:
+    """Returns what /proc/PID/stat says after the name of the program."""
     try:
         descriptor = os.open(f"/proc/{pid}/stat", os.O_RDONLY)  # twice in each run, in half the time of an open file
     except OSError:
         return None
     try:
-        fields = os.read(descriptor, 4096).rpartition(b")")[2].split()
+        return os.read(descriptor, 4096).rpartition(b")")[2].split()
     except OSError:
         return None
     finally:
         os.close(descriptor)
-    own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
-    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
+
+
+def _of_living_thread(pid: int) -> tuple[int, int]:
+    """Returns a living thread of a process whose first thread has ended, and the resident pages; the process and 0 if it has none."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(f"/proc/{pid}/task"):  # noqa: PTH208  # as below
+            fields = _fields(int(name))
+            if fields is not None and fields[0] != b"Z":
+                return int(name), int(fields[21])
+    return pid, 0
 
 
 class Share(NamedTuple):
@@ -84,7 +106,7 @@ def share(process: Seen) -> Share:
     """Returns the memory of a process, with pages that several processes have divided among them; without them if /proc reports no
     share."""
     try:
-        lines = Path(f"/proc/{process.pid}/smaps_rollup").read_bytes().splitlines()
+        lines = Path(f"/proc/{process.thread}/smaps_rollup").read_bytes().splitlines()
     except OSError:
         lines = []
     sizes = {line.split()[0]: int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss")}

@@ -53,7 +53,7 @@ class Disk:
     def excess(self, processes: Collection[int]) -> str | None:
         """Returns how the files exceed a limit, None if they do not. They are counted only if the disk has lost room or is almost full.
 
-        `processes`: numbers of all processes of the session.
+        `processes`: the number of a living thread of each process of the session.
         """
         room = Room.of(self._folder)
         if not room.lost(self._counted) and not room.is_scarce:
