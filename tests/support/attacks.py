@@ -95,6 +95,14 @@ def fills_the_disk_with_a_large_file(data: Data) -> None:
     time.sleep(600)
 
 
+def nests_folders(_data: Data) -> None:
+    """Deeper than a recursion of Python, without making any path too long: the next start empties the folder."""
+    for _ in range(1_500):
+        Path("d").mkdir()
+        os.chdir("d")
+    os._exit(0)
+
+
 def _fill(path: Path, most_mb: int) -> None:
     """Writes until no room is left, and keeps what was written."""
     with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):

@@ -41,6 +41,7 @@ CAUSES = {
     "flood": "no answer",
     "fills_the_disk_with_small_files": "no answer",
     "fills_the_disk_with_a_large_file": "no answer",
+    "nests_folders": "exit code 0",
     "answers_for_others": "the answer's id is 0",
     "null_pointer": "SIGSEGV",
     "leaves_at_once": "exit code 0",

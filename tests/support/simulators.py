@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import stat
 import subprocess
 import sys
+import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -169,3 +172,41 @@ def eventually(condition: Callable[[], object], seconds: float = 60.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "it never happened"
         time.sleep(0.02)
+
+
+ANOTHER_USER = 65_534
+"""`nobody`: rights of files mean something to it."""
+
+
+def as_another_user(action: Callable[[Path], None]) -> None:
+    """Runs an action in a process of another user than root, in a folder of its own. Raises AssertionError if it raises an error."""
+    folder = Path(tempfile.mkdtemp())  # `tmp_path` lets no other user in
+    os.chown(folder, *((ANOTHER_USER, ANOTHER_USER) if os.geteuid() == 0 else (-1, -1)))
+    child = os.fork()
+    if child == 0:
+        try:
+            if os.geteuid() == 0:
+                os.setgid(ANOTHER_USER)
+                os.setuid(ANOTHER_USER)
+            action(folder)
+        except BaseException:  # noqa: BLE001  # this process is the test's own copy, and must not go on as it
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    status = os.waitpid(child, 0)[1]
+    for path in (folder, *folder.rglob("*")):
+        if not path.is_symlink():
+            path.chmod(0o700)
+    shutil.rmtree(folder, ignore_errors=True)
+    assert status == 0, "its error is in standard error"
+
+
+def nest(folder: Path, name: str, depth: int) -> None:
+    """Makes nested folders, deeper than a path can name."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    for _ in range(depth):
+        os.mkdir(name, dir_fd=descriptor)
+        deeper = os.open(name, os.O_RDONLY, dir_fd=descriptor)
+        os.close(descriptor)
+        descriptor = deeper
+    os.close(descriptor)

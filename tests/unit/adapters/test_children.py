@@ -275,6 +275,21 @@ def test_memory_of_all_processes_together_is_limited(tmp_path: Path) -> None:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
+def test_memory_counts_when_the_first_thread_of_a_process_has_ended(tmp_path: Path) -> None:
+    """Linux then shows none of it under the number of the process."""
+    body = """
+import ctypes, threading
+if x == 1.0:
+    for _ in range(3):
+        if os.fork() == 0:
+            threading.Thread(target=lambda: [bytearray(b"1") * (150 << 20), time.sleep(600)]).start()
+            ctypes.CDLL(None).pthread_exit(None)
+    time.sleep(600)
+"""
+    with served(tmp_path, body, memory_mb=300, timeout=20.0) as session:
+        assert "MB of memory" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
+
+
 def test_pages_that_forks_share_count_once(tmp_path: Path) -> None:
     body = """
 hold = bytearray(b'x' * (60 << 20))
@@ -381,13 +396,3 @@ def test_descendants_are_found_and_none_besides(mark: str) -> None:
         assert process.pid in [seen.pid for seen in keeper.descendants(os.getpid())]
         os.kill(sleeper.pid, signal.SIGKILL)
     assert keeper.seen(process.pid) is None
-
-
-def test_a_folder_that_was_made_unreadable_is_removed(tmp_path: Path) -> None:
-    folder = tmp_path / "scratch"
-    (folder / "deep" / "deeper").mkdir(parents=True)
-    (folder / "deep" / "file").write_text("")
-    (folder / "link").symlink_to(tmp_path)
-    (folder / "deep").chmod(0)
-    keeper.remove(folder)
-    assert list(tmp_path.iterdir()) == []

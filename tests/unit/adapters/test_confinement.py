@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import lost, opened, scratch_of, served, write_server
+from tests.support.simulators import lost, opened, served, write_server
 
-from drivecal.adapters import children, confinement, keeper
+from drivecal.adapters import confinement, keeper
 from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
@@ -131,33 +131,6 @@ def test_a_machine_whose_owner_wants_no_confinement_has_none(tmp_path: Path, mon
     monkeypatch.setenv(GRANTED, "/")
     with served(tmp_path, f"open({str(tmp_path / 'out')!r}, 'w').write('1')") as session:
         assert session.evaluate({"x": 1.0}).measures == {"y": 2.0}
-
-
-@pytest.mark.parametrize("most", [{"MOST_DISK_MB": 100}, {"MOST_FILES": 50}])
-def test_files_that_fill_the_disk_cost_their_run_and_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: dict[str, int]
-) -> None:
-    """The disk loses its room to files of others, too, so that only what the session wrote counts."""
-    for name, limit in (most | {"NOTICED_MB": 50, "NOTICED_FILES": 20, "LOOK_SECONDS": 0.1}).items():
-        monkeypatch.setattr(children, name, limit)
-    size = 2_000_000 if "MOST_DISK_MB" in most else 1
-    fill = f"[open(os.path.join(os.environ['TMPDIR'], 'f%d' % n), 'wb').write(bytes({size})) for n in range(100)]"
-    with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
-        assert "of disk" in lost(session, {"x": 1.0}, Breakdown.ERROR)
-        assert sum(1 for _ in scratch_of(session).home.rglob("*")) == 0
-        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
-
-
-def test_a_session_that_holds_much_of_a_full_disk_is_ended_and_emptied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, limit in {"NOTICED_MB": 5, "LOOK_SECONDS": 0.1}.items():
-        monkeypatch.setattr(children, name, limit)
-    fill = "open(os.path.join(os.environ['TMPDIR'], '..', 'f'), 'wb').write(bytes(20_000_000))"
-    with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
-        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
-        monkeypatch.setattr(children.Room, "of", lambda _: children.Room(10, 10**6, is_scarce=True))
-        assert "10 MB left" in lost(session, {"x": 1.0}, Breakdown.ERROR)
-        assert not (scratch_of(session).folder / "f").exists()
-        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
 def test_a_child_is_the_first_that_a_machine_without_memory_kills(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""Starts of simulators that fail: beside open sessions, which may hold what they lack, again in an open session, or everywhere."""
+"""Starts of simulators that fail: beside open sessions, which may hold what they lack, again in an open session, or everywhere.
+
+And ends of sessions that fail.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimu
 from drivecal.adapters.scratch import GRANTED
 from drivecal.contracts.work import Batch, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins.simulators import RunOutcome, SimulatorSession, UnsuitableError
+from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 
@@ -155,3 +158,19 @@ def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
     refused = works.run(Batch(replace(request_, scenario="broken"), (Cell(2, {"x": 2.0}),)))
     assert (refused.refusal, refused.unsuitable, refused.results) == ("the network has no lane e9_0", True, ())
     assert simulator.closed == []
+
+
+def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def close(_: ScriptedSession) -> None:
+        raise RecursionError
+
+    monkeypatch.setattr(ScriptedSession, "close", close)
+    simulator = ScriptedSimulator()
+    works = worker(tmp_path, simulator)
+    works.store(request_.bundle, archive)
+    for number in range(MOST_SESSIONS + 2):
+        result = works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),)))
+        assert [cell.metrics for cell in result.results] == [{"a": 2.0}]
+    assert len(simulator.opened) == MOST_SESSIONS + 2

@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters import keeper
+from drivecal.adapters.files import usage
+from drivecal.adapters.files.disk import Disk
 from drivecal.adapters.scratch import Scratch, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -28,14 +30,6 @@ MOST_PROCESSES = 256
 
 RLIMIT_NPROC is not used: it counts all processes of the user, so that others' processes would fail the child's, and it does not hold root.
 """
-MOST_DISK_MB = 16_384
-"""Limit of the files in a scratch folder. If less of the disk is free when the session opens, nine tenths of that."""
-MOST_FILES = 1_000_000
-"""Limit of the files and folders in a scratch folder."""
-NOTICED_MB, NOTICED_FILES = 64, 10_000
-"""Loss of the disk's free room after which the files in the scratch folder are counted."""
-SCARCE = 0.05
-"""Share of a disk: if less is free, a session whose files take more than that ends, because several fill a disk together."""
 LOOK_SECONDS = 1.0
 """Shortest time between two looks at all processes of the machine for descendants; a look takes 15 microseconds for each process."""
 FIRST_LINE = 256
@@ -63,21 +57,6 @@ class Launch:
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
-    """Free megabytes and files of a disk, and whether it is almost full."""
-
-    megabytes: int
-    files: int
-    is_scarce: bool = False
-
-    @classmethod
-    def of(cls, folder: Path) -> Room:
-        """Returns what is free on a folder's disk."""
-        disk = os.statvfs(folder)
-        return cls(disk.f_bavail * disk.f_frsize >> 20, disk.f_favail, disk.f_bavail < SCARCE * disk.f_blocks)
-
-
-@dataclass(frozen=True, slots=True)
 class Ended:
     """End of a child: return code as in `subprocess`."""
 
@@ -95,8 +74,7 @@ class Children:
         self._pid: int | None = None
         self._family: tuple[int, ...] = ()
         self._next_look = 0.0
-        self._room = Room.of(scratch.folder)
-        self._most_disk_mb = min(MOST_DISK_MB, self._room.megabytes * 9 // 10)
+        self._disk = Disk(scratch.folder, launch.memory_mb)
         self._exceeds = self._overflows = False
         """Whether the child exceeds a limit, or one of the disk in particular."""
         self._lost_seconds = self._ended_seconds = 0.0
@@ -184,44 +162,36 @@ class Children:
         """Looks for descendants and their files. Raises NoMeasuresError if these take too much memory or disk, or are too many."""
         if self._keeper is None:
             return
+        start = time.monotonic()
         try:
             self._look(self._keeper)
         except NoMeasuresError:
             self._exceeds = True
             raise
+        finally:
+            now = time.monotonic()
+            self._next_look = now + max(LOOK_SECONDS, 50 * (now - start))
 
     def _look(self, keeping: int) -> None:
-        start = time.monotonic()
-        self._look_at_disk()
         family = keeper.descendants(keeping)
         self._family = tuple(process.pid for process in family)
-        now = time.monotonic()
-        self._next_look = now + max(LOOK_SECONDS, 50 * (now - start))
         if len(family) > MOST_PROCESSES:
             raise NoMeasuresError(Breakdown.ERROR, f"it runs {len(family):,} processes, more than {MOST_PROCESSES}")
-        if sum(process.resident for process in family) >> 20 <= self._launch.memory_mb:
+        threads = [process.thread for process in family]
+        excess = self._disk.excess(threads)
+        if excess is not None:
+            self._overflows = True
+            raise NoMeasuresError(Breakdown.ERROR, excess)
+        nameless = usage.nameless(threads, str(self._scratch.folder), of_every_thread=False)
+        files = sum(nameless.in_memory.values())
+        if sum(process.resident for process in family) + files >> 20 <= self._launch.memory_mb:
             return
-        taken = sum(map(keeper.share, family)) >> 20  # a fork's pages are its parent's as well; this takes longer to read
+        shares = list(map(keeper.share, family))  # a fork's pages are its parent's as well; this takes longer to read
+        mapped = sum(share.of_files for share in shares)
+        taken = sum(share.memory for share in shares) + max(files - mapped, 0) >> 20
         if taken > self._launch.memory_mb:
             detail = f"its processes take {taken:,} MB of memory, more than memory_mb: {self._launch.memory_mb:,}"
             raise NoMeasuresError(Breakdown.MEMORY, detail)
-
-    def _look_at_disk(self) -> None:
-        room = Room.of(self._scratch.folder)
-        is_noticed = room.megabytes <= self._room.megabytes - NOTICED_MB or room.files <= self._room.files - NOTICED_FILES
-        if not is_noticed and not room.is_scarce:
-            return
-        taken, files = self._scratch.written()
-        self._room = room
-        if room.is_scarce and taken >> 20 > max(NOTICED_MB, room.megabytes):
-            self._overflows = True
-            detail = f"its files take {taken >> 20:,} MB of a disk that has {room.megabytes:,} MB left"
-            raise NoMeasuresError(Breakdown.ERROR, detail)
-        if taken >> 20 > self._most_disk_mb or files > MOST_FILES:
-            self._overflows = True
-            most = f"{self._most_disk_mb:,} MB or {MOST_FILES:,} files"
-            detail = f"its files take {taken >> 20:,} MB of disk ({files:,} files), more than {most}"
-            raise NoMeasuresError(Breakdown.ERROR, detail)
 
     def close(self) -> None:
         """Ends everything. Idempotent."""

@@ -4,9 +4,9 @@ It starts a child on request, limits it, and ends all its descendants: when the 
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
 `preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
-Runs by path, `python -I -S keeper.py FD`, with the standard library and `confinement` only. FD is a socket of messages (SOCK_SEQPACKET):
-the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at once; the keeper
-answers in JSON, see `Keeper`.
+Runs by path, `python -I -S keeper.py FD`, with the standard library, `confinement` and `files` only. FD is a socket of messages
+(SOCK_SEQPACKET): the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at
+once; the keeper answers in JSON, see `Keeper`.
 """
 
 import contextlib
@@ -15,7 +15,6 @@ import json
 import os
 import resource
 import select
-import shutil
 import signal
 import socket
 import subprocess
@@ -28,6 +27,7 @@ if __name__ == "__main__":  # isolated, without site-packages
     sys.path.append(str(Path(__file__).parents[2]))
 
 from drivecal.adapters.confinement import confine, ruleset
+from drivecal.adapters.files.removal import remove
 
 START, END, KILL = b"s", b"t", b"k"
 GRACE_SECONDS = 2.0
@@ -44,13 +44,17 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 
 
 class Seen(NamedTuple):
-    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes."""
+    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes.
+
+    `thread`: the number under which /proc shows its memory and files: another than its own once its first thread has ended.
+    """
 
     pid: int
     parent: int
     own_seconds: float
     waited_seconds: float
     resident: int
+    thread: int
 
 
 _TICK = os.sysconf("SC_CLK_TCK")
@@ -59,28 +63,54 @@ _PAGE = os.sysconf("SC_PAGESIZE")
 
 def seen(pid: int) -> Seen | None:
     """Returns what /proc says of a process, None if it is gone."""
+    fields = _fields(pid)
+    if fields is None:
+        return None
+    own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
+    thread, resident = (pid, int(fields[21])) if fields[0] != b"Z" else _of_living_thread(pid)
+    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, resident * _PAGE, thread)
+
+
+def _fields(pid: int) -> list[bytes] | None:
+    """Returns what /proc/PID/stat says after the name of the program."""
     try:
         descriptor = os.open(f"/proc/{pid}/stat", os.O_RDONLY)  # twice in each run, in half the time of an open file
     except OSError:
         return None
     try:
-        fields = os.read(descriptor, 4096).rpartition(b")")[2].split()
+        return os.read(descriptor, 4096).rpartition(b")")[2].split()
     except OSError:
         return None
     finally:
         os.close(descriptor)
-    own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
-    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, int(fields[21]) * _PAGE)
 
 
-def share(process: Seen) -> int:
-    """Returns the memory of a process in bytes, with pages that several processes have divided among them; without them if /proc reports
-    no share."""
+def _of_living_thread(pid: int) -> tuple[int, int]:
+    """Returns a living thread of a process whose first thread has ended, and the resident pages; the process and 0 if it has none."""
+    with contextlib.suppress(OSError):
+        for name in os.listdir(f"/proc/{pid}/task"):  # noqa: PTH208  # as below
+            fields = _fields(int(name))
+            if fields is not None and fields[0] != b"Z":
+                return int(name), int(fields[21])
+    return pid, 0
+
+
+class Share(NamedTuple):
+    """Memory of a process in bytes, and the part of it that is mapped files in memory and other shared memory."""
+
+    memory: int
+    of_files: int
+
+
+def share(process: Seen) -> Share:
+    """Returns the memory of a process, with pages that several processes have divided among them; without them if /proc reports no
+    share."""
     try:
-        lines = Path(f"/proc/{process.pid}/smaps_rollup").read_bytes().splitlines()
+        lines = Path(f"/proc/{process.thread}/smaps_rollup").read_bytes().splitlines()
     except OSError:
-        return process.resident
-    return next((int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss:")), process.resident)
+        lines = []
+    sizes = {line.split()[0]: int(line.split()[1]) << 10 for line in lines if line.startswith(b"Pss")}
+    return Share(sizes.get(b"Pss:", process.resident), sizes.get(b"Pss_Shmem:", 0))
 
 
 def descendants(root: int) -> list[Seen]:
@@ -249,17 +279,6 @@ class Keeper:
 
 def _has_ended(child: int) -> bool:
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-
-
-def remove(folder: Path) -> None:
-    """Removes a scratch folder, including folders that were made unreadable."""
-    for _ in range(2):
-        shutil.rmtree(folder, ignore_errors=True)
-        for parent, folders, _files in os.walk(folder):
-            for path in (Path(parent), *(Path(parent, name) for name in folders)):
-                with contextlib.suppress(OSError):
-                    if not path.is_symlink():
-                        path.chmod(0o700)
 
 
 def main() -> None:

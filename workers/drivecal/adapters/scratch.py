@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import drivecal
-from drivecal.adapters.keeper import remove
+from drivecal.adapters.files.removal import remove
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 """Environment variable: folders, separated by colons, that simulators may change besides their scratch folder. `/`: no confinement."""
@@ -58,7 +58,8 @@ class Scratch:
         self.home.mkdir()
 
     def empty(self) -> None:
-        """Removes everything but kept files, with new folders for work and temporary files."""
+        """Removes everything but kept files, with new folders for work and temporary files. Takes all rights for that."""
+        self.folder.chmod(0o700)
         for path in self.folder.iterdir():
             if path not in self._kept:
                 discard(path)
@@ -70,23 +71,6 @@ class Scratch:
         path.write_text(text)
         self._kept.add(path)
         return path
-
-    def written(self) -> tuple[int, int]:
-        """Returns how many bytes of disk all files take, and how many files and folders there are."""
-        taken = entries = 0
-        folders = [str(self.folder)]
-        while folders:
-            try:
-                with os.scandir(folders.pop()) as listed:
-                    for entry in listed:
-                        entries += 1
-                        if entry.is_dir(follow_symlinks=False):
-                            folders.append(entry.path)
-                        else:
-                            taken += entry.stat(follow_symlinks=False).st_blocks * 512
-            except OSError:  # removed meanwhile, or made unreadable
-                continue
-        return taken, entries
 
     def confinement(self, writable: Collection[str] = ()) -> dict[str, Any] | None:
         """Returns what the keeper's `ruleset` takes; None if the machine's owner wants no confinement. `writable`: further folders."""

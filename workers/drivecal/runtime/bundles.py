@@ -190,7 +190,7 @@ class BundleSessions:
         else:
             if not self._sessions or tried or not _has_failed(session):
                 return session
-            session.close()
+            _close(session)
         for key in list(self._sessions):
             self._drop(key)
         self._failed_alone[setup.key] = self._clock()
@@ -212,8 +212,15 @@ class BundleSessions:
         session = self._sessions.pop(key, None)
         with self._holds.pop(key, ExitStack()):
             if session is not None:
-                with suppress(OSError):
-                    session.close()
+                _close(session)
+
+
+def _close(session: SimulatorSession) -> None:
+    """Closes a session. Its error would cost the run of another problem, so that it is logged only."""
+    try:
+        session.close()
+    except Exception:
+        log.exception("the session of a simulator cannot be closed")
 
 
 def _has_failed(session: SimulatorSession) -> bool:
