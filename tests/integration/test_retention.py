@@ -271,7 +271,7 @@ def test_a_campaign_that_one_names_after_the_plan_stays_whole(database: Database
     if field == "rerun_of":
         set_column(database, queued, field, old.id)
     else:
-        set_column(database, queued, "spec", json.dumps(queued.spec | {"validation": {"of": old.id}}))
+        set_column(database, queued, "spec", json.dumps({**queued.spec, "validation": {"of": old.id}}))
     before = answers(database, old)
     with pytest.raises(ConflictError):
         carry_out(database, plan)
