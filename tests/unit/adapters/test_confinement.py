@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from pathlib import Path
 
 import pytest
@@ -39,7 +40,11 @@ FORBIDDEN = {
     "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",
 }
 LATER = {"truncate": "os.truncate('{outside}/file', 0)"}
-SIGNALS = {"signal": "os.kill(os.getppid(), 0)", "signal_worker": "os.kill({worker}, 0)"}
+SCOPED = {
+    "signal": "os.kill(os.getppid(), 0)",
+    "signal_worker": "os.kill({worker}, 0)",
+    "abstract_socket": "socket.socket(socket.AF_UNIX).connect({abstract!r})",
+}
 ALLOWED = {
     "work": "open('file', 'w').write('1')",
     "temporary": "__import__('tempfile').TemporaryFile().write(b'1')",
@@ -52,6 +57,9 @@ ALLOWED = {
     "module": "__import__('decimal')",
     "bundle_file": "open('deep/data').read()",
     "listen": "(s := socket.socket(), s.bind(('127.0.0.1', 0)), s.listen())",
+    "own_abstract_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('\\0own-%d' % os.getpid()), s.listen(), dial(s.getsockname()))",
+    "own_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('socket'), s.listen(), dial('socket'))",
+    "manager": "__import__('multiprocessing').get_context('fork').Manager().list([1])",
     "standard_error": "check(os.system('echo message > /dev/stderr') == 0)",
 }
 
@@ -63,6 +71,8 @@ def attempts(codes: dict[str, str], **places: object) -> str:
 import ctypes, socket
 def check(condition):
     if not condition: raise OSError
+def dial(address):
+    with socket.socket(socket.AF_UNIX) as dialled: dialled.connect(address)
 worked = {{}}
 for name, code in {filled!r}.items():
     try:
@@ -88,13 +98,18 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     forbidden = dict(FORBIDDEN)
     if confinement.version() >= confinement.TRUNCATION_SINCE:
         forbidden |= LATER
-    if confinement.version() >= confinement.SIGNALS_SINCE:
-        forbidden |= SIGNALS
+    if confinement.version() >= confinement.SCOPES_SINCE:
+        forbidden |= SCOPED
     codes = forbidden | ALLOWED
-    command = write_server(bundle, attempts(codes, outside=outside, home=home, worker=os.getpid()))
+    listening = socket.socket(socket.AF_UNIX)
+    abstract = f"\0drivecal-{os.getpid()}"
+    listening.bind(abstract)
+    listening.listen()
+    command = write_server(bundle, attempts(codes, outside=outside, home=home, worker=os.getpid(), abstract=abstract))
     before = sorted(tmp_path.rglob("*"))
     with opened("process", bundle, Declared("trial", tuple(codes)), command=command) as session:
         worked = session.evaluate({"x": 1.0}).measures
+    listening.close()
     assert {name for name, success in worked.items() if success} == set(ALLOWED)
     assert sorted(tmp_path.rglob("*")) == before
     assert (outside / "file").read_text() == "content"

@@ -1,7 +1,7 @@
 """What the system's kernel forbids a user's simulator, by Landlock (https://docs.kernel.org/userspace-api/landlock.html).
 
 A confined process writes below its own folders only, cannot read hidden files, cannot debug processes outside, and reads neither their
-memory nor their environment. From Linux 6.12 on it cannot signal them. Its descendants inherit all of that, and none can leave it. It needs
+memory nor their environment. From Linux 6.12 on it cannot signal them, nor connect to their abstract sockets. Its descendants inherit all of that, and none can leave it. It needs
 no privileges and holds root as well. The keeper imports this module: standard library only.
 """
 
@@ -13,7 +13,8 @@ from pathlib import Path
 
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 """System calls; equal numbers on all architectures."""
-_VERSION, _PATH_BENEATH, _SCOPE_SIGNAL = 1, 1, 1 << 1
+_VERSION, _PATH_BENEATH = 1, 1
+_SCOPE_ABSTRACT_SOCKET, _SCOPE_SIGNAL = 1 << 0, 1 << 1
 _PR_SET_NO_NEW_PRIVS = 38
 _WRITE_FILE, _READ_FILE = 1 << 1, 1 << 2
 _REMOVE_FILE, _MAKE_REGULAR, _REFER, _TRUNCATE = 1 << 5, 1 << 8, 1 << 13, 1 << 14
@@ -23,8 +24,8 @@ _OF_FILES = _WRITE_FILE | _READ_FILE | _TRUNCATE
 _CAPABILITIES_3 = 0x20080522
 _KEPT = 0x8464FB
 """Capabilities of root that a simulator may need: for files of all users, other users, low ports, locked memory, priorities."""
-SIGNALS_SINCE, TRUNCATION_SINCE = 6, 3
-"""Versions of Landlock that hold back signals, and that hold back `truncate`."""
+SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
+"""Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
 MOST_RULES = 20_000
 """Limit of the rules of a session. Above it nothing is hidden: each takes four microseconds at the session's start."""
 
@@ -62,8 +63,8 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     secret = {os.path.realpath(path) for path in hidden}
     beside = _beside(secret) if secret else []
     reading = _READ_FILE if beside else 0
-    attributes = _Ruleset(writing | reading, 0, _SCOPE_SIGNAL if known >= SIGNALS_SINCE else 0)
-    size = ctypes.c_size_t(ctypes.sizeof(attributes) if known >= SIGNALS_SINCE else 8)
+    attributes = _Ruleset(writing | reading, 0, _SCOPE_SIGNAL | _SCOPE_ABSTRACT_SOCKET if known >= SCOPES_SINCE else 0)
+    size = ctypes.c_size_t(ctypes.sizeof(attributes) if known >= SCOPES_SINCE else 8)
     rules = int(_library.syscall(_CREATE_RULESET, ctypes.byref(attributes), size, 0))
     if rules < 0:
         return None
