@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from tests.support.simulators import lost, opened, scratch_of, served, write_server
 
 from drivecal.adapters import children, confinement, keeper
-from drivecal.adapters.scratch import GRANTED
+from drivecal.adapters.scratch import GRANTED, Scratch
+from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
 
@@ -128,6 +130,45 @@ def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
 
 
 @landlock
+def test_files_of_other_sessions_cannot_be_read(tmp_path: Path) -> None:
+    """Those that are open, and those that begin later."""
+    bundles = [tmp_path / name for name in ("own", "earlier", "later")]
+    for bundle in bundles:
+        bundle.mkdir()
+    codes = {
+        "own": "open('../packages').read()",
+        "earlier": "open(open('earlier').read()).read()",
+        "later": "open(open('later').read()).read()",
+    }
+    command = write_server(bundles[0], attempts(codes))
+    with ExitStack() as stack:
+        earlier = stack.enter_context(served(bundles[1]))
+        session = stack.enter_context(opened("process", bundles[0], Declared("trial", tuple(codes)), command=command))
+        later = stack.enter_context(served(bundles[2]))
+        for name, other in (("earlier", earlier), ("later", later)):
+            (scratch_of(other).folder / "packages").write_text("content")
+            (scratch_of(session).work / name).write_text(str(scratch_of(other).folder / "packages"))
+        (scratch_of(session).folder / "packages").write_text("content")
+        measures = session.evaluate({"x": 1.0}).measures
+        assert measures == {"own": 1.0, "earlier": 0.0, "later": 0.0}
+
+
+def test_the_folder_of_sessions_is_private_and_not_another_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder = tmp_path / f"drivecal-runs-{os.geteuid()}"
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    folder.mkdir(mode=0o755)
+    with served(bundle) as session:
+        assert scratch_of(session).folder.parent == folder
+        assert folder.stat().st_mode & 0o777 == 0o700
+    folder.rmdir()
+    folder.symlink_to(bundle)
+    with pytest.raises(UnavailableError, match="TMPDIR"):
+        Scratch(bundle)
+
+
+@landlock
 def test_a_refusal_names_the_folders_that_may_be_changed_and_the_owner_can_grant_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,3 +252,33 @@ def test_too_many_neighbours_of_a_hidden_file_leave_it_readable(monkeypatch: pyt
     beside = confinement._beside({str(tmp_path / "hidden")})
     assert str(tmp_path / "beside") in beside
     assert not any(tmp_path.is_relative_to(path) for path in beside)
+
+
+@landlock
+def test_a_hidden_file_with_too_many_neighbours_leaves_others_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    crowded, quiet = tmp_path / "crowded" / "hidden", tmp_path / "quiet" / "hidden"
+    for path in (crowded, quiet):
+        path.parent.mkdir()
+    needed = len(confinement._beside({str(quiet)}))
+    for number in range(100):
+        (crowded.parent / str(number)).write_text("")
+    monkeypatch.setattr(confinement, "MOST_RULES", needed + 50)
+    assert confinement._beside({str(crowded), str(quiet)}) == []
+    assert confinement._affordable({str(crowded), str(quiet)}) == {str(quiet)}
+    for path in (crowded, quiet):
+        path.write_text("content")
+    rules = confinement.ruleset([], [], [str(crowded), str(quiet)])
+    child = os.fork()
+    if child == 0:
+        confinement.confine(rules)
+        os._exit(_is_readable(crowded) + 2 * _is_readable(quiet))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+    assert rules is not None
+    os.close(rules)
+
+
+def _is_readable(path: Path) -> bool:
+    try:
+        return path.read_text() == "content"
+    except OSError:
+        return False

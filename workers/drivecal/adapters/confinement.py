@@ -1,8 +1,8 @@
 """What the system's kernel forbids a user's simulator, by Landlock (https://docs.kernel.org/userspace-api/landlock.html).
 
 A confined process writes below its own folders only, cannot read hidden files, cannot debug processes outside, and reads neither their
-memory nor their environment. From Linux 6.12 on it cannot signal them, nor connect to their abstract sockets. Its descendants inherit all of that, and none can leave it. It needs
-no privileges and holds root as well. The keeper imports this module: standard library only.
+memory nor their environment. From Linux 6.12 on it cannot signal them, nor connect to their abstract sockets. Its descendants inherit all
+of that, and none can leave it. It needs no privileges and holds root as well. The keeper imports this module: standard library only.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ _KEPT = 0x8464FB
 SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
 """Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
 MOST_RULES = 20_000
-"""Limit of the rules of a session. Above it nothing is hidden: each takes four microseconds at the session's start."""
+"""Limit of the rules of a session, each of which takes four microseconds at its start. A path that would need more is not hidden."""
 
 _library = ctypes.CDLL(None, use_errno=True)
 
@@ -62,6 +62,9 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     writing = _WRITE_FILE | _CHANGE_TREE | (_REFER if known > 1 else 0) | (_TRUNCATE if known >= TRUNCATION_SINCE else 0)
     secret = {os.path.realpath(path) for path in hidden}
     beside = _beside(secret) if secret else []
+    if secret and not beside:
+        secret = _affordable(secret)
+        beside = _beside(secret) if secret else []
     reading = _READ_FILE if beside else 0
     attributes = _Ruleset(writing | reading, 0, _SCOPE_SIGNAL | _SCOPE_ABSTRACT_SOCKET if known >= SCOPES_SINCE else 0)
     size = ctypes.c_size_t(ctypes.sizeof(attributes) if known >= SCOPES_SINCE else 8)
@@ -132,6 +135,16 @@ def _beside(hidden: Collection[str]) -> list[str]:
         if len(paths) > MOST_RULES:
             return []
     return paths
+
+
+def _affordable(hidden: Collection[str]) -> set[str]:
+    """Returns the paths that can be hidden together: those that need the fewest rules first."""
+    chosen: set[str] = set()
+    needed = {path: beside for path in hidden if (beside := _beside({path}))}
+    for path in sorted(needed, key=lambda path: len(needed[path])):
+        if _beside(chosen | {path}):
+            chosen.add(path)
+    return chosen
 
 
 def _walk(folder: str, above: Collection[str], hidden: Collection[str]) -> Iterator[str]:
