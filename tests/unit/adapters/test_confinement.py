@@ -36,6 +36,9 @@ FORBIDDEN = {
     "secret_by_link": "(os.symlink('{home}', 'way'), open('way/push.secret').read())",
     "secret_by_root": "open('/proc/self/root{home}/push.secret').read()",
     "tokens": "open('{outside}/tokens').read()",
+    "terminal": "open('{terminal}', 'w')",
+    "keyboard": "os.open('{terminal}', os.O_RDONLY | os.O_NOCTTY)",
+    "kernel_log": "open('/dev/kmsg', 'w')",
     "environment": "open('/proc/%d/environ' % os.getppid(), 'rb').read()",
     "memory": "open('/proc/%d/mem' % os.getppid(), 'rb').read(0)",
     "debug": "check(ctypes.CDLL(None, use_errno=True).ptrace(16, os.getppid(), 0, 0) == 0)",  # PTRACE_ATTACH
@@ -52,6 +55,7 @@ ALLOWED = {
     "temporary": "__import__('tempfile').TemporaryFile().write(b'1')",
     "move": "(os.mkdir('sub'), open('moved', 'w'), os.rename('moved', 'sub/moved'))",
     "device": "open('/dev/null', 'w').write('1')",
+    "random": "open('/dev/urandom', 'rb').read(1)",
     "semaphore": "__import__('multiprocessing').Lock()",
     "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
     "program": "check(subprocess.run(['sh', '-c', 'echo x > file2; kill $$']).returncode == -15)",
@@ -107,11 +111,21 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     abstract = f"\0drivecal-{os.getpid()}"
     listening.bind(abstract)
     listening.listen()
-    command = write_server(bundle, attempts(codes, outside=outside, home=home, worker=os.getpid(), abstract=abstract))
+    terminal = os.openpty()
+    places = {
+        "outside": outside,
+        "home": home,
+        "worker": os.getpid(),
+        "abstract": abstract,
+        "terminal": os.ttyname(terminal[1]),
+    }
+    command = write_server(bundle, attempts(codes, **places))
     before = sorted(tmp_path.rglob("*"))
     with opened("process", bundle, Declared("trial", tuple(codes)), command=command) as session:
         worked = session.evaluate({"x": 1.0}).measures
     listening.close()
+    for descriptor in terminal:
+        os.close(descriptor)
     assert {name for name, success in worked.items() if success} == set(ALLOWED)
     assert sorted(tmp_path.rglob("*")) == before
     assert (outside / "file").read_text() == "content"

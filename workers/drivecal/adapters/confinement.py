@@ -7,6 +7,7 @@ of that, and none can leave it. It needs no privileges and holds root as well. T
 
 import contextlib
 import ctypes
+import glob
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -24,6 +25,9 @@ _OF_FILES = _WRITE_FILE | _READ_FILE | _TRUNCATE
 _CAPABILITIES_3 = 0x20080522
 _KEPT = 0x8464FB
 """Capabilities of root that a simulator may need: for files of all users, other users, low ports, locked memory, priorities."""
+_DEVICES = ("null", "zero", "full", "random", "urandom", "tty", "ptmx", "dri", "dxg", "infiniband", "kfd", "nvidia*")
+"""Devices in /dev that simulators use: those of every program, GPUs, and fast networks. Others would be the user's terminals and root's
+disks. `tty` is a process's own terminal, which a simulator has not."""
 SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
 """Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
 MOST_RULES = 20_000
@@ -54,13 +58,13 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     """Returns a descriptor of rules for `confine`, None without Landlock.
 
     `writable`: folders that may be read and changed; `hidden`: files and folders that may not be read, but for what is `readable` in them.
-    Paths that are not `hidden` may be read if they exist now.
+    Paths that are not `hidden` may be read if they exist now; if some are, of /dev only the usual devices and what is `writable`.
     """
     known = version()
     if not known:
         return None
     writing = _WRITE_FILE | _CHANGE_TREE | (_REFER if known > 1 else 0) | (_TRUNCATE if known >= TRUNCATION_SINCE else 0)
-    secret = {os.path.realpath(path) for path in hidden}
+    secret = {os.path.realpath(path) for path in (*hidden, "/dev")} if hidden else set()
     beside = _beside(secret) if secret else []
     if secret and not beside:
         secret = _affordable(secret)
@@ -74,7 +78,7 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     devices = writing & (_WRITE_FILE | _TRUNCATE)
     for path, access in (
         *((path, writing | reading) for path in writable),
-        ("/dev", devices | reading),
+        *((path, devices | reading) for name in _DEVICES for path in glob.glob(f"/dev/{name}")),  # noqa: PTH207  # fewer imports
         ("/dev/shm", devices | reading | _MAKE_REGULAR | _REMOVE_FILE),  # noqa: S108  # semaphores and shared memory of the C library
         *((path, reading) for path in readable if beside and _is_below(path, secret)),
         *((path, reading) for path in beside),
