@@ -62,7 +62,8 @@ for process in pathlib.Path("/proc").glob("[0-9]*"):
         continue
     if int(process.name) != os.getpid():
         commands.append(command)
-files = [str(path) for folder in ("/tmp", "/dev/shm", "/home", "/var/tmp") for path in pathlib.Path(folder).glob("*")]
+folders = ("/tmp", "/dev/shm", "/home", "/var/tmp")
+files = [str(path) for folder in folders for name in ("*", "drivecal-runs-*/*") for path in pathlib.Path(folder).glob(name)]
 used = {}
 for folder in ("/tmp", "/dev/shm"):
     disk = os.statvfs(folder)

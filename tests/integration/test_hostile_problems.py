@@ -72,4 +72,4 @@ def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(tmp_path: 
         assert (tmp_path / "home" / "push.secret").read_text() not in str(lost)
         assert {worker.id for worker in client.workers().items} == workers
         assert processes(server) == family
-    eventually(lambda: running(mark) == [] and list(temporary.glob("drivecal-run-*")) == [])
+    eventually(lambda: running(mark) == [] and list(temporary.rglob("drivecal-run-*")) == [])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, drive, driven, motorway
+from tests.support.simulators import lost
 from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
 
 import drivecal.highway.drive
@@ -17,6 +19,8 @@ import drivecal.highway.vehicle
 from drivecal.adapters import confinement
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
+from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import setups
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
@@ -82,6 +86,46 @@ def control(observation, parameters):
     return 0.0
 """
 
+LEAVES = """
+import json, os
+from pathlib import Path
+
+from drivecal.highway.drive import geometry
+
+scratch = Path.cwd().parent
+settings = scratch / "highway.json"
+
+def attempt():
+    for folder in FOLDERS:
+        try:
+            open(f"{folder}/planted.pyc", "xb").close()
+            return 1.0
+        except OSError:
+            pass
+    if "kernels" in geometry.nearest._cache.cache_path:
+        return 2.0
+    return 0.0
+
+# The first step of the run reports it, in words that a worker shows.
+reached = attempt()
+(scratch / "kernels").mkdir(exist_ok=True)
+if "settings" == "KIND":
+    changed = json.loads(settings.read_text())
+    changed["changeable"] = None
+    settings.write_text(json.dumps(changed))
+if "link" == "KIND":
+    (scratch / "traffic.rou.xml").unlink()
+    (scratch / "traffic.rou.xml").symlink_to(FOLDERS[0] + "/planted.pyc")
+
+def control(observation, parameters):
+    if parameters["c"] == 0.0:
+        os._exit(1)
+    if reached:
+        raise RuntimeError(f"reached {reached}")
+    return 0.0
+"""
+"""A controller whose first child leaves files for the second one."""
+
 
 @pytest.mark.slow("planner")
 @pytest.mark.parametrize(
@@ -121,11 +165,36 @@ def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario
     assert json.loads(ended.stdout.splitlines()[-1]) == []
 
 
-@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
-def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(tmp_path: Path) -> None:
-    folders = [
+@pytest.fixture
+def folders() -> Iterator[list[str]]:
+    """Folders of drivecal's byte code and compiled kernels, without what a test that fails has planted in them."""
+    places = [
         str(Path(str(module.__file__)).parent / "__pycache__") for module in (drivecal.highway.drive, drivecal.highway.vehicle)
     ]
+    yield places
+    for folder in places:
+        Path(folder, "planted.pyc").unlink(missing_ok=True)
+
+
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+@pytest.mark.parametrize("kind", ["settings", "link", "numba"])
+def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
+    code = LEAVES.replace("FOLDERS", repr(folders)).replace("KIND", kind)
+    bundle = motorway(tmp_path / "bundle", code)
+    if kind == "numba":  # numba would load what the first child has left there
+        (bundle / ".numba_config.yaml").write_text("cache_dir: ../kernels\n")
+    with driven(bundle, drive([], 2.0)) as session:
+        lost(session, PARAMETERS | {"c": 0.0}, Breakdown.CRASH)
+        if kind == "settings":
+            with pytest.raises(UnavailableError, match=r"changed highway\.json"):
+                session.evaluate(PARAMETERS)
+        else:
+            assert session.evaluate(PARAMETERS).measures
+    assert [folder for folder in folders if Path(folder, "planted.pyc").exists()] == []
+
+
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: list[str], tmp_path: Path) -> None:
     stored = next((path.name for path in Path(folders[1]).glob("*.nbi")), "kernel.nbi")
     hostile = HOSTILE.replace("FOLDERS", repr(folders)).replace("FILE", repr(stored))
     with driven(motorway(tmp_path / "bundle", hostile), drive([], 2.0)) as session:

@@ -67,8 +67,8 @@ LANDLOCK = {
     "reads_the_environment": 1,
     "writes_outside": 1,
     "writes_to_the_cache": 1,
-    "kills_the_server": confinement.SIGNALS_SINCE,
-    "kills_everything": confinement.SIGNALS_SINCE,
+    "kills_the_server": confinement.SCOPES_SINCE,
+    "kills_everything": confinement.SCOPES_SINCE,
 }
 """The version of Landlock that holds an attack back. Without it the attack is left out, because it would succeed."""
 

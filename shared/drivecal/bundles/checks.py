@@ -51,6 +51,8 @@ Executables = Mapping[str, bool]
 """Files of a bundle by path, and whether each is executable."""
 OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
 """Variables that name an empty folder for each simulator."""
+_SECRET = re.compile(r"(?!.*_LICENSE).*(PASSWORD|PASSWD|PASSPHRASE|TOKEN|SECRET|CREDENTIAL|APIKEY|_KEY(_|$))", re.IGNORECASE)
+"""Names of variables that hold secrets by custom; those of licences stay allowed."""
 WITH_FILES = (PythonSimulator, FmuSimulator, PythonController, FmuController, PythonVehicle, FmuVehicle)
 """Sections that name a Python file or an FMU."""
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -293,6 +295,9 @@ def _simulator(simulator: Any, files: Executables | None) -> Iterator[Problem]:
     for index, name in enumerate(simulator.environment or ()):
         if name.upper().startswith(("DRIVECAL", "RAY")):
             yield Problem(f"simulator.environment[{index}]", f"{name} is a variable of the worker itself", "leave it out")
+        elif _SECRET.match(name):
+            remedy = "leave it out; if simulators may know it, give it another name on the workers, such as TOOL_LICENSE"
+            yield Problem(f"simulator.environment[{index}]", f"{name} may hold a secret of the worker", remedy)
         elif name in OWN_FOLDERS:
             remedy = "leave it out; give the tool the whole path, or export the variable in a wrapper script"
             yield Problem(f"simulator.environment[{index}]", f"drivecal sets {name} to an empty folder", remedy)

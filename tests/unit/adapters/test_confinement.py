@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import socket
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import lost, opened, served, write_server
+from tests.support.simulators import lost, opened, scratch_of, served, write_server
 
 from drivecal.adapters import confinement, keeper
-from drivecal.adapters.scratch import GRANTED
+from drivecal.adapters.scratch import GRANTED, Scratch
+from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
 
@@ -33,18 +36,26 @@ FORBIDDEN = {
     "secret_by_link": "(os.symlink('{home}', 'way'), open('way/push.secret').read())",
     "secret_by_root": "open('/proc/self/root{home}/push.secret').read()",
     "tokens": "open('{outside}/tokens').read()",
+    "terminal": "open('{terminal}', 'w')",
+    "keyboard": "os.open('{terminal}', os.O_RDONLY | os.O_NOCTTY)",
+    "kernel_log": "open('/dev/kmsg', 'w')",
     "environment": "open('/proc/%d/environ' % os.getppid(), 'rb').read()",
     "memory": "open('/proc/%d/mem' % os.getppid(), 'rb').read(0)",
     "debug": "check(ctypes.CDLL(None, use_errno=True).ptrace(16, os.getppid(), 0, 0) == 0)",  # PTRACE_ATTACH
     "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",
 }
 LATER = {"truncate": "os.truncate('{outside}/file', 0)"}
-SIGNALS = {"signal": "os.kill(os.getppid(), 0)", "signal_worker": "os.kill({worker}, 0)"}
+SCOPED = {
+    "signal": "os.kill(os.getppid(), 0)",
+    "signal_worker": "os.kill({worker}, 0)",
+    "abstract_socket": "socket.socket(socket.AF_UNIX).connect({abstract!r})",
+}
 ALLOWED = {
     "work": "open('file', 'w').write('1')",
     "temporary": "__import__('tempfile').TemporaryFile().write(b'1')",
     "move": "(os.mkdir('sub'), open('moved', 'w'), os.rename('moved', 'sub/moved'))",
     "device": "open('/dev/null', 'w').write('1')",
+    "random": "open('/dev/urandom', 'rb').read(1)",
     "semaphore": "__import__('multiprocessing').Lock()",
     "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
     "program": "check(subprocess.run(['sh', '-c', 'echo x > file2; kill $$']).returncode == -15)",
@@ -52,6 +63,9 @@ ALLOWED = {
     "module": "__import__('decimal')",
     "bundle_file": "open('deep/data').read()",
     "listen": "(s := socket.socket(), s.bind(('127.0.0.1', 0)), s.listen())",
+    "own_abstract_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('\\0own-%d' % os.getpid()), s.listen(), dial(s.getsockname()))",
+    "own_socket": "(s := socket.socket(socket.AF_UNIX), s.bind('socket'), s.listen(), dial('socket'))",
+    "manager": "__import__('multiprocessing').get_context('fork').Manager().list([1])",
     "standard_error": "check(os.system('echo message > /dev/stderr') == 0)",
 }
 
@@ -63,6 +77,8 @@ def attempts(codes: dict[str, str], **places: object) -> str:
 import ctypes, socket
 def check(condition):
     if not condition: raise OSError
+def dial(address):
+    with socket.socket(socket.AF_UNIX) as dialled: dialled.connect(address)
 worked = {{}}
 for name, code in {filled!r}.items():
     try:
@@ -88,13 +104,28 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     forbidden = dict(FORBIDDEN)
     if confinement.version() >= confinement.TRUNCATION_SINCE:
         forbidden |= LATER
-    if confinement.version() >= confinement.SIGNALS_SINCE:
-        forbidden |= SIGNALS
+    if confinement.version() >= confinement.SCOPES_SINCE:
+        forbidden |= SCOPED
     codes = forbidden | ALLOWED
-    command = write_server(bundle, attempts(codes, outside=outside, home=home, worker=os.getpid()))
+    listening = socket.socket(socket.AF_UNIX)
+    abstract = f"\0drivecal-{os.getpid()}"
+    listening.bind(abstract)
+    listening.listen()
+    terminal = os.openpty()
+    places = {
+        "outside": outside,
+        "home": home,
+        "worker": os.getpid(),
+        "abstract": abstract,
+        "terminal": os.ttyname(terminal[1]),
+    }
+    command = write_server(bundle, attempts(codes, **places))
     before = sorted(tmp_path.rglob("*"))
     with opened("process", bundle, Declared("trial", tuple(codes)), command=command) as session:
         worked = session.evaluate({"x": 1.0}).measures
+    listening.close()
+    for descriptor in terminal:
+        os.close(descriptor)
     assert {name for name, success in worked.items() if success} == set(ALLOWED)
     assert sorted(tmp_path.rglob("*")) == before
     assert (outside / "file").read_text() == "content"
@@ -110,6 +141,45 @@ def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
     command = write_server(own, attempts(codes))
     with opened("process", own, Declared("trial", tuple(codes)), command=command) as session:
         assert session.evaluate({"x": 1.0}).measures == {"own": 1.0, "other": 0.0}
+
+
+@landlock
+def test_files_of_other_sessions_cannot_be_read(tmp_path: Path) -> None:
+    """Those that are open, and those that begin later."""
+    bundles = [tmp_path / name for name in ("own", "earlier", "later")]
+    for bundle in bundles:
+        bundle.mkdir()
+    codes = {
+        "own": "open('../packages').read()",
+        "earlier": "open(open('earlier').read()).read()",
+        "later": "open(open('later').read()).read()",
+    }
+    command = write_server(bundles[0], attempts(codes))
+    with ExitStack() as stack:
+        earlier = stack.enter_context(served(bundles[1]))
+        session = stack.enter_context(opened("process", bundles[0], Declared("trial", tuple(codes)), command=command))
+        later = stack.enter_context(served(bundles[2]))
+        for name, other in (("earlier", earlier), ("later", later)):
+            (scratch_of(other).folder / "packages").write_text("content")
+            (scratch_of(session).work / name).write_text(str(scratch_of(other).folder / "packages"))
+        (scratch_of(session).folder / "packages").write_text("content")
+        measures = session.evaluate({"x": 1.0}).measures
+        assert measures == {"own": 1.0, "earlier": 0.0, "later": 0.0}
+
+
+def test_the_folder_of_sessions_is_private_and_not_another_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    folder = tmp_path / f"drivecal-runs-{os.geteuid()}"
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    folder.mkdir(mode=0o755)
+    with served(bundle) as session:
+        assert scratch_of(session).folder.parent == folder
+        assert folder.stat().st_mode & 0o777 == 0o700
+    folder.rmdir()
+    folder.symlink_to(bundle)
+    with pytest.raises(UnavailableError, match="TMPDIR"):
+        Scratch(bundle)
 
 
 @landlock
@@ -169,3 +239,33 @@ def test_too_many_neighbours_of_a_hidden_file_leave_it_readable(monkeypatch: pyt
     beside = confinement._beside({str(tmp_path / "hidden")})
     assert str(tmp_path / "beside") in beside
     assert not any(tmp_path.is_relative_to(path) for path in beside)
+
+
+@landlock
+def test_a_hidden_file_with_too_many_neighbours_leaves_others_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    crowded, quiet = tmp_path / "crowded" / "hidden", tmp_path / "quiet" / "hidden"
+    for path in (crowded, quiet):
+        path.parent.mkdir()
+    needed = len(confinement._beside({str(quiet)}))
+    for number in range(100):
+        (crowded.parent / str(number)).write_text("")
+    monkeypatch.setattr(confinement, "MOST_RULES", needed + 50)
+    assert confinement._beside({str(crowded), str(quiet)}) == []
+    assert confinement._affordable({str(crowded), str(quiet)}) == {str(quiet)}
+    for path in (crowded, quiet):
+        path.write_text("content")
+    rules = confinement.ruleset([], [], [str(crowded), str(quiet)])
+    child = os.fork()
+    if child == 0:
+        confinement.confine(rules)
+        os._exit(_is_readable(crowded) + 2 * _is_readable(quiet))
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+    assert rules is not None
+    os.close(rules)
+
+
+def _is_readable(path: Path) -> bool:
+    try:
+        return path.read_text() == "content"
+    except OSError:
+        return False

@@ -183,6 +183,10 @@ def test_the_examples_pass_with_their_files(name: str) -> None:
         ("scores/cost/range", [0, 0.0009], "scores.cost.range"),
         ("simulator/environment", ["A=B"], "simulator.environment[0]"),
         ("simulator/environment", ["MATLAB_HOME", "DRIVECAL_TOKEN"], "simulator.environment[1]"),
+        ("simulator/environment", ["MATLAB_HOME", "PGPASSWORD"], "simulator.environment[1]"),
+        ("simulator/environment", ["AWS_SECRET_ACCESS_KEY"], "simulator.environment[0]"),
+        ("simulator/environment", ["AWS_ACCESS_KEY_ID"], "simulator.environment[0]"),
+        ("simulator/environment", ["github_token"], "simulator.environment[0]"),
         ("simulator/environment", ["MATLAB_HOME", "HOME"], "simulator.environment[1]"),
         ("simulator/environment", ["TMPDIR"], "simulator.environment[0]"),
         ("simulator/environment", [f"N{number}" for number in range(51)], "simulator.environment"),
@@ -326,8 +330,9 @@ def test_an_fmu_that_is_reset_has_the_setup_of_earlier_versions() -> None:
 
 def test_names_of_variables_are_part_of_a_setup_if_there_are_any() -> None:
     assert "environment" not in setup_document(checked(VALID), "city", "f")["simulator"]
-    named = checked(changed("simulator/environment", ["MATLAB_HOME"]))
-    assert setup_document(named, "city", "f")["simulator"]["environment"] == ["MATLAB_HOME"]
+    names = ["MATLAB_HOME", "TOOL_LICENSE_KEY", "KEYBOARD", "PGHOST"]
+    named = checked(changed("simulator/environment", names))
+    assert setup_document(named, "city", "f")["simulator"]["environment"] == names
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,21 @@
 """What the system's kernel forbids a user's simulator, by Landlock (https://docs.kernel.org/userspace-api/landlock.html).
 
 A confined process writes below its own folders only, cannot read hidden files, cannot debug processes outside, and reads neither their
-memory nor their environment. From Linux 6.12 on it cannot signal them. Its descendants inherit all of that, and none can leave it. It needs
-no privileges and holds root as well. The keeper imports this module: standard library only.
+memory nor their environment. From Linux 6.12 on it cannot signal them, nor connect to their abstract sockets. Its descendants inherit all
+of that, and none can leave it. It needs no privileges and holds root as well. The keeper imports this module: standard library only.
 """
 
 import contextlib
 import ctypes
+import glob
 import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 """System calls; equal numbers on all architectures."""
-_VERSION, _PATH_BENEATH, _SCOPE_SIGNAL = 1, 1, 1 << 1
+_VERSION, _PATH_BENEATH = 1, 1
+_SCOPE_ABSTRACT_SOCKET, _SCOPE_SIGNAL = 1 << 0, 1 << 1
 _PR_SET_NO_NEW_PRIVS = 38
 _WRITE_FILE, _READ_FILE = 1 << 1, 1 << 2
 _REMOVE_FILE, _MAKE_REGULAR, _REFER, _TRUNCATE = 1 << 5, 1 << 8, 1 << 13, 1 << 14
@@ -23,10 +25,13 @@ _OF_FILES = _WRITE_FILE | _READ_FILE | _TRUNCATE
 _CAPABILITIES_3 = 0x20080522
 _KEPT = 0x8464FB
 """Capabilities of root that a simulator may need: for files of all users, other users, low ports, locked memory, priorities."""
-SIGNALS_SINCE, TRUNCATION_SINCE = 6, 3
-"""Versions of Landlock that hold back signals, and that hold back `truncate`."""
+_DEVICES = ("null", "zero", "full", "random", "urandom", "tty", "ptmx", "dri", "dxg", "infiniband", "kfd", "nvidia*")
+"""Devices in /dev that simulators use: those of every program, GPUs, and fast networks. Others would be the user's terminals and root's
+disks. `tty` is a process's own terminal, which a simulator has not."""
+SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
+"""Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
 MOST_RULES = 20_000
-"""Limit of the rules of a session. Above it nothing is hidden: each takes four microseconds at the session's start."""
+"""Limit of the rules of a session, each of which takes four microseconds at its start. A path that would need more is not hidden."""
 
 _library = ctypes.CDLL(None, use_errno=True)
 
@@ -53,24 +58,27 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     """Returns a descriptor of rules for `confine`, None without Landlock.
 
     `writable`: folders that may be read and changed; `hidden`: files and folders that may not be read, but for what is `readable` in them.
-    Paths that are not `hidden` may be read if they exist now.
+    Paths that are not `hidden` may be read if they exist now; if some are, of /dev only the usual devices and what is `writable`.
     """
     known = version()
     if not known:
         return None
     writing = _WRITE_FILE | _CHANGE_TREE | (_REFER if known > 1 else 0) | (_TRUNCATE if known >= TRUNCATION_SINCE else 0)
-    secret = {os.path.realpath(path) for path in hidden}
+    secret = {os.path.realpath(path) for path in (*hidden, "/dev")} if hidden else set()
     beside = _beside(secret) if secret else []
+    if secret and not beside:
+        secret = _affordable(secret)
+        beside = _beside(secret) if secret else []
     reading = _READ_FILE if beside else 0
-    attributes = _Ruleset(writing | reading, 0, _SCOPE_SIGNAL if known >= SIGNALS_SINCE else 0)
-    size = ctypes.c_size_t(ctypes.sizeof(attributes) if known >= SIGNALS_SINCE else 8)
+    attributes = _Ruleset(writing | reading, 0, _SCOPE_SIGNAL | _SCOPE_ABSTRACT_SOCKET if known >= SCOPES_SINCE else 0)
+    size = ctypes.c_size_t(ctypes.sizeof(attributes) if known >= SCOPES_SINCE else 8)
     rules = int(_library.syscall(_CREATE_RULESET, ctypes.byref(attributes), size, 0))
     if rules < 0:
         return None
     devices = writing & (_WRITE_FILE | _TRUNCATE)
     for path, access in (
         *((path, writing | reading) for path in writable),
-        ("/dev", devices | reading),
+        *((path, devices | reading) for name in _DEVICES for path in glob.glob(f"/dev/{name}")),  # noqa: PTH207  # fewer imports
         ("/dev/shm", devices | reading | _MAKE_REGULAR | _REMOVE_FILE),  # noqa: S108  # semaphores and shared memory of the C library
         *((path, reading) for path in readable if beside and _is_below(path, secret)),
         *((path, reading) for path in beside),
@@ -131,6 +139,16 @@ def _beside(hidden: Collection[str]) -> list[str]:
         if len(paths) > MOST_RULES:
             return []
     return paths
+
+
+def _affordable(hidden: Collection[str]) -> set[str]:
+    """Returns the paths that can be hidden together: those that need the fewest rules first."""
+    chosen: set[str] = set()
+    needed = {path: beside for path in hidden if (beside := _beside({path}))}
+    for path in sorted(needed, key=lambda path: len(needed[path])):
+        if _beside(chosen | {path}):
+            chosen.add(path)
+    return chosen
 
 
 def _walk(folder: str, above: Collection[str], hidden: Collection[str]) -> Iterator[str]:

@@ -4,6 +4,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping
+from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -64,11 +65,21 @@ class HighwayAdapter:
             for entry in (controller, vehicle):
                 if entry.get("kind") == "process":
                     check_command(entry["command"], scratch.work)
-            file = scratch.keep("highway.json", json.dumps(settings, allow_nan=False))  # may be larger than a command line
+            text = json.dumps(settings, allow_nan=False)
+            file = scratch.keep("highway.json", text)  # may be larger than a command line
         except (UnavailableError, OSError):
             scratch.remove()
             raise
-        command = [sys.executable, "-I", "-B", "-m", "drivecal.highway.drive.driver", str(file)]
+        # An earlier child can change the file; a later one refuses it then.
+        command = [
+            sys.executable,
+            "-I",
+            "-B",
+            "-m",
+            "drivecal.highway.drive.driver",
+            str(file),
+            sha256(text.encode()).hexdigest(),
+        ]
         launch = Launch.of(command, section, _compiled(os.environ.get("NUMBA_CACHE_DIR")))
         most_runs = MOST_FMU_RUNS if has_fmu else MOST_RUNS
         if not all(entry.get("reset", True) for entry in (controller, vehicle)):

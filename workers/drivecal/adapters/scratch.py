@@ -2,6 +2,7 @@
 
 import os
 import re
+import stat
 import sys
 import tempfile
 from collections.abc import Collection, Mapping
@@ -10,6 +11,7 @@ from typing import Any
 
 import drivecal
 from drivecal.adapters.files.removal import remove
+from drivecal.domain.errors import UnavailableError
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 """Environment variable: folders, separated by colons, that simulators may change besides their scratch folder. `/`: no confinement."""
@@ -31,9 +33,9 @@ class Scratch:
     """
 
     def __init__(self, bundle: Path) -> None:
-        """Creates the folder in the system's temporary folder."""
+        """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self._bundle = bundle.resolve()
-        self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-"))
+        self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-", dir=_sessions()))
         self.work, self.home = self.folder / "work", self.folder / "home"
         self._kept: set[Path] = {self.work, self.home}
         try:
@@ -93,6 +95,7 @@ class Scratch:
             paths.extend(Path(file + ending) for ending in ("", "-wal", "-shm", ".lock", ".queue"))
         if _DIGEST.fullmatch(self._bundle.name):
             paths.append(self._bundle.parent)  # the cache, with others' bundles
+        paths.append(self.folder.parent)  # with what other sessions have unpacked
         return paths
 
     def shown(self, text: str) -> str:
@@ -108,6 +111,18 @@ class Scratch:
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
         remove(self.folder)
+
+
+def _sessions() -> Path:
+    """Returns the private folder of all sessions of this user; creates it in the system's temporary folder."""
+    folder = Path(tempfile.gettempdir(), f"drivecal-runs-{os.geteuid()}")
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
+        raise UnavailableError(f"{folder} belongs to another user or is a link; set TMPDIR to a folder of the worker's user")
+    if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        folder.chmod(0o700)
+    return folder
 
 
 def _absolute(path: Path) -> Path | None:

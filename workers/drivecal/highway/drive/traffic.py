@@ -73,7 +73,11 @@ class Traffic:
         self.start_d = start_d + ego.offset
         route_file = folder / "traffic.rou.xml"
         try:
-            route_file.write_bytes(routes_file(scenario))
+            route_file.unlink(missing_ok=True)
+            with route_file.open(
+                "xb"
+            ) as file:  # a new file: an earlier child may have left a link to one that this process may change
+                file.write(routes_file(scenario))
             self._strays = strays(scenario)
         except InvalidInputError as error:
             raise _prefixed(error, field) from error
