@@ -35,6 +35,8 @@ class Active:
 
     campaign: CampaignHeading
     job: Job | None = None
+    beginning: Job | None = None
+    """A job that computes before its first cells; then it becomes the `job`."""
     unwritten: list[Completed] = field(default_factory=list)
     stopping: CampaignState | None = None
     """State after the last cell leaves the workers: cancelled or paused."""

@@ -48,6 +48,7 @@ class StagedCampaign(Job):
             self._begin()
         while self._stage is not None:
             work = self._stage.work()
+            self.goes_on = self._stage.goes_on
             if work or not self._stage.finished:
                 return work
             self._stage = self._next(self._campaign())
