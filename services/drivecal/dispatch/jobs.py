@@ -20,7 +20,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
-from drivecal.execution.scheduling.scheduler import Completed
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.storage import campaigns, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -14,8 +14,8 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

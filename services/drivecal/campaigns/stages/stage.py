@@ -21,8 +21,8 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaign_stages, campaigns, evaluations, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
