@@ -21,8 +21,8 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables

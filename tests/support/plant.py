@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from drivecal.contracts.work import BatchResult, Cell, CellResult, DriveRequest
 from drivecal.execution.backend import LONGEST_QUEUED
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.dispatches import Completed, Dispatch
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.scheduler import Scheduler
 
 TARGET = BatchPolicy().target_seconds
 
@@ -56,6 +57,8 @@ class Plant:
     workers: int = 1
     cost: dict[str, float] = field(default_factory=dict)
     scheduler: Scheduler = field(default_factory=lambda: Scheduler(BatchPolicy()))
+    of_users: bool = False
+    """Whether the scenarios belong to problems of users: nothing is queued behind cells that were never measured."""
     now: float = 0.0
     given: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     """Worker time by tag, what is running included."""
@@ -70,7 +73,7 @@ class Plant:
         self.scheduler.meet(self.names)
         self._free_at = dict.fromkeys(self.names, 0.0)
         self._held = dict.fromkeys(self.names, 0)
-        self._long: set[str] = set()
+        self._long: dict[int, str] = {}
         self._last: dict[str, str] = {}
         self._ends: list[tuple[float, int, Dispatch]] = []
         self._owners: dict[int, str] = {}
@@ -81,9 +84,10 @@ class Plant:
 
     def fill(self) -> None:
         """Sends what there is room for."""
+        self.scheduler.meet(self.names, now=self.now)
         for room in (1, 2):
             for worker in self.names:
-                while self._held[worker] < (1 if worker in self._long else room) and (
+                while self._held[worker] < (1 if worker in self._long.values() else room) and (
                     dispatch := self.scheduler.next_batch(worker, idle=self._held[worker] == 0)
                 ):
                     self._send(dispatch)
@@ -95,7 +99,7 @@ class Plant:
             return False
         self.now, _, dispatch = heapq.heappop(self._ends)
         self._held[dispatch.worker] -= 1
-        self._long.discard(dispatch.worker)
+        self._long.pop(dispatch.batch_id, None)
         self.completed += self.scheduler.finished(dispatch.batch_id, answers(dispatch, self._seconds(dispatch)))
         return True
 
@@ -112,8 +116,9 @@ class Plant:
         self.loads[worker] += self._last.get(worker) != scenario
         self._last[worker] = scenario
         self._held[worker] += 1
-        if (dispatch.expected_seconds or 0.0) > LONGEST_QUEUED:
-            self._long.add(worker)
+        unknown = float("inf") if self.of_users else 0.0
+        if (unknown if dispatch.expected_seconds is None else dispatch.expected_seconds) > LONGEST_QUEUED:
+            self._long[dispatch.batch_id] = worker
         self._free_at[worker] = max(self.now, self._free_at[worker]) + seconds
         heapq.heappush(self._ends, (self._free_at[worker], dispatch.batch_id, dispatch))
 

@@ -1,7 +1,7 @@
 """The dispatcher: starts campaigns from the database, has their cells simulated and stores the results.
 
-One thread does everything except the heartbeat; each database has one dispatcher. Its memory may be lost at any moment: after a crash or a
-failed transaction, campaigns resume from their rows.
+One thread does everything except the heartbeat and what optimizers compute; each database has one dispatcher. Its memory may be lost at
+any moment: after a crash or a failed transaction, campaigns resume from their rows.
 """
 
 import logging
@@ -248,11 +248,17 @@ class Dispatcher:
             active.unwritten.clear()
             self._finish_stopping(active)
             return False
-        active.job = take_up(self._database, active.campaign.sequence, lambda request: self._pool.probe(request, active.tag))
-        if active.job is None:  # a worker is asked for the versions of its tools
+        if active.beginning is None:
+            active.beginning = take_up(
+                self._database, active.campaign.sequence, lambda request: self._pool.probe(request, active.tag)
+            )
+        if active.beginning is None:  # a worker is asked for the versions of its tools
             active.not_before = self._clock() + LOOK_SECONDS
             return False
-        work = active.job.work()
+        work = active.beginning.work()
+        if not work and active.beginning.goes_on:  # it does not know yet which results it waits for
+            return False
+        active.job, active.beginning = active.beginning, None
         held = self._pool.keep(active.tag, {cell.id for batch in work for cell in batch.cells})  # of a dropped job, at workers
         self._submit(active, _without(work, held | {completion.result.id for completion in active.unwritten}))
         return True
@@ -290,7 +296,7 @@ class Dispatcher:
     def _forget_jobs(self) -> None:
         """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""
         for active in self._active.values():
-            active.job = None
+            active.job = active.beginning = None
             self._pool.withdraw(active.tag)
         self._next_look = 0.0
 

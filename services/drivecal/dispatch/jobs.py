@@ -20,7 +20,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
-from drivecal.execution.scheduling.scheduler import Completed
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.storage import campaigns, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -35,6 +35,8 @@ class Active:
 
     campaign: CampaignHeading
     job: Job | None = None
+    beginning: Job | None = None
+    """A job that computes before its first cells; then it becomes the `job`."""
     unwritten: list[Completed] = field(default_factory=list)
     stopping: CampaignState | None = None
     """State after the last cell leaves the workers: cancelled or paused."""

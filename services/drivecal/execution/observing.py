@@ -9,7 +9,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.activity import Activity
-from drivecal.execution.scheduling.scheduler import Completed, Dispatch
+from drivecal.execution.scheduling.dispatches import Completed, Dispatch
 
 FAILURES_TOLD = 20
 """Failures of a campaign logged in full; then only the 32nd, 64th, 128th and so on."""

@@ -13,8 +13,9 @@ from drivecal.execution.leasing import Leases
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Disputes, Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.dispatches import Completed, Dispatch
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.scheduler import Scheduler
 
 PATIENCE_WITH_REFUSALS = 30.0
 """Seconds after which a refusing worker is replaced, or asked again if it is busy: its installation may have been repaired."""
@@ -194,7 +195,7 @@ class WorkPool:
         """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
         ready, self._nodes = list(nodes), nodes
-        self._scheduler.meet(ready, nodes)
+        self._scheduler.meet(ready, nodes, self._clock())
         self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
         self._ask_again_at = {place: at for place, at in self._ask_again_at.items() if place[0] in nodes}
         for slot in self._backend.slots():

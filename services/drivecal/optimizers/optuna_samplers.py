@@ -10,7 +10,7 @@ from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
 from drivecal.optimizers.checks import searchable
-from drivecal.optimizers.replayed import Replayed, named, require
+from drivecal.optimizers.replayed import Replayed, named, require, stop_if_abandoned
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 
 require("optuna", extra="optuna")
@@ -63,7 +63,10 @@ class OptunaEngine:
     def propose(self) -> Indices:
         if self._counts_generations:
             self._sampler.number += 1
-        self._asked = [self._study.ask(self._distributions) for _ in range(self._population)]
+        self._asked = []
+        for _ in range(self._population):  # minutes, with many
+            stop_if_abandoned()
+            self._asked.append(self._study.ask(self._distributions))
         rows = [[trial.params[name] for name in self._distributions] for trial in self._asked]
         return np.column_stack(
             [

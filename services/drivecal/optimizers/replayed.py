@@ -5,7 +5,8 @@ the same answers restores the same state. Another version of a library may draw 
 too, and each replayed proposal must have the same.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from hashlib import sha256
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -18,6 +19,23 @@ from drivecal.domain.parameters import Indices
 from drivecal.optimizers.checks import checked_answers, checked_vectors, fitting
 from drivecal.optimizers.state import dump_floats, load_floats
 from drivecal.plugins.ports import Floats, Proposal
+
+_is_abandoned: ContextVar[Callable[[], bool]] = ContextVar("is_abandoned", default=lambda: False)
+
+
+class AbandonedError(Exception):
+    """Nothing waits for the result of the running computation."""
+
+
+def abandon_when(is_abandoned: Callable[[], bool]) -> None:
+    """Lets `is_abandoned` end the long computations of this thread: a thread cannot be ended from outside."""
+    _is_abandoned.set(is_abandoned)
+
+
+def stop_if_abandoned() -> None:
+    """Raises AbandonedError if nothing waits for the running computation; long ones call it from time to time."""
+    if _is_abandoned.get()():
+        raise AbandonedError
 
 
 def require(package: str, extra: str) -> None:
@@ -103,6 +121,7 @@ class Replayed:
             self._ask_again(state)
 
     def _ask_again(self, state: Mapping[str, Any]) -> None:
+        stop_if_abandoned()
         self.ask()
         self._compare(state)
 

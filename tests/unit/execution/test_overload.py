@@ -114,3 +114,87 @@ def test_a_newcomer_waits_for_one_slow_cell_at_most() -> None:
     plant.run(until=plant.now + 1_000.0)
     plant.add("fast", "fast", cells(1_000, first=100_001))
     assert seconds_until_done(plant, "fast") <= 600.0 + 3 * time_alone(4, "fast", 1_000, cost)
+
+
+SLOW = {"fast": 0.02, "slow": 600.0}
+
+
+def running(plant: Plant) -> Counter[str]:
+    """Workers that hold cells of each scenario."""
+    return Counter(scenario for _, scenario in {(sent.worker, sent.batch.setup.scenario) for _, _, sent in plant._ends})
+
+
+@pytest.mark.parametrize("workers", [2, 4, 7])
+@pytest.mark.parametrize("measured", [False, True])
+def test_slow_cells_hold_their_share_of_the_workers_beside_quick_ones(workers: int, measured: bool) -> None:
+    plant = warm(workers, SLOW if measured else {"fast": SLOW["fast"]})
+    plant.cost, plant.of_users = SLOW, True
+    plant.add("fast", "fast", cells(40_000, first=100_001))
+    plant.run(until=plant.now + 5.0)
+    plant.add("slow", "slow", cells(200))
+    while plant.scheduler.held("fast") > 1_000 and plant.step():
+        assert running(plant)["slow"] <= workers // 2
+        assert running(plant)["fast"] > 0
+    assert running(plant)["slow"] > 0
+
+
+def test_slow_problems_of_many_scenarios_and_campaigns_leave_a_worker_to_quick_cells() -> None:
+    plant = warm(4, {"fast": 0.02})
+    plant.of_users = True
+    plant.cost = {"fast": 0.02} | {f"slow {number}": 600.0 for number in range(8)}
+    plant.add("fast", "fast", cells(40_000, first=100_001))
+    plant.run(until=plant.now + 5.0)
+    for number in range(8):
+        plant.add(f"campaign {number}", f"slow {number}", cells(20, first=1 + 100 * number))
+    began = plant.now
+    assert seconds_until_done(plant, "fast") <= 40_000 * 0.02 + TARGET
+    assert plant.now > began + 200.0, "slow cells had workers"
+
+
+def test_a_quick_campaign_in_generations_waits_for_no_slow_cell() -> None:
+    plant = warm(4, SLOW)
+    plant.run(until=plant.now + 100.0)
+    plant.add("quick", "fast", cells(12, first=500_001))
+    plant.add("slow", "slow", cells(200))
+    began = plant.now
+    for number in range(1, 50):
+        seconds_until_done(plant, "quick")
+        plant.add("quick", "fast", cells(12, first=500_001 + 12 * number))
+    seconds_until_done(plant, "quick")
+    assert plant.now - began <= 50 * 12 * 0.02 + TARGET
+    assert running(plant)["slow"] == 2
+
+
+def test_slow_cells_take_every_worker_once_the_quick_campaign_is_over() -> None:
+    plant = warm(4, SLOW)
+    plant.add("quick", "fast", cells(12, first=500_001))
+    plant.add("slow", "slow", cells(200))
+    seconds_until_done(plant, "quick")
+    plant.scheduler.withdraw("quick")
+    plant.now += 10.0
+    plant.fill()
+    assert running(plant)["slow"] == 4
+
+
+def test_no_more_workers_are_kept_than_quick_cells_need() -> None:
+    plant = warm(16, SLOW)
+    plant.now += 10.0
+    plant.add("quick", "fast", cells(2, first=500_001))
+    plant.add("slow", "slow", cells(200))
+    plant.fill()
+    assert running(plant)["slow"] == 14
+
+
+@pytest.mark.parametrize("priority", [0, 1])
+def test_a_lower_priority_keeps_no_worker_from_slow_cells(priority: int) -> None:
+    plant = warm(4, SLOW)
+    plant.now += 10.0
+    plant.add("quick", "fast", cells(1_000, first=500_001))
+    plant.fill()
+    plant.add("slow", "slow", cells(200), priority)
+    most = 0
+    while plant.scheduler.held("quick") > 200 and plant.step():
+        most = max(most, running(plant)["slow"])
+        if most == 4:
+            break
+    assert most == (4 if priority else 1), "of equal priority, the second waits until the quick campaign had its time"

@@ -14,8 +14,9 @@ from tests.support.pooled import cells, drain
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed
+from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
 def test_every_cell_comes_back_with_its_own_result() -> None:

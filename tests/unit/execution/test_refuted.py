@@ -6,8 +6,8 @@ from tests.support.computed import ComputedBackend, rating_of
 
 from drivecal.contracts.work import Cell, CellResult, DriveRequest, Probe
 from drivecal.execution.pool import WorkPool
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 
 
 def setup(scenario: str) -> DriveRequest:

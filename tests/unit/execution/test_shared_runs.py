@@ -12,8 +12,9 @@ from drivecal.domain.evaluations import Rating, RunResult
 from drivecal.execution.scheduling import shared_runs
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.dispatches import Dispatch
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Dispatch, Scheduler
+from drivecal.execution.scheduling.scheduler import Scheduler
 from drivecal.execution.scheduling.shared_runs import SharedRuns
 
 KEY = setup().key

@@ -14,8 +14,9 @@ from tests.support.plant import Plant, V, W, answers, cells, ids, send, setup
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
+from drivecal.execution.scheduling.dispatches import Completed, Dispatch
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS, Completed, Dispatch, Scheduler
+from drivecal.execution.scheduling.scheduler import ATTEMPTS, Scheduler
 
 
 def scheduler() -> Scheduler:

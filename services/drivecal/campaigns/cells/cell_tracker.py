@@ -22,8 +22,8 @@ from drivecal.domain.errors import RefutedError
 from drivecal.domain.evaluations import Donor, Outcome, Rating
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.audit import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import COPIES, DONORS, AnsweredCell, NewEvaluation

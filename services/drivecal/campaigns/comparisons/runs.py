@@ -21,8 +21,8 @@ from drivecal.contracts.campaign import Baseline, Best, ErrorRate
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import DrivecalError, NoResultError, RefutedError, SupersededError, UnavailableError
 from drivecal.domain.events import EventKind
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import campaign_stages, campaigns, comparisons, events
 from drivecal.storage.campaigns import Snapshot, StoredCampaign

@@ -5,25 +5,27 @@ belong to no generation.
 """
 
 from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirmation, front_verdict, verdict_in
-from drivecal.analysis.goals import EQUAL
-from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.campaigns.cells.past_lots import skipped_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
 from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.stages.best_set import BestSetStage
 from drivecal.campaigns.stages.population import PopulationAnswers
-from drivecal.campaigns.stages.stage import CampaignStage, Round
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Released
+from drivecal.campaigns.stages.proposing import Computation
+from drivecal.campaigns.stages.stage import Round
+from drivecal.contracts.campaign import CellCounts, ErrorRate, Released
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import Indices, ParameterSet
+from drivecal.domain.parameters import Indices
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.checks import checked_proposal
 from drivecal.plugins.ports import Optimizer, Proposal
@@ -42,7 +44,7 @@ _COUNTED = (
 )
 
 
-class Calibration(CampaignStage):
+class Calibration(BestSetStage):
     """The search of a campaign: a round is a generation of the optimizer, and after the last generation a set to confirm."""
 
     name = StageName.CALIBRATION
@@ -51,10 +53,8 @@ class Calibration(CampaignStage):
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
-        super().__init__(database, campaign, problem, view)
+        super().__init__(database, campaign, problem, view, PopulationAnswers(problem, problem.optimization.population))
         self._optimization = problem.optimization
-        self._answers = PopulationAnswers(problem, problem.optimization.population)
-        self._ranking = self._answers.ranking
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = problem.search_area(view.influence_map)
         if campaign.narrowed is not None:
@@ -62,7 +62,6 @@ class Calibration(CampaignStage):
         self._notes = problem.notes
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
-        self._best, self._baseline = campaign.best, campaign.baseline
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         self._before = CellCounts()
         self._iteration: int | None = None
@@ -70,6 +69,12 @@ class Calibration(CampaignStage):
         self._evaluated: Indices | None = None
         """The last population with all its answers."""
         self._optimizer: Optimizer | None = None
+        self._optimizer_state: dict[str, Any] | None = None
+        """State after the proposal, to be stored with it."""
+        self._computation: Computation | None = None
+        """What the optimizer computes; None if the next round needs nothing of it."""
+        self._last: StoredGeneration | None = None
+        """The last generation of an earlier process."""
         self._batches: list[list[int]] = []
         """Individuals of the current generation that have not been requested."""
         self._planner: LotPlanner | None = None
@@ -115,20 +120,42 @@ class Calibration(CampaignStage):
             failed = CellCounts(**self._tracker.counts).failed
             raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells failed{self._causes()}")
 
-    def _resume(self) -> list[Work]:
-        """Resumes the last generation, or starts with the first.
+    def _is_ready(self) -> bool:
+        """Whether the optimizer has computed what the next round needs."""
+        if not self._resumed and self._computation is None:
+            self._begin()
+        return self._computation is None or self._computation.is_done
 
-        The optimizer is restored between two transactions, because a replay may take long and nothing else could be written meanwhile. What
-        was read before stays true: only the dispatcher changes it, and every transaction first checks that this process is still the one.
-        """
+    def _begin(self) -> None:
+        """Reads the rows, and begins to restore the optimizer as it was after the last generation, or to create one."""
         sync_reference_keys(self._database, self._view)
         with self._database.read() as connection:
-            last = generations.last(connection, self._campaign.sequence)
+            self._last = last = generations.last(connection, self._campaign.sequence)
             if last is not None:
                 finished = last.iteration + last.finished
                 self._before = CellCounts(**generations.sums(connection, self._campaign.sequence, _COUNTED, finished))
                 self._answers.take_in(connection, self._campaign.sequence, range(finished))
-        self._optimizer = self._restored(last)
+        constraints, area, optimization = self._problem.constraints, self._area, self._optimization
+        if last is None:
+            start = area.contract(self._problem.start_indices) if self._problem.start_sets else None
+            self._computation = Computation(partial(optimization.begin, area, constraints, start), None, asks=True)
+            return
+        if last.optimizer_state is None:
+            raise RuntimeError(f"generation {last.iteration} has no optimizer state")
+        asks = last.finished and last.iteration + 1 < optimization.iterations
+        answers = self._answers.for_optimizer() if asks else None
+        self._computation = Computation(
+            partial(optimization.restore, area, constraints, last.optimizer_state), answers, asks=asks
+        )
+
+    def _resume(self) -> list[Work]:
+        """Resumes the last generation, or starts with the first, once the optimizer is restored.
+
+        A replay may take long, so that no transaction is open meanwhile. What was read before stays true: only the dispatcher changes it,
+        and every transaction first checks that this process is still the one.
+        """
+        last = self._last
+        self._take_up(last)
         with self._database.transaction() as connection:
             if last is None:
                 if self._problem.specification.reduction.narrow:
@@ -141,31 +168,34 @@ class Calibration(CampaignStage):
             self._save(connection)
         return work
 
-    def _restored(self, last: StoredGeneration | None) -> Optimizer:
-        """The optimizer as it was after the last generation, or a new one. Takes as long as the optimizer's computations."""
-        constraints, area = self._problem.constraints, self._area
+    def _take_up(self, last: StoredGeneration | None) -> None:
+        """Continues with the restored optimizer. Raises what restoring it raised."""
+        if self._computation is None:
+            raise RuntimeError("the optimizer has not begun")
+        computed = self._computation.result()
+        self._optimizer = computed.optimizer
+        if computed.proposal is None:
+            self._computation = None
         if last is None:
-            start = area.contract(self._problem.start_indices) if self._problem.start_sets else None
-            return self._optimization.begin(area, constraints, start)
-        if last.optimizer_state is None:
-            raise RuntimeError(f"generation {last.iteration} has no optimizer state")
-        optimizer = self._optimization.restore(area, constraints, last.optimizer_state)
+            return
         self._iteration = last.iteration
         if last.finished:
-            self._answers.inform(optimizer)
             self._evaluated = np.array(last.population, dtype=np.int64)
         else:
             self._proposal = Proposal(np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_))
             self._batches = self._split(last.iteration, self._proposal)
             self._round = Round(last.iteration, (), self._policy())
-        return optimizer
 
     def _propose(self) -> Round:
-        if self._optimizer is None:
+        if self._computation is None:
             raise RuntimeError("the stage has not started")
+        computed, self._computation = self._computation.result(), None
+        if computed.proposal is None:
+            raise RuntimeError("the optimizer was not asked for a population")
+        self._optimizer_state = computed.state
         count, n_values = self._optimization.population, self._area.n_values
         name = self._optimization.plugin.name
-        self._proposal = checked_proposal(name, self._optimizer.ask(), count, n_values, self._evaluated)
+        self._proposal = checked_proposal(name, computed.proposal, count, n_values, self._evaluated)
         self._iteration = 0 if self._iteration is None else self._iteration + 1
         self._batches = self._split(self._iteration, self._proposal)
         carried_over = int((~self._proposal.changed).sum()) * len(self._problem.scenarios)
@@ -218,7 +248,7 @@ class Calibration(CampaignStage):
 
     def _store(self, connection: Connection, asked: Round) -> None:
         """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to no generation."""
-        if self._optimizer is None or self._proposal is None or asked.number != self._iteration:
+        if self._optimizer_state is None or self._proposal is None or asked.number != self._iteration:
             return
         if generations.is_stored(connection, self._campaign.sequence, asked.number):  # with an earlier batch
             return
@@ -229,7 +259,7 @@ class Calibration(CampaignStage):
             figures=self._figures(),
             population=self._proposal.population.tolist(),
             changed=self._proposal.changed.tolist(),
-            optimizer_state=self._optimizer.state(),
+            optimizer_state=self._optimizer_state,
         )
         if asked.number == 0:
             self._tell_beginning(connection)
@@ -302,9 +332,11 @@ class Calibration(CampaignStage):
             data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
-        self._answers.inform(self._optimizer)
         self._evaluated = None if self._proposal is None else self._proposal.population
         self._proposal = None
+        if self._iteration + 1 < self._optimization.iterations:
+            optimizer = self._optimizer
+            self._computation = Computation(lambda: optimizer, self._answers.for_optimizer(), asks=True)
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
         now = CellCounts(**self._tracker.counts)
@@ -320,46 +352,6 @@ class Calibration(CampaignStage):
             mean=float(known.mean()) if known.size else None,
             minimum=self._answers.worst(objectives),
             alternatives=0 if best is None else best[1],
-        )
-
-    def _describe_best(self, connection: Connection) -> None:
-        best = self._ranking.best()
-        if best is not None:
-            solution, alternatives = best
-            parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
-            before = self._best
-            self._best = Best(
-                objective=solution.objective,
-                parameters=parameters.floats,
-                scores=dict(solution.scores),
-                alternatives=alternatives,
-                violation=solution.shares_violated,
-            )
-            gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
-            goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
-            if before is None or gain > EQUAL or (goals is not None and goals.bounds and gain < -EQUAL):
-                self._tell_best(connection, solution)
-        unknown = self._baseline is None or self._baseline.objective is None
-        self._remember_baseline(connection)
-        if unknown and self._baseline is not None and self._baseline.objective is not None:
-            events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
-
-    def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
-        best = {} if self._best is None else self._best.model_dump()
-        events.add(connection, self._campaign.sequence, EventKind.BEST, best | {"iteration": solution.iteration})
-
-    def _remember_baseline(self, connection: Connection) -> None:
-        baseline: ParameterSet | None = self._problem.baseline
-        if baseline is None:
-            return
-        (number,) = parameter_sets.ensure(connection, [baseline])
-        solution: EvaluatedSet | None = self._ranking.get(number)
-        none_yet: dict[str, float | None] = dict.fromkeys(self._problem.scenarios)
-        self._baseline = Baseline(
-            objective=None if solution is None else solution.objective,
-            parameters=baseline.floats,
-            scores=none_yet if solution is None else dict(solution.scores),
-            violation=0.0 if solution is None else solution.shares_violated,
         )
 
     def _tell_beginning(self, connection: Connection) -> None:

@@ -14,8 +14,8 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -48,6 +48,7 @@ class StagedCampaign(Job):
             self._begin()
         while self._stage is not None:
             work = self._stage.work()
+            self.goes_on = self._stage.goes_on
             if work or not self._stage.finished:
                 return work
             self._stage = self._next(self._campaign())

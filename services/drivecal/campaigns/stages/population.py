@@ -10,7 +10,7 @@ from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore
-from drivecal.plugins.ports import Floats, Optimizer
+from drivecal.plugins.ports import Floats
 from drivecal.storage import results
 
 
@@ -61,11 +61,10 @@ class PopulationAnswers:
         known = objectives[~np.isnan(objectives)]
         return float(sign * np.min(sign * known)) if known.size else None
 
-    def inform(self, optimizer: Optimizer) -> None:
-        """Tells an optimizer the objectives of the population; higher is better for every optimizer."""
+    def for_optimizer(self) -> tuple[Floats, Floats]:
+        """Returns the arguments of `Optimizer.tell`: higher objectives are better for every optimizer."""
         if self._goals is None:
-            optimizer.tell(self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings))
-            return
+            return self._sign * self._weighted(self._scores), self._sign * self._weighted(self._ratings)
         amounts, violations = self._judged()
         compared = np.array(
             [
@@ -77,9 +76,8 @@ class PopulationAnswers:
             ]
         )
         if self._goals.is_vector:
-            optimizer.tell(compared, violations)
-        else:
-            optimizer.tell(compared[:, 0], self._goals.objectives[0].sign * amounts[:, 0])
+            return compared, violations
+        return compared[:, 0], self._goals.objectives[0].sign * amounts[:, 0]
 
     def _judged(self) -> tuple[Floats, Floats]:
         """Amounts, shape (population, m), and violations, shape (population,); NaN for individuals without a result."""

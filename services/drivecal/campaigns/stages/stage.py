@@ -21,8 +21,8 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
+from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import Completed
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.storage import campaign_stages, campaigns, evaluations, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
@@ -58,6 +58,8 @@ class Stage(Job):
         self._eta = EtaEstimate(time.monotonic, counts.requested, worked(counts.model_dump()))
         self._resumed = False
         self._round: Round | None = None
+        self._is_answered = False
+        """Whether the stage has the answers of the round."""
         self._told = {count for count in ("unscored", "cut", "failed") if getattr(counts, count)}
         self.finished = False
 
@@ -77,6 +79,10 @@ class Stage(Job):
     def _resume(self) -> list[Work]:
         """Resumes from stored rows if the stage does not request its finished rounds again."""
         return []
+
+    def _is_ready(self) -> bool:  # a hook
+        """Whether the stage can resume, and ask for its next round: it must not compute for long in the dispatcher's loop."""
+        return True
 
     def _announce(self, connection: Connection, asked: Round) -> None:  # a hook
         """Adds the events that precede a new round."""
@@ -142,16 +148,23 @@ class Stage(Job):
         return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
 
     def work(self) -> list[Work]:
-        """Returns what to simulate next; empty while answers are awaited, and when the stage is `finished`."""
+        """Returns what to simulate next; empty while answers are awaited, while it computes (`goes_on`), and when it is `finished`."""
+        self.goes_on = not self._resumed and not self._is_ready()
+        if self.goes_on:
+            return []
         if not self._resumed:
             work = self._resume()
             self._resumed = True
             if self._tracker.waiting:
                 return work
         while not self._tracker.waiting and not self.finished:
-            if self._round is not None:
+            if self._round is not None and not self._is_answered:
                 self._tell(self._round)
-            self._round = self._ask()
+                self._is_answered = True
+            self.goes_on = not self._is_ready()
+            if self.goes_on:
+                return []
+            self._round, self._is_answered = self._ask(), False
             if self._round is None:
                 self._conclude()
                 self.finished = True

@@ -16,8 +16,10 @@ from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun,
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
+from drivecal.execution.scheduling.dispatches import Completed, Dispatch, Replacement
 from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
+from drivecal.execution.scheduling.reservation import Reservation
 from drivecal.execution.scheduling.shared_runs import SharedRuns
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
@@ -25,45 +27,6 @@ ATTEMPTS = 3
 """Breakdowns after which a cell has failed."""
 MOST_PASSED_OVER = 100
 """Batches of 0.5 s after which a suspect no longer waits for its only worker to run idle."""
-
-
-@dataclass(frozen=True, slots=True)
-class Completed:
-    """The final answer of a cell; `attempts` counts its breakdowns and the attempt with the result."""
-
-    tag: str
-    worker: str
-    result: CellResult
-    attempts: int
-    leader: int | None = None
-    """The id of the identical cell that was sent instead; None if the cell was sent itself."""
-    lease: int | None = None
-    """The number of the lease of the result (the leader's, if any); the pool fills it in."""
-
-    @property
-    def shared(self) -> bool:
-        """Whether an identical cell was simulated instead."""
-        return self.leader is not None
-
-
-@dataclass(frozen=True, slots=True)
-class Dispatch:
-    """A batch to send now; see `Backend.submit`."""
-
-    worker: str
-    batch_id: int
-    batch: Batch
-    expected_seconds: float | None
-    alone: bool
-    breakdowns: Mapping[int, int]
-    """Breakdowns so far of the batch's cells, by id."""
-
-
-@dataclass(frozen=True, slots=True)
-class Replacement:
-    """A worker to replace; see `Backend.replace`."""
-
-    fault: str | None
 
 
 @dataclass(slots=True)
@@ -87,6 +50,7 @@ class Scheduler:
         self._costs = CellCosts()
         self._in_flight = InFlightCells()
         self._queue = FairQueue()
+        self._reservation = Reservation()
         self._worker_health = WorkerHealth()
         self._affinity = SetupAffinity()
         self._shared_runs = SharedRuns(self._affinity)
@@ -118,8 +82,10 @@ class Scheduler:
             elif simulation.leader is None:
                 self._queue.join(claim)
 
-    def meet(self, ready: Sequence[str], nodes: Mapping[str, str] | None = None) -> None:
-        """Notes which workers have started and live. `nodes`: the node of each; workers without one share no recorded runs."""
+    def meet(self, ready: Sequence[str], nodes: Mapping[str, str] | None = None, now: float = 0.0) -> None:
+        """Notes which workers have started and live, and the time (s). `nodes`: the node of each; workers without one share no recorded
+        runs."""
+        self._reservation.meet(now)
         self._worker_health.meet(ready)
         self._affinity.meet(ready)
         self._shared_runs.meet(nodes or {})
@@ -129,14 +95,16 @@ class Scheduler:
         worker gets nothing. A worker to be replaced gets nothing either."""
         if self._worker_health.fault(worker) is not None:
             return None
+        only_short = False
         for line in self._queue.in_turn():
-            group = self._suspects_for(worker, line)
+            only_short = only_short or not self._may_be_long(worker, line)
+            group = self._suspects_for(worker, line, only_short=only_short)
             if group is not None:
                 if not idle:
                     return None
                 self._passed_over *= not group.avoid
                 return self._dispatch(worker, group, 1)
-            group = self._group_for(worker, line)
+            group = self._group_for(worker, line, only_short=only_short)
             if group is not None:
                 if self._is_alone(worker):
                     if self._passed_over >= MOST_PASSED_OVER:
@@ -207,6 +175,7 @@ class Scheduler:
             sent.leaders = [leader for leader in sent.leaders if leader.cell.id in answers]
         elif result.results:
             self._costs.observe(setup, len(sent.leaders), result.seconds)
+            self._reservation.answered(sent.line, self._costs.seconds_per_cell(setup))
         completed = []
         if setup in self._refuted:
             self._put_back_certified(sent, answers)
@@ -262,6 +231,7 @@ class Scheduler:
                 self._forget(claim)
         if cells is None:
             self._queue.forget(tag)
+            self._reservation.forget(tag)
         return running
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
@@ -279,14 +249,33 @@ class Scheduler:
         """Setups of the cells of `tag` without an answer, or of all cells that are not withdrawn."""
         return self._in_flight.wanted() if tag is None else {claim.simulation.key for claim in self._in_flight.of(tag)}
 
-    def _suspects_for(self, worker: str, line: Line) -> ClaimGroup | None:
-        return next(
-            (group for (setup, avoid), group in line.suspects.items() if self._worker_health.may_try(worker, setup, avoid)),
-            None,
-        )
+    def _may_be_long(self, worker: str, line: Line) -> bool:
+        """Whether a worker may run a long batch of a line now. Lines behind a line that may not have one must not have one either."""
+        if not any(self._is_long(setup) for setup in (*line.groups, *(setup for setup, _ in line.suspects))):
+            return True
+        most = self._reservation.most(line, list(self._queue.in_turn()), self._worker_health.ready)
+        if most >= self._worker_health.ready:
+            return True
+        long = {sent.worker for sent in self._sent.values() if sent.leaders and self._is_long(sent.leaders[0].simulation.key)}
+        return worker not in long and len(long) < most
 
-    def _group_for(self, worker: str, line: Line) -> ClaimGroup | None:
-        able = (group for setup, group in line.groups.items() if not self._worker_health.refuses(worker, setup))
+    def _is_long(self, setup: SetupKey) -> bool:
+        return self._reservation.is_long(self._costs.seconds_per_cell(setup))
+
+    def _suspects_for(self, worker: str, line: Line, *, only_short: bool) -> ClaimGroup | None:
+        able = (
+            group
+            for (setup, avoid), group in line.suspects.items()
+            if self._worker_health.may_try(worker, setup, avoid) and not (only_short and self._is_long(setup))
+        )
+        return next(able, None)
+
+    def _group_for(self, worker: str, line: Line, *, only_short: bool) -> ClaimGroup | None:
+        able = (
+            group
+            for setup, group in line.groups.items()
+            if not self._worker_health.refuses(worker, setup) and not (only_short and self._is_long(setup))
+        )
         chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
         return None if chosen is None else line.groups[chosen]
 
@@ -301,12 +290,14 @@ class Scheduler:
         waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
         return batch_size(self._policy, cost, waiting, self._worker_health.ready)
 
-    def _dispatch(self, worker: str, group: ClaimGroup, cells: int) -> Dispatch:
-        sent = _Sent(worker, group.line, self._queue.take(group, cells), alone=group.avoid is not None)
+    def _dispatch(self, worker: str, group: ClaimGroup, most: int) -> Dispatch:
+        sent = _Sent(worker, group.line, self._queue.take(group, most), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
         self._affinity.load(worker, group.setup, len(sent.leaders))
         sent.known = self._shared_runs.give(worker, group.setup)
+        cells = len(self._in_flight.of(group.line.tag))
+        self._reservation.sent(group.line, self._costs.seconds_per_cell(group.setup), cells)
         batch_id = next(self._batch_ids)
         self._sent[batch_id] = sent
         return self._as_dispatch(batch_id, sent)

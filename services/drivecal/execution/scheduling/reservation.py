@@ -1,0 +1,76 @@
+"""Workers kept for quick cells: a long batch is never taken back from its worker, so that it must not take the last one. Pure.
+
+A cell that takes longer than `LONG_SECONDS`, or that was never measured, is long. A campaign whose last cells were not long is quick. While
+quick campaigns of the same or a higher priority need workers, the long cells of all campaigns together hold at most their share of them. No
+worker is kept for a campaign that may come later: it waits for a long cell at most.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from drivecal.execution.scheduling.queue import Line
+
+LONG_SECONDS = 5.0
+"""Cells of this time share the workers by turns alone: nothing waits long for them."""
+REMEMBERED_SECONDS = 5.0
+"""Time for which a quick campaign without waiting cells keeps its workers: between two generations, for instance."""
+
+
+@dataclass(slots=True)
+class _Campaign:
+    """What is known of a line."""
+
+    is_quick: bool = False
+    cells: int = 0
+    """Cells that it had at most at a time since it last had none."""
+    seen: float = 0.0
+
+
+class Reservation:
+    """The workers that long batches may hold."""
+
+    def __init__(self) -> None:
+        self._campaigns: dict[tuple[int, str], _Campaign] = {}
+        self._now = 0.0
+
+    def meet(self, now: float) -> None:
+        """Notes the time (s)."""
+        self._now = now
+
+    @staticmethod
+    def is_long(seconds_per_cell: float | None) -> bool:
+        """Whether cells of this cost are long; None: never measured."""
+        return seconds_per_cell is None or seconds_per_cell > LONG_SECONDS
+
+    def sent(self, line: Line, seconds_per_cell: float | None, cells: int) -> None:
+        """Notes a batch of a line; `cells`: those of its campaign without an answer."""
+        known = self._campaigns.setdefault((line.priority, line.tag), _Campaign())
+        if self._now - known.seen > REMEMBERED_SECONDS:
+            known.cells = 0
+        known.cells = max(known.cells, cells)
+        self.answered(line, seconds_per_cell)
+
+    def answered(self, line: Line, seconds_per_cell: float | None) -> None:
+        """Notes the answer of a batch, unless the campaign is forgotten."""
+        known = self._campaigns.get((line.priority, line.tag))
+        if known is not None:
+            known.is_quick, known.seen = not self.is_long(seconds_per_cell), self._now
+
+    def forget(self, tag: str) -> None:
+        """Forgets a campaign."""
+        self._campaigns = {place: known for place, known in self._campaigns.items() if place[1] != tag}
+
+    def most(self, line: Line, waiting: Collection[Line], workers: int) -> int:
+        """Returns how many of `workers` may run long batches, at least one. `line` wants another; `waiting`: lines with waiting cells."""
+        waits = {(other.priority, other.tag) for other in waiting}
+        quick = {
+            place: known
+            for place, known in self._campaigns.items()
+            if known.is_quick and place[0] >= line.priority and (place in waits or self._now - known.seen <= REMEMBERED_SECONDS)
+        }
+        if not quick:
+            return workers
+        long = sum(place[0] >= line.priority and place not in quick for place in waits)
+        share = max(1, -(-workers * len(quick) // (len(quick) + max(long, 1))))
+        needed = sum(known.cells for known in quick.values())
+        return max(1, workers - min(share, needed))
