@@ -1,7 +1,9 @@
 """HTTP answers: without what steers a terminal, and their errors as drivecal's own exceptions."""
 
+import codecs
 import json
 import re
+from collections.abc import Iterable, Iterator
 from http import HTTPStatus
 
 import httpx
@@ -33,6 +35,18 @@ _STEERING = re.compile(
 def harmless(content: bytes) -> bytes:
     """Returns a JSON text with a replacement character for each that a terminal would obey: names and messages come from others."""
     return _STEERING.sub(lambda match: match[0] if match[0] == b"\\\\" else "\ufffd".encode(), content)
+
+
+_STEERING_TEXT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""The same characters as in `_STEERING`, in a text that escapes nothing."""
+
+
+def harmless_text(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Returns a text in UTF-8 with the replacements of `harmless`. Its pieces may end within a character."""
+    decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
+    for piece in pieces:
+        yield _STEERING_TEXT.sub("\ufffd", decoder.decode(piece)).encode()
+    yield decoder.decode(b"", final=True).encode()
 
 
 def unreachable(url: str, error: Exception) -> UnavailableError:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal, TypeVar, cast, get_args
+from typing import Annotated, Any, BinaryIO, Literal, TextIO, TypeVar, cast, get_args
 
 import typer
 
@@ -17,6 +17,7 @@ from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.views.front import print_front, print_trade_off
 from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
+from drivecal.client.answers import harmless_text
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.contracts.assignments import assignments, value_text
@@ -172,9 +173,7 @@ def export(
         if output == "-":
             if form == "parquet" and sys.stdout.isatty():
                 raise InvalidInputError(Problem("--output", "a terminal cannot show Parquet", "give -o FILE"))
-            for piece in pieces:
-                sys.stdout.buffer.write(piece)
-            sys.stdout.buffer.flush()
+            _print(pieces, sys.stdout)
             return
         size = 0
         with _whole_or_not_at_all(Path(output)) as stream:
@@ -255,6 +254,13 @@ def _pieces(client: Client, identifier: str, table: TableName, form: Format, que
         yield f"{separator}\n{json.dumps(row, ensure_ascii=False)}".encode()
         separator = ","
     yield b"\n]\n" if separator == "," else b"[]\n"
+
+
+def _print(pieces: Iterator[bytes], stream: TextIO) -> None:
+    """Writes a file to standard output; on a terminal, without what that would obey."""
+    for piece in harmless_text(pieces) if stream.isatty() else pieces:
+        stream.buffer.write(piece)
+    stream.buffer.flush()
 
 
 @contextmanager
