@@ -4,8 +4,8 @@ Stored results are found again by fingerprint, so whoever changes what a run giv
 sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, episode and metrics) are
 counted up by hand, a scenario's digest follows its definition. Then write the file anew: `python tests/golden/test_cells.py`.
 
-Another processor or libm may differ in the last bits, so the file is compared within a tight tolerance; on one machine two
-fresh processes must agree in every bit.
+Another kind of processor differs in the last bits, which a closed loop enlarges: up to 6e-7 of a value were seen between two kinds. So the
+file is compared within a tolerance; on one machine two fresh processes must agree in every bit.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ SETS: dict[str, list[float]] = {
     "middle": [-0.5, 1, 100, 1000, 750, 0.5, 100, 1000, 5, 10, 100],
     "hasty": [-14.5, 0.06, 182, 235, 132, 0.77, 124, 1486, 5.9, 8.3, 87],
 }
+TOLERANCE = 2e-6
 METRICS = ("peak_lateral_jerk_mps3", "peak_longitudinal_acceleration_mps2", "offset_rms_m", "final_speed_error_mps")
 
 
@@ -76,7 +77,7 @@ def test_the_golden_cells_give_what_they_gave() -> None:
         now = found[cell]
         assert (now["score"], now["failure"]) == (was["score"], was["failure"]), f"{cell}: {remedy}"
         for metric, value in was["floats"].items():
-            expected = pytest.approx(float.fromhex(value), rel=1e-9, abs=1e-9)
+            expected = pytest.approx(float.fromhex(value), rel=TOLERANCE, abs=TOLERANCE)
             assert float.fromhex(now["floats"][metric]) == expected, f"{cell}, {metric}: {remedy}"
 
 

@@ -62,11 +62,13 @@ def counts(stages: CountsByStage, stage: StageName) -> Counts:
 
 
 def save(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, Counts]) -> None:
-    """Replaces the counts of some stages of a campaign."""
+    """Replaces the counts of some stages of a campaign, of none as well."""
     rows = [
         {"campaign_sequence": campaign_sequence, "stage": stage, "cells": each.model_dump(mode="json")}
         for stage, each in cells.items()
     ]
+    if not rows:  # a comparison whose runs have requested nothing yet
+        return
     statement = insert(connection, campaign_stages)
     replaced = {"cells": statement.excluded.cells}
     connection.execute(statement.on_conflict_do_update(index_elements=["campaign_sequence", "stage"], set_=replaced), rows)

@@ -6,8 +6,6 @@ import os
 import re
 import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -182,43 +180,6 @@ def test_an_existing_file_is_replaced_only_by_force(database: Database, tmp_path
 
 
 @pytest.mark.slow("postgresql")
-def killed_while_it_wrote(file: Path) -> None:
-    """Leaves a database in WAL mode whose newest row is in its log alone, as a killed server does."""
-    program = (
-        "import os, sqlite3, sys; plain = sqlite3.connect(sys.argv[1], isolation_level=None);"
-        "plain.execute('PRAGMA journal_mode = WAL'); plain.execute('CREATE TABLE of_another (number)');"
-        "plain.execute('INSERT INTO of_another VALUES (1)'); os._exit(0)"
-    )
-    subprocess.run([sys.executable, "-c", program, file], check=True)
-    assert file.with_name(f"{file.name}-wal").stat().st_size > 0
-
-
-@pytest.mark.parametrize("is_gone", [False, True])
-def test_the_log_of_a_replaced_database_changes_no_backup(used: Database, tmp_path: Path, is_gone: bool) -> None:
-    file = tmp_path / "backup.db"
-    killed_while_it_wrote(file)
-    if is_gone:
-        file.unlink()
-    with pytest.raises(DatabaseError, match=r"backup\.db"):
-        backup.write(used, file, silent)
-    copied = backup.write(used, file, silent, force=True)
-    assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith(file.name)) == [file.name]
-    with closing(sqlite3.connect(file)) as plain:
-        assert plain.execute("SELECT count(*) FROM sqlite_master WHERE name = 'of_another'").fetchone() == (0,)
-        assert plain.execute("SELECT count(*) FROM runs").fetchone() == (copied.rows["runs"],)
-
-
-def test_a_database_that_is_in_use_is_not_replaced(used: Database, tmp_path: Path) -> None:
-    file = tmp_path / "backup.db"
-    killed_while_it_wrote(file)
-    with closing(sqlite3.connect(file)) as plain:
-        assert plain.execute("SELECT count(*) FROM of_another").fetchone() == (1,)
-        with pytest.raises(DatabaseError):
-            backup.write(used, file, silent, force=True)
-        assert plain.execute("SELECT count(*) FROM of_another").fetchone() == (1,)
-    assert not list(tmp_path.glob("*.partial"))
-
-
 def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise UnavailableError("the disk is gone")

@@ -53,6 +53,9 @@ class ComparisonJob(Job):
         self._take_up = take_up
         self._jobs: dict[int, Job] = {}
         """The jobs of the running runs, by number."""
+        self._begun = False
+        self._first: list[Work] = []
+        """Work of the runs that have begun, until all have that are to run at first."""
         self._homes: dict[int, int] = {}
         """The run of each cell at the workers."""
         self._unwanted: set[int] = set()
@@ -66,7 +69,13 @@ class ComparisonJob(Job):
 
     def work(self) -> list[Work]:
         """Returns what to simulate next. Raises NoResultError at the end if runs failed; results of the others are kept."""
-        work = self._go_on()
+        work = self._first + self._go_on()
+        # After a lost transaction cells are at workers still: the dispatcher has to know of all of them at once.
+        self._begun = self._begun or not any(job.goes_on for job in self._jobs.values())
+        work, self._first = (work, []) if self._begun else ([], work)
+        if not self._begun:
+            self.goes_on = True
+            return []
         over = not self._jobs and not self._waiting
         self.goes_on = not work and not self._homes and not over
         self._sum_up_when_due(over=over)

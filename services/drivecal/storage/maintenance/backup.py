@@ -1,7 +1,8 @@
 """Backups: one SQLite file that drivecal can open, from any database, and its restore into an empty database.
 
 A backup holds one moment of the database, however long it takes and whatever is written meanwhile, and appears under its name only when
-it is complete, checked and on the disk. A restored database is complete or as empty as before.
+it is complete, checked and on the disk. A restored database on PostgreSQL is complete or as empty as before. On SQLite the rows are there
+at once, and an upgrade that was killed after that is completed by the next one.
 """
 
 import os
@@ -16,7 +17,7 @@ from typing import Any
 from sqlalchemy import URL, Connection
 
 from drivecal.domain.errors import DatabaseError
-from drivecal.storage.engine import schema
+from drivecal.storage.engine import locks, schema
 from drivecal.storage.engine.database import Database, make_engine
 from drivecal.storage.engine.failures import translated
 from drivecal.storage.engine.urls import sqlite_file
@@ -24,8 +25,8 @@ from drivecal.storage.maintenance.transfer import Progress, copy_rows, count_row
 
 PAGES = 4_096
 """Pages of an SQLite database that are copied at a time, 16 MB."""
-REMAINS = ("-journal", "-wal", "-shm")
-"""Endings of files that SQLite keeps beside a database and reads again when it opens it."""
+BESIDE = ("-journal", "-wal", "-shm")
+"""Suffixes of the files beside an SQLite database that SQLite applies to it when it is opened."""
 PASSING = ("processes",)
 """Tables of the processes that served a database: a database with rows only there counts as empty."""
 
@@ -40,11 +41,11 @@ class Copied:
 
 
 def write(database: Database, file: Path, progress: Progress, *, force: bool = False) -> Copied:
-    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too, or is a database
-    that another process has open, and UnavailableError; `file` then holds what it held."""
+    """Backs the database up into `file`, while others use it. Raises DatabaseError, if `file` exists unless `force`d too or while a server
+    or another process uses it, and UnavailableError; `file` then holds what it held."""
     _refuse_target(database, file, force=force)
     schema.refuse_missing(database.url)
-    with database.read() as connection:
+    with _unserved(file), database.read() as connection:
         schema.refuse_foreign(connection, database.name)
         revision = schema.revision_of(connection)
         if revision is None:
@@ -103,17 +104,49 @@ def _refuse_target(database: Database, file: Path, *, force: bool) -> None:
     source = sqlite_file(database.url)
     if source is not None and source.exists() and file.exists() and file.samefile(source):
         raise DatabaseError(f"{file} is the database itself; name another file")
+    if source is not None and file.absolute() in [beside.absolute() for beside in _beside(source)]:
+        raise DatabaseError(f"{file} belongs to the database itself; name another file")
     if file.exists() and not force:
         raise DatabaseError(f"{file} exists already; name another file, or replace it by --force")
-    remains = [path.name for path in _remains(file) if path.exists()]
-    if remains and not force:
-        raise DatabaseError(
-            f"{', '.join(remains)} of another {file.name} would change the backup; name another file, or use --force"
-        )
+    left = [beside.name for beside in _beside(file) if beside.exists()]
+    if left and not force:
+        raise DatabaseError(f"{', '.join(left)} of an earlier {file} is left; name another file, or remove it by --force")
 
 
-def _remains(file: Path) -> list[Path]:
-    return [file.with_name(file.name + ending) for ending in REMAINS]
+def _beside(file: Path) -> list[Path]:
+    return [file.with_name(file.name + suffix) for suffix in BESIDE]
+
+
+@contextmanager
+def _unserved(file: Path) -> Iterator[None]:
+    """Lets no server use an earlier `file` meanwhile. Raises DatabaseError if a server uses it. A file that was never served has no lock,
+    and gets none."""
+    path = file.with_name(file.name + ".lock")
+    if not path.exists():
+        yield
+        return
+    try:
+        lock = path.open("a+", encoding="ascii")
+    except OSError as error:
+        raise DatabaseError(f"{path} cannot be opened: {error.strerror}; name another file") from error
+    with lock:
+        if not locks.try_lock(lock):
+            raise DatabaseError(f"a drivecal server uses {file}; stop it, or name another file")
+        yield
+
+
+def _settle(file: Path) -> None:
+    """Moves everything that is committed in the earlier `file` into it, and removes the files beside it, which SQLite would apply to the
+    new backup. So the earlier backup is complete until the new one has its name. Raises DatabaseError if a process uses the file."""
+    if file.exists():
+        try:
+            with closing(sqlite3.connect(file)) as earlier:
+                earlier.execute("PRAGMA journal_mode = DELETE").fetchall()  # needs the file for itself if it has a log
+        except sqlite3.DatabaseError as error:
+            if error.sqlite_errorcode & 0xFF not in {sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT}:  # else nothing can be kept
+                raise DatabaseError(f"{file} cannot be replaced: {error}; end what uses it, or name another file") from error
+    for beside in _beside(file):
+        beside.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -127,48 +160,27 @@ def _partial(file: Path) -> Iterator[Path]:
     try:
         yield Path(name)
     finally:
-        for path in (Path(name), *_remains(Path(name))):
-            path.unlink(missing_ok=True)
+        for remains in (Path(name), *_beside(Path(name))):
+            remains.unlink(missing_ok=True)
 
 
 def _publish(partial: Path, file: Path) -> None:
     """Gives a complete backup its name, durably."""
     with partial.open("rb+") as written:
         os.fsync(written.fileno())
-    with _alone(file):
-        for path in _remains(file):  # without its own database: SQLite would play it into the backup
-            path.unlink(missing_ok=True)
-        _sync_folder(file.parent)
-        partial.replace(file)
+    _settle(file)
+    _sync_folder(file.parent)  # or a file beside the earlier one could come back after a power cut
+    partial.replace(file)
     _sync_folder(file.parent)
 
 
-@contextmanager
-def _alone(file: Path) -> Iterator[None]:
-    """Keeps other processes from a database that is to be replaced, once it is whole without its log. Another file is left alone."""
-    if not file.exists():
-        yield
-        return
-    with closing(sqlite3.connect(file, timeout=0, isolation_level=None)) as replaced:
-        try:
-            replaced.execute("PRAGMA journal_mode = DELETE")
-            replaced.execute("BEGIN EXCLUSIVE")
-        except sqlite3.OperationalError as error:
-            raise DatabaseError(
-                f"{file} cannot be replaced ({error}); end the process that uses it, or name another file"
-            ) from error
-        except sqlite3.DatabaseError:  # no database, which --force replaces too
-            pass
-        yield
-
-
-def _sync_folder(folder: Path) -> None:
+def _sync_folder(path: Path) -> None:
     if os.name == "posix":  # elsewhere folders cannot be opened
-        descriptor = os.open(folder, os.O_RDONLY)
+        folder = os.open(path, os.O_RDONLY)
         try:
-            os.fsync(descriptor)
+            os.fsync(folder)
         finally:
-            os.close(descriptor)
+            os.close(folder)
 
 
 def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
