@@ -78,6 +78,8 @@ def test_an_image_of_a_foreign_page_starts_nothing(server: Server) -> None:
             time.sleep(0.1)
     for site in ("cross-site", "same-site"):
         assert asked(f"/api/v1/evaluations/{evaluation}/trace", **foreign | {"Sec-Fetch-Site": site}) == 403
+    frame = foreign | {"Sec-Fetch-User": "?1", "Sec-Fetch-Dest": "iframe"}
+    assert asked(f"/api/v1/evaluations/{evaluation}/trace", **frame) == 403
     [file] = server.folder.rglob("drivecal.db")
     with closing(sqlite3.connect(file)) as stored:
         assert stored.execute("SELECT count(*) FROM traces").fetchone() == (0,)

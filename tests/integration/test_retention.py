@@ -307,6 +307,16 @@ def test_a_campaign_that_is_starting_is_waited_for(
     assert get(database, old).pruned_at is not None
 
 
+def test_a_pruning_ends_though_another_has_removed_the_campaign(database: Database, old: StoredCampaign) -> None:
+    set_column(database, old, "deleted_at", now().strftime("%Y-%m-%d %H:%M:%S.%f"))
+    plans = [planned(database, 0) for _ in range(2)]
+    for plan in plans:
+        carry_out(database, plan)
+    assert problems(database) == []
+    with database.read() as connection:
+        assert connection.scalar(text("SELECT count(*) FROM campaigns")) == 0
+
+
 @pytest.mark.usefixtures("old")
 def test_runs_of_more_setups_than_a_statement_takes_values_are_pruned(database: Database) -> None:
     many = range(10**6, 10**6 + 70_000)

@@ -287,6 +287,19 @@ def test_a_page_of_another_origin_changes_nothing_with_a_session(origin: list[He
     assert ask(Fixed(), "DELETE", "/api/v1/session", [HOST, *origin, cookie(ANNA)])[0] == 403
 
 
+@pytest.mark.parametrize("site", [b"same-site", b"cross-site"])
+def test_a_page_of_another_origin_loads_nothing_with_a_session(site: bytes) -> None:
+    """Images and frames of a page on another port carry the cookie, and some GET requests start simulations."""
+    trace, fetched = "/api/v1/evaluations/1/trace", (b"sec-fetch-site", site)
+    frame, link = (b"sec-fetch-dest", b"iframe"), (b"sec-fetch-dest", b"document")
+    clicked = (b"sec-fetch-user", b"?1")
+    assert ask(Fixed(), "GET", trace, [HOST, fetched, cookie(ANNA)])[0] == 403
+    assert ask(Fixed(), "GET", trace, [HOST, fetched, clicked, frame, cookie(ANNA)])[0] == 403
+    assert ask(Fixed(), "GET", trace, [HOST, fetched, clicked, link, cookie(ANNA)])[0] == 200
+    for own in (b"same-origin", b"none"):
+        assert ask(Fixed(), "GET", trace, [HOST, (b"sec-fetch-site", own), cookie(ANNA)])[0] == 200
+
+
 def forged(name: str, value: str) -> Header:
     """A cookie that nobody was given."""
     return b"cookie", f"{name}={value}".encode()

@@ -1,10 +1,10 @@
 """Authorisation in front of everything else, so that no route is reached without it.
 
 With a tokens file every request needs `Authorization: Bearer TOKEN` or the session of a token. Requests that change something need a token
-that may write; with a session, they must also come from a page of this very origin. Without a tokens file the server listens on loopback
-only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS rebinding) by the Host header, posts and WebSockets
-of other pages by the Origin header, images and frames of other pages, which have none, by Sec-Fetch-Site. No answer ever carries a CORS
-header.
+that may write; with a session, they must also come from a page of this very origin, and pages of other origins load no answers. Without
+a tokens file the server listens on loopback only and refuses web pages in the user's browser: names that resolve to 127.0.0.1 (DNS
+rebinding) by the Host header, posts and WebSockets of other pages by the Origin header, images and frames of other pages, which have none,
+by Sec-Fetch-Site. No answer ever carries a CORS header.
 """
 
 from typing import Protocol
@@ -95,6 +95,8 @@ class Authorisation:
             wrong = CHALLENGE + ', error="invalid_token"'
             detail = "this server does not know that token; it takes Authorization: Bearer TOKEN"
             return 401, detail, {"WWW-Authenticate": wrong}
+        if not given and _is_embedded(request):
+            return 403, "with a session this server gives web pages of other origins nothing; open the address itself", {}
         if request.method in READING or _only_checks(request):
             return None
         if not given and not sessions.same_origin(request.headers):
@@ -126,8 +128,10 @@ class Authorisation:
 
 def _is_embedded(request: Request) -> bool:
     """Returns whether a page of another origin loads an answer of the API by itself: some GET requests start simulations or processes."""
-    is_foreign = request.headers.get("sec-fetch-site") in FOREIGN and request.headers.get("sec-fetch-user") != "?1"
-    return is_foreign and request.url.path.startswith(f"{ROOT}/")
+    headers = request.headers
+    # One click lets a page load frames for seconds, each with Sec-Fetch-User; a followed link is a document.
+    is_click = headers.get("sec-fetch-user") == "?1" and headers.get("sec-fetch-dest", "document") == "document"
+    return headers.get("sec-fetch-site") in FOREIGN and not is_click and request.url.path.startswith(f"{ROOT}/")
 
 
 def refuse_reader(request: Request) -> None:

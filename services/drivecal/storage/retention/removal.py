@@ -39,8 +39,12 @@ def alone(connection: Connection) -> None:
 
 
 def begin(connection: Connection, sequence: int, sets: Sequence[int], moment: datetime, note: str) -> None:
-    """Marks a campaign as pruned to these parameter sets, and empties what only a search that goes on needs."""
-    row = connection.execute(select(campaigns.c.notes, campaigns.c.pruned).where(campaigns.c.sequence == sequence)).one()
+    """Marks a campaign as pruned to these parameter sets, and empties what only a search that goes on needs; nothing if another pruning has
+    removed its row."""
+    columns = select(campaigns.c.notes, campaigns.c.pruned).where(campaigns.c.sequence == sequence)
+    row = connection.execute(columns).one_or_none()
+    if row is None:
+        return
     values: dict[str, Any] = {"pruned": {"at": moment.isoformat(), "sets": list(sets)}, "revision": campaigns.c.revision + 1}
     notes = row.notes if row.pruned is not None else [*row.notes, note]
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(**values, notes=notes))
