@@ -1,4 +1,4 @@
-"""What a server under faults has to do: three campaigns side by side and a stream of single evaluations, all of it real simulation."""
+"""The work of a server under faults: three campaigns side by side and a stream of single evaluations, all of it real simulation."""
 
 from __future__ import annotations
 

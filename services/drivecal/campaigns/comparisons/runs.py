@@ -69,12 +69,11 @@ class ComparisonJob(Job):
 
     def work(self) -> list[Work]:
         """Returns what to simulate next. Raises NoResultError at the end if runs failed; results of the others are kept."""
-        work = self._first + self._go_on()
+        work, self._first = self._first + self._go_on(), []
         # After a lost transaction cells are at workers still: the dispatcher has to know of all of them at once.
         self._begun = self._begun or not any(job.goes_on for job in self._jobs.values())
-        work, self._first = (work, []) if self._begun else ([], work)
         if not self._begun:
-            self.goes_on = True
+            self._first, self.goes_on = work, True
             return []
         over = not self._jobs and not self._waiting
         self.goes_on = not work and not self._homes and not over

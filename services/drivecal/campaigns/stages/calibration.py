@@ -72,7 +72,7 @@ class Calibration(BestSetStage):
         self._optimizer_state: dict[str, Any] | None = None
         """State after the proposal, to be stored with it."""
         self._computation: Computation | None = None
-        """What the optimizer computes; None if the next round needs nothing of it."""
+        """The optimizer's running computation; None if the next round needs none."""
         self._last: StoredGeneration | None = None
         """The last generation of an earlier process."""
         self._batches: list[list[int]] = []

@@ -1,4 +1,4 @@
-"""What the scheduler decides: batches to send, answers of cells, workers to replace."""
+"""Decisions of the scheduler: batches to send, answers of cells, workers to replace."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ REMEMBERED_SECONDS = 5.0
 
 @dataclass(slots=True)
 class _Campaign:
-    """What is known of a line."""
+    """A campaign's recent cells."""
 
     is_quick: bool = False
     cells: int = 0

@@ -74,9 +74,7 @@ class Traffic:
         route_file = folder / "traffic.rou.xml"
         try:
             route_file.unlink(missing_ok=True)
-            with route_file.open(
-                "xb"
-            ) as file:  # a new file: an earlier child may have left a link to one that this process may change
+            with route_file.open("xb") as file:  # an earlier child may have left a link to a file that this process may change
                 file.write(routes_file(scenario))
             self._strays = strays(scenario)
         except InvalidInputError as error:
