@@ -17,6 +17,7 @@ from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import answers_of, front_of
 from drivecal.campaigns.results.optima import alternatives
+from drivecal.campaigns.stages import proposing
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage import results, studies
@@ -78,7 +79,11 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
 
 @pytest.mark.slow("changes1", "changes2")
 @pytest.mark.parametrize("changes", [{}, {"kind": "nsga3"}, {"kind": "optuna", "population": 8, "iterations": 4}])
-def test_a_killed_search_ends_with_the_same_rows(database: Database, changes: dict[str, Any]) -> None:
+def test_a_killed_search_ends_with_the_same_rows(
+    database: Database, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Each life takes as many steps on a slow machine: a step waits for the optimizer.
+    monkeypatch.setattr(proposing, "PATIENCE_SECONDS", 60.0)
     spec: dict[str, Any] = {
         "objectives": TWO,
         "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],

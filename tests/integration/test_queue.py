@@ -209,8 +209,10 @@ def test_the_death_of_a_dispatcher_is_no_attempt_of_the_cells_at_its_workers(dat
     for _ in range(5):
         backend = Silent()
         working = dispatcher(database, backend)
-        for _ in range(4):
+        for _ in range(100):
             working.step()
+            if backend.sent:
+                break
         assert backend.sent
     ended = finish(database, campaign, dispatcher(database))
     assert ended.cells.failed == 0

@@ -115,7 +115,7 @@ def test_a_dispatcher_that_lost_its_leadership_during_a_restore_writes_nothing(
     with monkeypatch.context() as patched:
         _while_restoring(patched, elect_another)
         with pytest.raises(SupersededError):
-            superseded.step()
+            finish(database, campaign, superseded)
     assert (_rows(database, campaign), get(database, campaign)) == before
 
 
