@@ -22,6 +22,7 @@ from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import setups
+from drivecal.plugins.simulators import UnsuitableError
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
 FILLED: dict[str, Any] = {
@@ -199,3 +200,15 @@ def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: lis
     hostile = HOSTILE.replace("FOLDERS", repr(folders)).replace("FILE", repr(stored))
     with driven(motorway(tmp_path / "bundle", hostile), drive([], 2.0)) as session:
         assert session.evaluate(PARAMETERS).measures
+
+
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+def test_a_driver_with_threads_that_could_change_kernels_loads_no_controller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with (
+        pytest.raises(UnsuitableError, match=r"simulator\.environment"),
+        driven(motorway(tmp_path / "bundle"), drive([], 2.0), environment=["OPENBLAS_NUM_THREADS"]),
+    ):
+        pass

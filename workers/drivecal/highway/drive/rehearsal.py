@@ -15,7 +15,7 @@ from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerController, UserVehicleEntry
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
-from drivecal.highway.drive.loop import Loop
+from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.plants import prepare_trackers
@@ -75,11 +75,16 @@ def hold(writable: Sequence[str], scratch: Path) -> None:
     """Confines this process to the folders that it may still change, and lets numba store a user's own kernels in the `scratch` folder.
 
     Call it before a user's code is loaded. Does nothing where the kernel has no Landlock. It holds for this thread and those that it
-    starts: there is no other one, unless the manifest's `environment` names a variable that gives numpy several.
+    starts. Raises StartError if there are others: a user's code could let them write.
     """
     rules = ruleset(writable)
     if rules is None:
         return
+    if len(list(Path("/proc/self/task").iterdir())) > 1:
+        os.close(rules)
+        raise StartError(
+            "simulator.environment: numpy has several threads; a simulator of kind highway takes 1 (OPENBLAS_NUM_THREADS)"
+        )
     confine(rules)
     os.close(rules)
     folder = scratch / "kernels"
