@@ -17,7 +17,7 @@ import psutil
 from tests.support.effort import LONG
 from tests.support.faults import cage
 from tests.support.faults.patience import Patience
-from tests.support.serve import alive, environment
+from tests.support.serve import TLS, alive, environment
 from tests.support.server import free_port
 
 from drivecal.domain.errors import DrivecalError
@@ -127,7 +127,7 @@ class Coordinator:
     def answers(self, path: str) -> httpx.Response | None:
         """The answer to GET, None where there is none."""
         try:
-            return httpx.get(self.url + path, timeout=30.0)
+            return httpx.get(self.url + path, timeout=30.0, verify=TLS)
         except httpx.HTTPError:
             return None
 

@@ -19,7 +19,7 @@ from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
 from tests.support.faults.report import Note, noted
 from tests.support.faults.workload import ANALYSING, Accepted, draw_alike, single_evaluations, submit
-from tests.support.serve import alive
+from tests.support.serve import TLS, alive
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
@@ -109,7 +109,7 @@ def outage(postgres: KillablePostgres, seconds: float) -> Fault:
         print(f"         {postgres_killed.__name__}; down for {seconds:.1f} s", flush=True)
         if seconds >= SAID_SECONDS:
             assert_said(coordinator, "database")
-            refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json=ANALYSING, timeout=35.0)
+            refused = httpx.post(f"{coordinator.url}/api/v1/campaigns", json=ANALYSING, timeout=35.0, verify=TLS)
             assert (refused.status_code, "Retry-After" in refused.headers) == (503, True), refused.text
             time.sleep(max(0.0, begin + seconds - time.monotonic()))
             health = coordinator.answers("/healthz")

@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 from sqlalchemy import update
 from tests.support.effort import tries
+from tests.support.serve import TLS
 
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
@@ -71,7 +72,7 @@ def post(url: str, path: str, document: Mapping[str, Any], key: str | None = Non
     answer: httpx.Response | str = "nothing tried"
     while time.monotonic() < deadline:
         try:
-            answer = httpx.post(url + path, json=document, headers=headers, timeout=35.0)
+            answer = httpx.post(url + path, json=document, headers=headers, timeout=35.0, verify=TLS)
         except httpx.TransportError as error:
             answer = f"{type(error).__name__}: {error}"
         else:
@@ -128,7 +129,7 @@ def single_evaluations(url: str, accepted: Accepted, pause: float = 1.0) -> Iter
                 try:
                     headers = {"Idempotency-Key": key}
                     document = {**SINGLE, "parameters": parameters}
-                    answer = httpx.post(f"{url}/api/v1/evaluations", json=document, headers=headers, timeout=10.0)
+                    answer = httpx.post(f"{url}/api/v1/evaluations", json=document, headers=headers, timeout=10.0, verify=TLS)
                 except httpx.TransportError:
                     continue
                 if answer.is_success:
