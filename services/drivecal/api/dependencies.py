@@ -31,6 +31,12 @@ OPEN_ARCHIVES = 4
 REPORTS = 2
 """Reports that may be written at the same time, each by a process of its own."""
 
+COMPUTING = 8
+"""Rankings, fronts and the like that are computed at the same time. Each further thread that computes delays all others by up to 5 ms at
+every turn of the interpreter."""
+COMPUTED = 64
+"""The same, those included that wait for a thread. Fewer than the requests that are answered at once, so that others find a place."""
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -46,6 +52,8 @@ class Limits:
     waiting_bodies: Places
     archives: Places
     reports: Places
+    computing: CapacityLimiter
+    computed: Places
 
     @classmethod
     def of(cls, settings: Settings) -> Self:
@@ -54,6 +62,7 @@ class Limits:
         bodies = Places(WAITING_BODIES, "large documents are being read", retry_seconds=5)
         archives = Places(OPEN_ARCHIVES, "archives of problems are being received or sent", retry_seconds=5)
         reports = Places(REPORTS, "reports are being written", retry_seconds=5)
+        computed = Places(COMPUTED, "rankings, fronts and the like are being computed", retry_seconds=5)
         return cls(
             queued_campaigns=settings.queued_campaigns,
             largest_campaign=settings.largest_campaign,
@@ -65,6 +74,8 @@ class Limits:
             waiting_bodies=bodies,
             archives=archives,
             reports=reports,
+            computing=CapacityLimiter(COMPUTING),
+            computed=computed,
         )
 
 

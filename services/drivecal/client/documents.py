@@ -1,7 +1,8 @@
 """Reads the files that users write, YAML or JSON, into the plain data of a REST body.
 
 YAML follows its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text. Duplicate keys, tags and aliases are
-refused: with aliases, a short file can expand without end.
+refused: with aliases, a short file can expand without end. So are more values than JSON may have: PyYAML reads them slowly, and its
+fast reader in C offers no place to refuse anything before the whole document is read.
 """
 
 import math
@@ -96,8 +97,10 @@ def _content(file: str) -> tuple[bytes, str]:
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader with the core schema, unique keys, no aliases and no tags."""
+    """PyYAML's safe loader with the core schema, unique keys, no aliases, no tags, and a limit of values."""
 
+    values = 0
+    """Values composed so far; keys are not counted."""
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012  # PyYAML declares it this way
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
@@ -106,6 +109,11 @@ class _Loader(yaml.SafeLoader):
             raise _refusal("aliases are not supported", event.start_mark, "write the value out")
         if getattr(event, "tag", None) is not None:
             raise _refusal(f"the tag {shown(event.tag)} is not supported", event.start_mark, "write the plain value")
+        is_key = isinstance(parent, yaml.MappingNode) and index is None
+        self.values += not is_key
+        if self.values > strict_json.MOST_VALUES:
+            message = f"the document has more than {strict_json.MOST_VALUES:,} values"
+            raise _refusal(message, event.start_mark, "write a shorter document; a problem may keep data in other files")
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:  # noqa: ARG002, FBT001, FBT002  # PyYAML's signature

@@ -32,6 +32,8 @@ from drivecal.plugins.simulators import END_SECONDS, MOST_SESSIONS, PROBE_SECOND
 
 TRIES_TO_START = 3
 """Attempts without a started worker after which a backend is given up, because a new process may succeed, unless it `waits_for_workers`."""
+MOST_DOUBLINGS = 3
+"""How often the limit of a start is doubled at most. Kernels are cached as they are compiled, so that each start gets further."""
 LONGEST_REASON = 600
 """Characters of a reason."""
 
@@ -41,7 +43,8 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True, slots=True)
 class WorkerLimits:
     """`workers`: None is one per CPU. A batch is ended as hung after `deadline_seconds` and DEADLINE_FACTOR times its expected time, a
-    worker after `start_seconds` of starting, which includes compiling."""
+    worker after `start_seconds` of starting, which includes compiling; after each failed start it gets twice as long, with
+    MOST_DOUBLINGS at most."""
 
     workers: int | None = None
     deadline_seconds: float = DEADLINE_SECONDS
@@ -200,7 +203,11 @@ class SupervisedBackend(Backend, ABC):
         worker.incarnation += 1
         worker.bundles.clear()
         self._launch(worker)
-        worker.deadline = time.monotonic() + self._limits.start_seconds
+        worker.deadline = time.monotonic() + self._allowed_to_start(worker)
+
+    def _allowed_to_start(self, worker: WorkerProcess) -> float:
+        """Returns how long the present start may take (s)."""
+        return self._limits.start_seconds * 2.0 ** min(worker.failed_starts, MOST_DOUBLINGS)
 
     def _collect(self, timeout: float) -> list[Finished | Lost]:
         """Waits for the first answer of running calls, and returns all answers."""
@@ -246,9 +253,8 @@ class SupervisedBackend(Backend, ABC):
             if worker.deadline > now or worker.waited_for is None:
                 continue
             if worker.warming is not None:
-                events += self._bury(
-                    worker, Breakdown.HANG, f"{worker.place} was not ready after {self._limits.start_seconds:.0f} s", None
-                )
+                allowed = self._allowed_to_start(worker)
+                events += self._bury(worker, Breakdown.HANG, f"{worker.place} was not ready after {allowed:.0f} s", None)
             else:
                 seconds = worker.calls[0].seconds
                 events += self._bury(

@@ -1,5 +1,6 @@
 """Constraints of a search space: combinations of values that must not be simulated."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,9 +20,14 @@ Constraint = Callable[[Columns], npt.NDArray[np.bool_]]
 DRAWN = 2**16
 """Points among which feasible ones are searched."""
 BATCH = 2**12
+MOST_OPERATIONS = 2**25
+"""Operations of a search for feasible points: up to five seconds of a core. Constraints of more than 512 words and signs together get fewer
+points: 100 constraints of 2,000 characters would take a quarter of an hour."""
 ANCHORS = 32
 """Feasible points to which infeasible ones are moved: the nearest is chosen."""
 SEED = 20261121
+_OPERATION = re.compile(r"\w+|[^\w\s]")
+"""A word or sign of a constraint's text, which counts as an operation per point."""
 
 
 @dataclass(frozen=True)
@@ -53,21 +59,29 @@ class Constraints:
             allowed &= _allowed(constraint, columns)
         return allowed
 
+    @cached_property
+    def drawn(self) -> int:
+        """Number of points that a search for feasible points draws: DRAWN, or fewer if the constraints are long."""
+        operations = sum(len(_OPERATION.findall(text)) for text in self.listed)
+        return min(DRAWN, max(ANCHORS, MOST_OPERATIONS // max(operations, 1)))
+
     def anchors(self, lower: Indices, upper: Indices) -> Indices:
         """Returns feasible rows of grid indices in the box from `lower` to `upper`, shape (n, n_searched), at most ANCHORS: the middle, the
-        corners and points drawn with a fixed seed. Raises InvalidInputError naming the constraints that leave nothing.
+        corners and `drawn` points with a fixed seed. Raises InvalidInputError naming the constraints that leave nothing.
         """
         drawing, allowed = np.random.Generator(np.random.PCG64(SEED)), np.zeros(len(self.listed), dtype=np.int64)
         kept = np.empty((0, len(lower)), dtype=np.int64)
         batch = np.stack([(lower + upper) // 2, lower, upper])
-        for _ in range(DRAWN // BATCH + 1):
+        left = self.drawn
+        while True:
             columns = self._columns(batch)
             rows = np.stack([_allowed(constraint, columns) for constraint in self.listed.values()])
             allowed += rows.sum(axis=1)
             kept = np.concatenate([kept, batch[rows.all(axis=0)]])
-            if len(kept) >= ANCHORS:
+            if len(kept) >= ANCHORS or not left:
                 break
-            batch = drawing.integers(lower, upper + 1, size=(BATCH, len(lower)))
+            size = min(BATCH, left)
+            batch, left = drawing.integers(lower, upper + 1, size=(size, len(lower))), left - size
         if not len(kept):
             raise self._nothing_left([text for text, count in zip(self.listed, allowed, strict=True) if count == 0])
         return kept[:ANCHORS]
@@ -96,7 +110,7 @@ class Constraints:
         return InvalidInputError(
             Problem(
                 "constraints",
-                f"{together} {named}: tried were the middle, two corners and {DRAWN:,} sets drawn within the bounds",
+                f"{together} {named}: tried were the middle, two corners and {self.drawn:,} sets drawn within the bounds",
                 remedy,
             )
         )

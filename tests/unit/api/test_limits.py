@@ -5,18 +5,24 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from fastapi import FastAPI
 from fastapi.responses import StreamingResponse
+from fastapi.testclient import TestClient
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
+from tests.support.databases import migrated
 
-from drivecal.api.dependencies import EventStreamPlace, Limits
+from drivecal.api.app import create_app
+from drivecal.api.computed import computed
+from drivecal.api.dependencies import COMPUTED, COMPUTING, EventStreamPlace, Limits
 from drivecal.api.http import problems
 from drivecal.api.http.limits import LARGEST_HEAD, LONGEST_PATH, LONGEST_QUERY, Concurrency, Places, Requests
+from drivecal.configuration.pushing import Pushing
 from drivecal.configuration.settings import load_settings
 from drivecal.domain.errors import OverloadError
 
@@ -238,3 +244,62 @@ def test_event_streams_have_places_of_their_own_until_they_end() -> None:
             assert (await client.get("/events")).status_code == 200
 
     asyncio.run(listen())
+
+
+def test_however_many_rankings_are_computed_other_answers_have_threads() -> None:
+    app = FastAPI()
+    problems.install(app)
+    go, begun = threading.Event(), threading.Semaphore(0)
+
+    @app.get("/ranking/{number}")
+    @computed
+    def ranking(number: int) -> int:
+        begun.release()
+        go.wait()
+        return number
+
+    @app.get("/readyz")
+    def ready() -> str:
+        return "ready"
+
+    async def ask() -> None:
+        limits = app.state.limits = Limits.of(load_settings())
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://localhost") as client:
+            computing = [asyncio.create_task(client.get(f"/ranking/{number}")) for number in range(COMPUTED)]
+            try:
+                for _ in range(COMPUTING):
+                    assert await asyncio.to_thread(begun.acquire, timeout=60.0)
+                assert limits.computed.taken == COMPUTED > 40
+                assert (await asyncio.wait_for(client.get("/readyz"), 60.0)).status_code == 200
+                assert not begun.acquire(blocking=False), "no more are computed at a time"
+                refused = await client.get("/ranking/0")
+                assert refused.status_code == 429
+                assert int(refused.headers["retry-after"]) > 0
+            finally:
+                go.set()
+            assert [(await one).json() for one in computing] == list(range(COMPUTED))
+            assert limits.computed.taken == 0
+            assert (await client.get("/ranking/7")).json() == 7
+
+    asyncio.run(ask())
+
+
+def test_each_answer_that_is_computed_for_long_needs_a_place(tmp_path: Path) -> None:
+    url = f"sqlite:///{tmp_path / 'drivecal.db'}"
+    migrated(url).dispose()
+    settings = load_settings(database_url=url, home=tmp_path / "home")
+    app = create_app(settings, Pushing.of(settings, "127.0.0.1"))
+    campaign = f"/api/v1/campaigns/{'0' * 32}"
+    answers = ["solutions", "optima", "front", "front/summary", "front/evaluated", "front/trade-off?first=1&second=2"]
+    answers += ["importance", "trust", "review", "calibration-file?format=dcm"]
+    with TestClient(app, base_url="http://localhost:8000") as client:
+        assert [client.get(f"{campaign}/{answer}").status_code for answer in answers] == [404] * len(answers)
+        places = [app.state.limits.computed.take() for _ in range(COMPUTED)]
+        for answer in answers:
+            refused = client.get(f"{campaign}/{answer}")
+            assert (answer, refused.status_code, int(refused.headers["retry-after"]) > 0) == (answer, 429, True)
+        assert client.get("/readyz").json()["ready"] is False, "there is no dispatcher, and that is said"
+        assert client.get("/api/v1/campaigns").status_code == 200
+        for place in places:
+            place.give_back()
+        assert client.get(f"{campaign}/solutions").status_code == 404

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivecal.client.documents import LARGEST_FILE, opened_document, read_document
+from drivecal.contracts import strict_json
 from drivecal.domain.errors import InvalidInputError, Problem
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -130,6 +131,16 @@ def test_what_cannot_be_read_is_refused_with_its_place(tmp_path: Path, content: 
     assert said in str(caught.value)
     assert str(tmp_path / "campaign.yaml") in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_value_more_than_a_document_may_have_is_refused_with_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A megabyte of `1,` kept the server for 40 s."""
+    monkeypatch.setattr(strict_json, "MOST_VALUES", 6)
+    assert read(tmp_path, "a: [1, 2]\nb:\n  c: 3\n") == {"a": [1, 2], "b": {"c": 3}}
+    with pytest.raises(InvalidInputError, match=r"line 4, column 4: the document has more than 6 values"):
+        read(tmp_path, "a: [1, 2]\nb:\n  c: 3\nd: [\n4]\n")
 
 
 def test_json_faults_are_refused_with_their_place(tmp_path: Path) -> None:

@@ -135,6 +135,26 @@ def test_a_version_that_is_wrong_leaves_the_tokens_as_they_were_and_says_so_once
     assert tokens.fault is None
 
 
+def test_a_file_that_cannot_be_read_revokes_nothing_and_says_so(tmp_path: Path) -> None:
+    path = file(tmp_path, GOOD)
+    tokens = TokenFile(path)
+    path.unlink()
+    path.mkdir()
+    assert tokens.find(ANNA) is not None
+    assert tokens.fault is not None
+    assert "2 known tokens are accepted" in tokens.fault
+
+
+def test_a_single_new_token_revokes_all_others(tmp_path: Path) -> None:
+    path = file(tmp_path, GOOD)
+    tokens = TokenFile(path)
+    path.write_bytes(b"anna write another-0123456789abcdef\n")
+    assert [tokens.find(secret) for secret in (ANNA, PLANT)] == [None, None]
+    assert tokens.named("plant2") is None
+    assert tokens.find(b"another-0123456789abcdef") is not None
+    assert tokens.fault is None
+
+
 @pytest.mark.parametrize("line", [b"", b"anna write x\n", b"anna write " + ANNA + b" leaked\n"])
 def test_a_faulty_version_revokes_what_no_good_line_holds_and_adds_nothing(tmp_path: Path, line: bytes) -> None:
     path = file(tmp_path, GOOD)

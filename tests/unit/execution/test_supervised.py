@@ -1,8 +1,9 @@
-"""Workers whose bundle cache fails: the files of a bundle come again with a new process."""
+"""Workers whose bundle cache fails get the files of a bundle again with a new process; workers that start slowly get more time."""
 
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import yaml
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
 from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.execution import supervised, worker_process
 from drivecal.execution.backend import Finished
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
@@ -125,3 +127,78 @@ def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:
         if number == 1:
             (tmp_path / content_digest(archive())).rename(tmp_path / "gone")
     assert refusals == [False, True, False]
+
+
+class Clock:
+    """Time that passes only while somebody waits."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+class WorkersThatCompile(WorkersHere):
+    """Workers that are ready after `compiling` seconds of one start."""
+
+    waits_for_workers = True
+
+    def __init__(self, folders: Sequence[Path], clock: Clock, compiling: float) -> None:
+        self.clock, self.compiling = clock, compiling
+        self.begun: list[float] = []
+        self.starts: list[float] = []
+        super().__init__(folders)
+
+    def _launch(self, worker: WorkerProcess) -> None:
+        super()._launch(worker)
+        self.begun.append(self.clock.now)
+
+    def _end(self, worker: WorkerProcess) -> None:
+        if worker.warming is not None:
+            self.starts.append(self.clock.now - self.begun[-1])
+
+    def _answered(self, references: Sequence[Any], timeout: float) -> Collection[Any]:
+        left = self.begun[-1] + self.compiling - self.clock.now
+        self.clock.sleep(min(timeout, left))
+        return references if left <= timeout else []
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    for module in (supervised, worker_process):
+        monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+def test_a_worker_that_compiles_for_longer_than_the_limit_gets_twice_as_long_until_it_is_ready(
+    tmp_path: Path, clock: Clock
+) -> None:
+    backend = WorkersThatCompile([tmp_path], clock, compiling=1500.0)
+    backend.wait(700.0)
+    assert backend.trouble() == "1 of 1 workers do not start: worker-1 was not ready after 600 s"
+    backend.wait(1300.0)
+    assert backend.trouble() == "1 of 1 workers do not start: worker-1.2 was not ready after 1200 s"
+    backend.wait(2000.0)
+    assert backend.starts == [600.0, 1200.0]
+    assert backend.trouble() is None
+    assert [worker.state for worker in backend.workers()] == ["idle"]
+
+
+def test_after_a_success_a_start_is_given_up_after_the_first_limit_again(tmp_path: Path, clock: Clock) -> None:
+    backend = WorkersThatCompile([tmp_path], clock, compiling=1500.0)
+    backend.wait(5000.0)
+    backend.replace(backend.slots()[0].worker, "it gave no results")
+    backend.wait(700.0)
+    assert backend.starts == [600.0, 1200.0, 600.0]
+
+
+def test_a_worker_that_never_gets_ready_is_given_up_at_last(tmp_path: Path, clock: Clock) -> None:
+    backend = WorkersThatCompile([tmp_path], clock, compiling=math.inf)
+    backend.wait(100_000.0)
+    assert backend.starts[:5] == [600.0, 1200.0, 2400.0, 4800.0, 4800.0]
+    assert set(backend.starts[3:]) == {8 * 600.0}

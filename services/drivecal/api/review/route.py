@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, StringConstraints
 
+from drivecal.api.computed import computed
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters, SummaryOf
@@ -69,6 +70,7 @@ CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
     response_class=Response,
     responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "The sheet"}},
 )
+@computed
 def review(campaign_id: str, query: ReviewQuery, database: DatabaseDependency) -> Response:
     """A chosen set as one page without scripts and other files: question, values, result against the baseline, origin of each score,
     confidence, and the digest of its content. Equal results give equal bytes."""
@@ -87,6 +89,7 @@ def review(campaign_id: str, query: ReviewQuery, database: DatabaseDependency) -
         200: {"content": {type_: {"schema": {"type": "string"}} for type_ in MEDIA_TYPES.values()}, "description": "The file"}
     },
 )
+@computed
 def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: DatabaseDependency) -> Response:
     """A chosen set as a DCM, CDFX or CSV file (the latter without quality data): its values, how sure they are, and what is known of
     them."""

@@ -11,6 +11,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.chosen import Chosen
 from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
+from drivecal.api.computed import computed
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery, PlaceQuery
@@ -63,6 +64,7 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
 
 
 @router.get("/importance")
+@computed
 def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
     """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search, under the campaign's
     weights and score or others."""
@@ -81,6 +83,7 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 
 
 @router.get("/trust")
+@computed
 def read_trust(campaign_id: str, query: PlaceQuery, database: DatabaseDependency) -> TrustAnswer:
     """A light for the campaign's result, or for the set at a place of its search, green, amber or red, and the reasons in words, the
     gravest first."""

@@ -2,6 +2,7 @@
 
 from fastapi import APIRouter, Response
 
+from drivecal.api.computed import computed
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import EvaluatedQuery, FrontQuery, SummaryQuery, TradeOffQuery
@@ -21,6 +22,7 @@ router = APIRouter(prefix="/campaigns/{campaign_id}/front", tags=["results"], ro
 
 
 @router.get("", responses=page_or_file(FrontRow))
+@computed
 def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that no other evaluated set dominates, each vector of objectives once; best first objective first, or best first under
     `weights`. Without objectives of its own, a campaign's only one is the weighted score."""
@@ -40,6 +42,7 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
 
 
 @router.get("/summary")
+@computed
 def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDependency) -> FrontSummary:
     """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and the hypervolume after each
     iteration."""
@@ -48,6 +51,7 @@ def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDepend
 
 
 @router.get("/evaluated", responses=page_or_file(JudgedSet))
+@computed
 def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """All sets that have a value of every objective, dominated ones as well, in the order of the ranking."""
     _, _, front = _front(database, campaign_id, everything=query.everything)
@@ -58,6 +62,7 @@ def list_evaluated(campaign_id: str, query: EvaluatedQuery, database: DatabaseDe
 
 
 @router.get("/trade-off")
+@computed
 def show_trade_off(campaign_id: str, query: TradeOffQuery, database: DatabaseDependency) -> TradeOff:
     """Differences of two sets of the front, by their ranks under the same `weights`."""
     _, resolved, front = _front(database, campaign_id, everything=query.everything)

@@ -7,6 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
+from drivecal.api.computed import computed
 from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import EvaluationsQuery, SolutionsQuery, TableQuery
@@ -91,6 +92,7 @@ def _measured(measures: Sequence[str], stored: Mapping[str, float | None] | None
 
 
 @router.get("/solutions", responses=page_or_file(Solution))
+@computed
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
     campaign = _campaign(database, campaign_id)
@@ -101,6 +103,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
 
 
 @router.get("/optima", responses=page_or_file(OptimumRow))
+@computed
 def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that share the best objective, the region of the space in which each lies, and how far the nearest worse set is; at
     most the first 10,000 of them."""
