@@ -1,4 +1,4 @@
-"""The scheduler's state machine for longer: `tests/unit/execution/test_state_machine.py` takes 10,000 steps."""
+"""The scheduler's state machine for longer: `tests/unit/execution/test_state_machine.py` takes 4,000 steps."""
 
 from __future__ import annotations
 
