@@ -15,6 +15,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, exists, func, select, update
 
 from drivecal.domain.errors import ConflictError
+from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -64,12 +65,14 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> list[int]:
-    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing.
+    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing. Until the transaction ends no
+    campaign is queued, which might refer to this one.
 
     Returns the numbers of campaigns whose cells `remove_cells` removes, also if they were marked before: that may have been interrupted.
     Raises NotFoundError for a campaign that never was, and ConflictError while it runs, if it belongs to a comparison, or if others refer
     to it.
     """
+    admission.alone(connection)
     campaign = stored_campaigns.get(connection, campaign_id, lock=True, deleted=True)
     family = _family(connection, campaign)
     if campaign.deleted_at is not None:
