@@ -5,8 +5,7 @@ Rows go in an order in which no remaining row points to one that is gone, so tha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from datetime import datetime
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import Connection, delete, exists, or_, select, text, update
@@ -38,14 +37,15 @@ def alone(connection: Connection) -> None:
         connection.execute(text("LOCK TABLE campaigns IN SHARE ROW EXCLUSIVE MODE"))
 
 
-def begin(connection: Connection, sequence: int, sets: Sequence[int], moment: datetime, note: str) -> None:
-    """Marks a campaign as pruned to these parameter sets, and empties what only a search that goes on needs; nothing if another pruning has
-    removed its row."""
+def begin(connection: Connection, sequence: int, pruned: Mapping[str, Any], note: str) -> None:
+    """Marks a campaign as pruned, and empties what only a search that goes on needs; nothing if another pruning has removed its row.
+
+    `pruned`: the moment `at` which it was, the parameter `sets` that stay, and the `simulated_best` of a run of a comparison."""
     columns = select(campaigns.c.notes, campaigns.c.pruned).where(campaigns.c.sequence == sequence)
     row = connection.execute(columns).one_or_none()
     if row is None:
         return
-    values: dict[str, Any] = {"pruned": {"at": moment.isoformat(), "sets": list(sets)}, "revision": campaigns.c.revision + 1}
+    values: dict[str, Any] = {"pruned": dict(pruned), "revision": campaigns.c.revision + 1}
     notes = row.notes if row.pruned is not None else [*row.notes, note]
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(**values, notes=notes))
     emptied: dict[str, Any] = {"population": [], "changed": [], "objectives": None, "optimizer_state": None}
