@@ -14,7 +14,8 @@ RETRY_SECONDS = 30
 
 
 def alone(connection: Connection) -> None:
-    """Keeps submissions and deletions apart until the transaction ends. Call it before the reads that decide."""
+    """Keeps submissions, requests of traces, deletions and prunings apart until the transaction ends. Call it before other locks and before
+    the reads that decide."""
     if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
         connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})
 

@@ -8,19 +8,25 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from sqlalchemy import text
+from fastapi import Request
+from sqlalchemy import Connection, event, text
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
 
 from drivecal.api import comparison_submission, submission
 from drivecal.api.dependencies import Limits
+from drivecal.api.http.authorisation import ANYBODY
+from drivecal.api.routes.traces import read_trace
+from drivecal.campaigns import retention
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
-from drivecal.domain.errors import ConflictError, DrivecalError
-from drivecal.storage import campaigns
+from drivecal.domain.errors import ConflictError, DrivecalError, NotFoundError
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 from drivecal.storage.organising import deletion
 
 LIMITS = Limits.of(load_settings())
@@ -133,3 +139,44 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
         stored = {submitted.id, *(each.id for each in campaigns.runs_of(connection, submitted.sequence))}
     assert referring
     assert referring <= stored
+
+
+def prune(database: Database, campaign: StoredCampaign) -> None:
+    planned = retention.plan(database, now(), 0)
+    assert [each.id for each in planned.selection.prunable] == [campaign.id]
+    retention.carry_out(database, planned, lambda *_: None)
+
+
+def delete_whole(database: Database, campaign: StoredCampaign) -> None:
+    deletion.remove_cells(database, delete(database, campaign))
+
+
+def request_trace(database: Database, evaluation: int) -> None:
+    read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
+
+
+@pytest.mark.parametrize("remove", [prune, delete_whole])
+def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_removal_goes_on(
+    postgres: Database,
+    first: StoredCampaign,
+    beside: ThreadPoolExecutor,
+    remove: Callable[[Database, StoredCampaign], None],
+) -> None:
+    with postgres.read() as connection:
+        copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]
+    requested: list[Future[None]] = []
+
+    def request(_connection: Connection, _cursor: Any, statement: str, *_: Any) -> None:
+        """The traces of these cells are gone now, and the cells are still there."""
+        if statement.startswith("DELETE FROM evaluations") and not requested:
+            requested.append(beside.submit(request_trace, postgres, copied[0]))
+            settle(postgres, requested[0])
+
+    event.listen(postgres._engine, "before_cursor_execute", request)
+    remove(postgres, first)
+    with pytest.raises(NotFoundError):
+        requested[0].result(PATIENCE)
+    with postgres.read() as connection:
+        left = {row.id for row in results.stream(connection, first.sequence)}
+        assert connection.scalar(text("SELECT count(*) FROM traces")) == 0
+    assert left.isdisjoint(copied)

@@ -100,6 +100,7 @@ def remove_cells(database: Database, numbers: Sequence[int]) -> None:
             first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
         for start in range(first or 0, (last or 0) + 1, SLICE):
             with database.transaction() as connection:
+                admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
                 remove_slice(connection, sequence, range(start, start + SLICE))
         with database.transaction() as connection:
             connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))

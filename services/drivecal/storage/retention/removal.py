@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, exists, or_, select, text, update
 
+from drivecal.storage import admission
 from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.tables import (
     campaign_stages,
@@ -32,7 +33,9 @@ KEYS = 5_000
 
 
 def alone(connection: Connection) -> None:
-    """Lets no campaign start until the transaction ends; on SQLite a transaction that writes is alone anyway."""
+    """Lets no campaign start or be queued until the transaction ends, and no trace be requested. On SQLite a transaction that writes is
+    alone anyway."""
+    admission.alone(connection)  # before the table, as requests take both
     if connection.dialect.name == "postgresql":
         connection.execute(text("LOCK TABLE campaigns IN SHARE ROW EXCLUSIVE MODE"))
 
