@@ -270,7 +270,7 @@ evaluations = Table(
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
-    Column("proven_by", Identity),
+    Column("proven_by", Identity),  # no foreign key: workers remember and name cells that were pruned
     Column("proof_agrees", Boolean),
     # Of cells that the predictor was asked about; `lot` of those that it was trusted with, and of those that references are to answer.
     Column("lot", Identity),
