@@ -1,9 +1,9 @@
 """Deletion of campaigns that nothing refers to.
 
-A deleted campaign loses its tables, events and every cell that nothing simulated. What it simulated stays in the reference table, with the
-cells that are the origin of these runs, and those that repeated a stored run: other campaigns were answered by them, or name them in
-certificates. They need the campaign's row, which stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes
-them if nothing refers to them.
+A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. What it simulated stays
+in the reference table, with the cells that made these runs. Its other simulated and certified cells stay as well, such as those that a
+simulation of another campaign answered: copies and certificates of other campaigns may name them. They need the campaign's row, which
+stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes them if nothing refers to them.
 
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """
