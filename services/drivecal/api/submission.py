@@ -115,7 +115,7 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
 
 
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
-    """Queues an ended campaign again with `changes`. Raises ConflictError before its end, and like `submit`."""
+    """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
     digests = digests_of(f"campaigns/{first_id}/rerun", changes)
     earlier = accepted_before(database, key, digests)
     if earlier is not None:
@@ -168,8 +168,10 @@ def _queue(
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
-    used = _stored_parts(connection, problem)
     admission.admit(connection, limits.queued_campaigns, key)
+    if rerun_of is not None:
+        campaigns.get(connection, rerun_of)  # it may have been deleted since it was read
+    used = _stored_parts(connection, problem)
     stored = campaigns.insert(
         connection,
         name=specification.name,

@@ -13,13 +13,21 @@ KEY = 0x64726332
 RETRY_SECONDS = 30
 
 
+def alone(connection: Connection) -> None:
+    """Keeps submissions, requests of traces, deletions and prunings apart until the transaction ends. Call it before other locks and before
+    the reads that decide."""
+    if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})
+
+
 def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
     """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. The caller inserts in
-    the same transaction: until its end no other one is admitted, so that concurrent requests cannot overshoot.
+    the same transaction: until its end no other one is admitted, so that concurrent requests cannot overshoot, and no campaign is deleted.
+    So what a request names is checked after this call.
 
     A request whose key is known inserts nothing and is always admitted.
     """
-    _alone(connection)
+    alone(connection)
     if idempotency_key is not None:
         known = select(campaigns.c.sequence).where(campaigns.c.idempotency_key == idempotency_key)
         if connection.execute(known).first() is not None:
@@ -52,7 +60,7 @@ def earlier(connection: Connection, idempotency_key: str | None, body_digests: S
 
 def admit_map(connection: Connection, most: int, source: str) -> None:
     """Raises TooLargeError if `most` influence maps of a source are kept already; otherwise as `admit`."""
-    _alone(connection)
+    alone(connection)
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
     if kept >= most:
         instead = "use one of those (GET /influence-maps), or let the server keep more (DRIVECAL_POSTED_MAPS)"
@@ -63,13 +71,8 @@ def admit_map(connection: Connection, most: int, source: str) -> None:
 
 def admit_problem(connection: Connection, digest: str, most: int) -> None:
     """Raises TooLargeError if `most` bundles are kept already, none of them with this digest; otherwise as `admit`."""
-    _alone(connection)
+    alone(connection)
     kept = connection.scalar(select(func.count()).select_from(bundles)) or 0
     if kept >= most and not is_stored(connection, digest):
         instead = "let the server keep more (DRIVECAL_PUSHED_PROBLEMS)"
         raise TooLargeError(Problem("", f"{kept:,} pushed problems are kept already, as many as this server takes", instead))
-
-
-def _alone(connection: Connection) -> None:
-    if connection.dialect.name == "postgresql":  # on SQLite a transaction that writes is alone from its start
-        connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})

@@ -261,6 +261,25 @@ def test_another_programs_database_is_not_restored_into(
     target.dispose()
 
 
+def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
+    database: Database, empty_url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "backup.db"
+    backup.write(database, file, silent)
+    target = Database.open(empty_url.replace("drivecal.db", "target.db"))
+    target.upgrade()
+    with target.transaction() as connection:
+        connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
+    with pytest.raises(DatabaseError, match="moz_places"):
+        backup.restore(file, target, silent)
+    with target.transaction() as connection:
+        connection.execute(text("INSERT INTO moz_places VALUES (1)"))
+        assert connection.scalar(text("SELECT count(*) FROM campaigns")) == 0
+        connection.execute(text("DROP TABLE moz_places"))
+    assert backup.restore(file, target, silent).rows["campaigns"] == 0
+    target.dispose()
+
+
 @pytest.mark.slow("postgresql")
 def test_a_database_that_a_server_has_made_and_nobody_used_counts_as_empty(
     used: Database, target_url: Callable[[str], str], tmp_path: Path, backend: str

@@ -7,10 +7,13 @@ from typing import Any
 
 import pytest
 from sqlalchemy import text
+from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import nothing_matters, post_map, rows_of, run, submit
 
 from drivecal.campaigns import retention
+from drivecal.campaigns.comparisons.results import compared
+from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.evaluations import Outcome
@@ -80,4 +83,51 @@ def test_what_a_deleted_campaign_left_goes_with_its_row(database: Database) -> N
     with database.read() as connection:
         left = [connection.scalar(text(f"SELECT count(*) FROM {name}")) for name in ("campaigns", "evaluations", "runs")]
     assert left == [0, 0, 0]
+    assert [check for check in verify(database, full=True) if check.problems] == []
+
+
+@pytest.mark.slow("postgresql")
+def test_a_comparison_reports_after_a_pruning_what_it_reported_before(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivecal.campaigns.comparisons.resolve.CONFIRMED", 0)
+    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
+    reductions = ["exact", {"mode": "influence", "audit": 0.4, "max_error": 1}]
+    wanted: dict[str, Any] = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": reductions}
+    ended = run(database, submit_comparison(database, stored_map, **wanted))
+
+    def tables() -> tuple[Any, ...]:
+        monkeypatch.setattr("drivecal.campaigns.comparisons.results._ended", {})  # as in another process
+        with database.read() as connection:
+            read = compared(connection, ended)
+        return read.groups(), read.pairs(), read.effects(), read.runs()
+
+    before = tables()
+    assert any(row.simulated_best != row.best for row in before[-1])
+    for keep in (1, 0):
+        plan = retention.plan(database, now(), keep)
+        assert plan.doomed.cells
+        retention.carry_out(database, plan, lambda *_: None)
+        assert tables() == before
+
+
+@pytest.mark.slow("postgresql")
+def test_a_later_cell_may_name_a_pruned_one_as_its_proof(database: Database) -> None:
+    """A worker that drove the first campaign remembers its runs, and certifies by them, after these were pruned."""
+    stored = post_map(database, nothing_matters())
+    run(database, submit(database, stored_map=stored, optimizer=SEARCH))
+    plan = retention.plan(database, now(), 0)
+    gone = int(plan.doomed.levels[-1][0])
+    retention.carry_out(database, plan, lambda *_: None)
+    later = run(database, submit(database, stored_map=stored, optimizer=SEARCH))
+    cell = next(row for row in rows_of(database, later) if row.outcome is Outcome.REUSED)
+    with database.transaction() as connection:
+        proof = {"gone": gone, "cell": cell.id}
+        connection.execute(text("UPDATE evaluations SET proven_by = :gone WHERE id = :cell"), proof)
+    assert [check for check in verify(database, full=True) if check.problems] == []
+    with database.read() as connection:
+        explanation = explain(connection, cell.id)
+    assert explanation.reference is not None
+    assert explanation.proof is None
+    retention.carry_out(database, retention.plan(database, now(), 0), lambda *_: None)
     assert [check for check in verify(database, full=True) if check.problems] == []

@@ -23,7 +23,7 @@ from drivecal.contracts.specification import CampaignSpecification, RerunSpecifi
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import audits, campaigns, comparisons, evaluations, lots, revision_queries
+from drivecal.storage import admission, audits, campaigns, comparisons, evaluations, lots, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -105,6 +105,7 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
     """Deletes an ended campaign with its cells, or archives it if other campaigns refer to it. What it simulated stays in the reference
     table. Deleting again changes nothing."""
     with database.transaction() as connection:
+        admission.alone(connection)  # or a campaign queued after this look would be answered 409
         stored = campaigns.get(connection, campaign_id, deleted=True)
         referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
         if referring:

@@ -44,6 +44,7 @@ def read_trace(
     if trace is not None and trace.content is not None:
         return _answer(trace.content, if_none_match, accept_encoding)
     with database.transaction() as connection:
+        admission.alone(connection)  # before the evaluation's lock: what removes cells takes both in this order
         if is_to_be_made(connection, traces.find(connection, number, for_update=True)):
             refuse_reader(request)
             admission.admit(connection, limits.queued_campaigns, None)

@@ -92,7 +92,7 @@ campaigns = Table(
     Column("archived_at", UtcDateTime),
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.organising.deletion`).
     Column("deleted_at", UtcDateTime),
-    Column("pruned", Document),  # when most of its cells were removed, and which sets stayed (`storage.retention`)
+    Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
     _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
     *(
         _partial_index(None, name, where=f"{name} IS NOT NULL")
@@ -270,7 +270,7 @@ evaluations = Table(
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
-    Column("proven_by", Identity),
+    Column("proven_by", Identity),  # no foreign key: workers remember and name cells that were pruned
     Column("proof_agrees", Boolean),
     # Of cells that the predictor was asked about; `lot` of those that it was trusted with, and of those that references are to answer.
     Column("lot", Identity),

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection
+from sqlalchemy import URL, Connection, Table
 
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage.engine import locks, schema
 from drivecal.storage.engine.database import Database, make_engine
 from drivecal.storage.engine.failures import translated
+from drivecal.storage.engine.tables import metadata
 from drivecal.storage.engine.urls import sqlite_file
 from drivecal.storage.maintenance.transfer import Progress, copy_rows, count_rows, tables_of
 
@@ -65,7 +66,8 @@ def write(database: Database, file: Path, progress: Progress, *, force: bool = F
 def restore(file: Path, database: Database, progress: Progress) -> Copied:
     """Fills an empty database from a backup and brings it to this drivecal's revision. The caller holds the server's lock.
 
-    Raises DatabaseError if the file is not a backup or the database has rows, and UnavailableError; the database is then as it was.
+    Raises DatabaseError if the file is not a backup, or if the database has rows or tables of another program, and UnavailableError; the
+    database is then as it was.
     """
     if not file.is_file():
         raise DatabaseError(f"there is no file {file}; name a backup that `drivecal db backup` made")
@@ -226,17 +228,27 @@ def _refuse_damaged(connection: Connection, file: Path) -> None:
 
 def _refuse_rows(connection: Connection, name: str) -> None:
     schema.refuse_foreign(connection, name)
-    counts = count_rows(connection, tables_of(connection))
+    tables = tables_of(connection)
+    foreign = sorted(table.name for table in tables if not _is_own(table))
+    if foreign:  # a restore replaces what is there
+        listed = ", ".join(foreign[:3])
+        raise DatabaseError(f"{name} holds another program's tables ({listed}); name a database of drivecal's own")
+    counts = count_rows(connection, tables)
     there = [f"{count:,} in {table}" for table, count in counts.items() if count and table not in PASSING]
     if there:
         raise DatabaseError(f"{name} has rows already ({', '.join(there)}); name an empty database")
 
 
+def _is_own(table: Table) -> bool:
+    return table.name in metadata.tables  # which has the tables of every revision: none was ever renamed or given up
+
+
 def _make_anew(connection: Connection, name: str, revision: str) -> None:
-    """Replaces empty tables of any revision by empty tables at a backup's revision."""
+    """Replaces drivecal's empty tables of any revision by empty tables at a backup's revision."""
     if schema.revision_of(connection) is not None:
         for table in reversed(tables_of(connection)):
-            table.drop(connection)
+            if _is_own(table):
+                table.drop(connection)
         connection.exec_driver_sql(f"DROP TABLE {schema.REVISION_TABLE}")
     schema.upgrade(connection, name, revision)
 

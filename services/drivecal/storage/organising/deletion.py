@@ -1,9 +1,9 @@
 """Deletion of campaigns that nothing refers to.
 
-A deleted campaign loses its tables, events and every cell that nothing simulated. What it simulated stays in the reference table, with the
-cells that are the origin of these runs, and those that repeated a stored run: other campaigns were answered by them, or name them in
-certificates. They need the campaign's row, which stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes
-them if nothing refers to them.
+A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. What it simulated stays
+in the reference table, with the cells that made these runs. Its other simulated and certified cells stay as well, such as those that a
+simulation of another campaign answered: copies and certificates of other campaigns may name them. They need the campaign's row, which
+stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes them if nothing refers to them.
 
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """
@@ -15,6 +15,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, exists, func, select, update
 
 from drivecal.domain.errors import ConflictError
+from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -64,12 +65,14 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> list[int]:
-    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing.
+    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing. Until the transaction ends no
+    campaign is queued, which might refer to this one.
 
     Returns the numbers of campaigns whose cells `remove_cells` removes, also if they were marked before: that may have been interrupted.
     Raises NotFoundError for a campaign that never was, and ConflictError while it runs, if it belongs to a comparison, or if others refer
     to it.
     """
+    admission.alone(connection)
     campaign = stored_campaigns.get(connection, campaign_id, lock=True, deleted=True)
     family = _family(connection, campaign)
     if campaign.deleted_at is not None:
@@ -97,6 +100,7 @@ def remove_cells(database: Database, numbers: Sequence[int]) -> None:
             first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
         for start in range(first or 0, (last or 0) + 1, SLICE):
             with database.transaction() as connection:
+                admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
                 remove_slice(connection, sequence, range(start, start + SLICE))
         with database.transaction() as connection:
             connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))

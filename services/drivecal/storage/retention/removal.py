@@ -5,12 +5,12 @@ Rows go in an order in which no remaining row points to one that is gone, so tha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from datetime import datetime
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from sqlalchemy import Connection, delete, exists, or_, select, text, update
 
+from drivecal.storage import admission
 from drivecal.storage.engine.bulk import among
 from drivecal.storage.engine.tables import (
     campaign_stages,
@@ -33,19 +33,22 @@ KEYS = 5_000
 
 
 def alone(connection: Connection) -> None:
-    """Lets no campaign start until the transaction ends; on SQLite a transaction that writes is alone anyway."""
+    """Lets no campaign start or be queued until the transaction ends, and no trace be requested. On SQLite a transaction that writes is
+    alone anyway."""
+    admission.alone(connection)  # before the table, as requests take both
     if connection.dialect.name == "postgresql":
         connection.execute(text("LOCK TABLE campaigns IN SHARE ROW EXCLUSIVE MODE"))
 
 
-def begin(connection: Connection, sequence: int, sets: Sequence[int], moment: datetime, note: str) -> None:
-    """Marks a campaign as pruned to these parameter sets, and empties what only a search that goes on needs; nothing if another pruning has
-    removed its row."""
+def begin(connection: Connection, sequence: int, pruned: Mapping[str, Any], note: str) -> None:
+    """Marks a campaign as pruned, and empties what only a search that goes on needs; nothing if another pruning has removed its row.
+
+    `pruned`: the moment `at` which it was, the parameter `sets` that stay, and the `simulated_best` of a run of a comparison."""
     columns = select(campaigns.c.notes, campaigns.c.pruned).where(campaigns.c.sequence == sequence)
     row = connection.execute(columns).one_or_none()
     if row is None:
         return
-    values: dict[str, Any] = {"pruned": {"at": moment.isoformat(), "sets": list(sets)}, "revision": campaigns.c.revision + 1}
+    values: dict[str, Any] = {"pruned": dict(pruned), "revision": campaigns.c.revision + 1}
     notes = row.notes if row.pruned is not None else [*row.notes, note]
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(**values, notes=notes))
     emptied: dict[str, Any] = {"population": [], "changed": [], "objectives": None, "optimizer_state": None}

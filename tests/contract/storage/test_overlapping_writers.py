@@ -1,0 +1,182 @@
+"""Transactions that overlap on PostgreSQL, where several write at a time; on SQLite each one that writes is alone from its start."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import pytest
+from fastapi import Request
+from sqlalchemy import Connection, event, text
+from tests.support.computed import ComputedBackend
+from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
+
+from drivecal.api import comparison_submission, submission
+from drivecal.api.dependencies import Limits
+from drivecal.api.http.authorisation import ANYBODY
+from drivecal.api.routes.traces import read_trace
+from drivecal.campaigns import retention
+from drivecal.configuration.settings import load_settings
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
+from drivecal.domain.errors import ConflictError, DrivecalError, NotFoundError
+from drivecal.domain.evaluations import Outcome
+from drivecal.storage import campaigns, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.organising import deletion
+
+LIMITS = Limits.of(load_settings())
+PATIENCE = 60
+"""Seconds after which an overlap that never comes fails its test."""
+SMALL: dict[str, Any] = WITH_ANALYSIS | {
+    "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},
+    "optimizer": {"kind": "genetic", "population": 10, "iterations": 3, "seed": 2},
+}
+
+
+@pytest.fixture
+def postgres(clean_postgres: str) -> Iterator[Database]:
+    """A migrated PostgreSQL database without rows."""
+    opened = Database.open(clean_postgres)
+    yield opened
+    opened.dispose()
+
+
+@pytest.fixture
+def beside() -> Iterator[ThreadPoolExecutor]:
+    """A thread for the second transaction."""
+    with ThreadPoolExecutor(1) as pool:
+        yield pool
+
+
+def settle(database: Database, second: Future[Any]) -> None:
+    """Returns when the second transaction is over or waits for a lock of the first."""
+    waiting = text(
+        "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() AND wait_event_type = 'Lock' AND state = 'active'"
+    )
+    for _ in range(PATIENCE * 20):
+        with database.read() as connection:
+            if second.done() or connection.scalar(waiting):
+                return
+        time.sleep(0.05)
+    raise AssertionError("the second transaction neither ended nor waits for a lock")
+
+
+def delete(database: Database, campaign: StoredCampaign) -> list[int]:
+    with database.transaction() as connection:
+        return deletion.delete_campaign(connection, campaign.id)
+
+
+def rerun(database: Database, first: StoredCampaign) -> StoredCampaign:
+    return submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}), None)
+
+
+def study(database: Database, first: StoredCampaign) -> StoredCampaign:
+    document = SMALL | {"sensitivity": None, "optimizer": None, "robustness": {"of": first.id, "solutions": 1}}
+    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
+
+
+def use_of_map(database: Database, first: StoredCampaign) -> StoredCampaign:
+    document = SMALL | {"sensitivity": {"map": first.influence_map_id}}
+    return submission.submit(database, LIMITS, CampaignSpecification.model_validate(document), None)
+
+
+def comparison_on_map(database: Database, first: StoredCampaign) -> StoredCampaign:
+    document = {name: SMALL[name] for name in ("catalogue", "parameters", "fixed")}
+    document |= {"optimizers": [{"kind": "genetic"}], "populations": [6], "iterations": 2, "seeds": [1, 2, 3]}
+    document |= {"reductions": ["influence"], "sensitivity": {"map": first.influence_map_id}}
+    return comparison_submission.submit(database, LIMITS, ComparisonSpecification.model_validate(document), None)
+
+
+USES = pytest.mark.parametrize("use", [rerun, study, use_of_map, comparison_on_map])
+Use = Callable[[Database, StoredCampaign], StoredCampaign]
+
+
+@pytest.fixture
+def first(postgres: Database) -> StoredCampaign:
+    """An ended campaign with a map of its own."""
+    return run(postgres, submit(postgres, **SMALL), ComputedBackend(answer=influenced))
+
+
+@USES
+def test_a_submission_waits_for_the_deletion_of_what_it_names_and_is_refused(
+    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use
+) -> None:
+    with postgres.transaction() as connection:
+        deletion.delete_campaign(connection, first.id)
+        submitted = beside.submit(use, postgres, first)
+        settle(postgres, submitted)
+    with pytest.raises(
+        DrivecalError, match=str(first.influence_map_id if use in {use_of_map, comparison_on_map} else first.id)
+    ):
+        submitted.result(PATIENCE)
+
+
+@USES
+def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
+    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deleting: list[Future[list[int]]] = []
+    usual = campaigns.insert
+
+    def insert(*arguments: Any, **fields: Any) -> StoredCampaign:
+        """The campaign is checked now, and not stored yet."""
+        if not deleting:
+            deleting.append(beside.submit(delete, postgres, first))
+            settle(postgres, deleting[0])
+        return usual(*arguments, **fields)
+
+    monkeypatch.setattr(campaigns, "insert", insert)
+    submitted = use(postgres, first)
+    with pytest.raises(ConflictError, match=f"refer to {first.id}"):
+        deleting[0].result(PATIENCE)
+    with postgres.read() as connection:
+        referring = {reference.campaign for reference in deletion.references(connection, first)}
+        stored = {submitted.id, *(each.id for each in campaigns.runs_of(connection, submitted.sequence))}
+    assert referring
+    assert referring <= stored
+
+
+def prune(database: Database, campaign: StoredCampaign) -> None:
+    planned = retention.plan(database, now(), 0)
+    assert [each.id for each in planned.selection.prunable] == [campaign.id]
+    retention.carry_out(database, planned, lambda *_: None)
+
+
+def delete_whole(database: Database, campaign: StoredCampaign) -> None:
+    deletion.remove_cells(database, delete(database, campaign))
+
+
+def request_trace(database: Database, evaluation: int) -> None:
+    read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
+
+
+@pytest.mark.parametrize("remove", [prune, delete_whole])
+def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_removal_goes_on(
+    postgres: Database,
+    first: StoredCampaign,
+    beside: ThreadPoolExecutor,
+    remove: Callable[[Database, StoredCampaign], None],
+) -> None:
+    with postgres.read() as connection:
+        copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]
+    requested: list[Future[None]] = []
+
+    def request(_connection: Connection, _cursor: Any, statement: str, *_: Any) -> None:
+        """The traces of these cells are gone now, and the cells are still there."""
+        if statement.startswith("DELETE FROM evaluations") and not requested:
+            requested.append(beside.submit(request_trace, postgres, copied[0]))
+            settle(postgres, requested[0])
+
+    event.listen(postgres._engine, "before_cursor_execute", request)
+    remove(postgres, first)
+    with pytest.raises(NotFoundError):
+        requested[0].result(PATIENCE)
+    with postgres.read() as connection:
+        left = {row.id for row in results.stream(connection, first.sequence)}
+        assert connection.scalar(text("SELECT count(*) FROM traces")) == 0
+    assert left.isdisjoint(copied)
