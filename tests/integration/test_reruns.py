@@ -39,6 +39,7 @@ from drivecal.plugins.ports import Evaluator
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps
 
 LIMITS = Limits.of(load_settings())
@@ -328,6 +329,7 @@ def test_the_best_set_of_the_first_campaign_is_known_under_the_weights_of_its_re
     weights = ",".join(f"{name}={weight:g}" for name, weight in known.weights.items())
     listed = ranking(database, first, resolved_spec(first), weights).solutions(0, 1)
     assert known.objective == listed[0].objective
+    assert earlier_best(database, again, replace(first, pruned_at=now())) == replace(known, is_pruned=True)
     other = ComputedBackend(answer=strict_answer)
     rated = _rerun(database, first, other, evaluator="strict")
     assert earlier_best(database, rated, first) is None

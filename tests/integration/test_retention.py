@@ -19,6 +19,7 @@ from tests.integration.test_certified_campaigns import alike
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import examples
+from tests.support.problems import MANIFEST, store
 from tests.support.runs import dispatcher, finish, get, influenced, nothing_matters, post_map, run, submit
 from typer.testing import CliRunner
 
@@ -378,5 +379,7 @@ def test_the_command_lists_what_goes_and_changes_nothing_in_a_dry_run(database: 
     assert wet | {"dry_run": True} == dry
     assert json.loads(CliRunner().invoke(app, command).stdout)["cells"]["removed"] == 0
     assert CliRunner().invoke(app, ["db", "prune", "--older", "soon"]).exit_code == 2
+    assert CliRunner().invoke(app, [*command, "--problem", "another"]).exit_code != 0
+    store(database, MANIFEST | {"problem": "another"})
     other = json.loads(CliRunner().invoke(app, [*command, "--problem", "another"]).stdout)
     assert other["campaigns"] == []

@@ -31,13 +31,15 @@ class Earlier:
     """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
 
     `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
+    `is_pruned`: only the sets that a pruning kept are compared; `objective` is None if that is none.
     """
 
     campaign: str
-    objective: float
+    objective: float | None
     weights: Mapping[str, float]
     reused: Sequence[str] = ()
     score: str | None = None
+    is_pruned: bool = False
 
 
 def sign_of(campaign: Campaign) -> int:
@@ -63,10 +65,13 @@ def of_later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> 
 
 
 def of_earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[Reason]:
-    """Yields the reason that the campaign which is rerun holds a better set."""
+    """Yields the reason that the campaign which is rerun holds a better set, or may have held it before it was pruned."""
     if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
         return
-    if (earlier.objective - campaign.best.objective) * sign_of(campaign) <= EQUAL:
+    if earlier.objective is None or (earlier.objective - campaign.best.objective) * sign_of(campaign) <= EQUAL:
+        if earlier.is_pruned:
+            text = f"The earlier campaign {earlier.campaign[:SHORT]} was pruned: it may have held a better set."
+            yield Reason(light="amber", about="earlier", text=text)
         return
     copied = f" (a reference's score in {', '.join(earlier.reused)})" if earlier.reused else ""
     if campaign.objective is not None:

@@ -18,6 +18,7 @@ from sqlalchemy import Connection
 from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns, results
@@ -167,7 +168,11 @@ def _simulated_best(connection: Connection, selection: Selection) -> dict[int, f
 
 
 def _pushes(connection: Connection, problem: str) -> Collection[str]:
-    """Returns the names under which campaigns name a problem: its name, and the digests of all that was pushed under it."""
+    """Returns the names under which campaigns name a problem: its name, and the digests of all that was pushed under it.
+
+    Raises NotFoundError."""
+    if problem != HIGHWAY:
+        bundles.named(connection, problem)
     pushed, cursor = {problem}, None
     while True:
         page, cursor = bundles.listing(connection, name=problem, limit=1_000, cursor=cursor)

@@ -240,6 +240,14 @@ def test_a_better_set_of_the_campaign_that_is_rerun_is_told(objective: float, gi
     assert all("solutions eeeeeeee --weights S1=4,S2=1" in reason.text for reason in reasons)
 
 
+@pytest.mark.parametrize(("objective", "is_better"), [(None, False), (6.0, False), (6.5, True)])
+def test_a_rerun_of_a_pruned_campaign_is_never_green(objective: float | None, is_better: bool) -> None:
+    judged = trust(campaign(), earlier=Earlier("e" * 32, objective, {"S1": 4.0}, is_pruned=True))
+    [reason] = [reason for reason in judged.reasons if reason.about == "earlier"]
+    assert (judged.light, reason.light) == ("amber", "amber")
+    assert ("solutions eeeeeeee" in reason.text) is is_better
+
+
 @pytest.mark.parametrize(
     ("objective", "direction", "is_told"), [(6.5, "maximise", True), (6.5, "minimise", False), (5.5, "minimise", True)]
 )

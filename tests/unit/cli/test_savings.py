@@ -84,7 +84,7 @@ def test_what_certificates_say_of_references_is_told_by_scenario(capsys: pytest.
 def test_reused_cells_that_were_confirmed_are_told_for_they_saved_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     first, *others = ACCOUNT.scenarios
     print_accounting(ACCOUNT.model_copy(update={"scenarios": [first.model_copy(update={"confirmed": 3}), *others]}))
-    assert "3 reused cells " in capsys.readouterr().out
+    assert "3 copied or predicted scores " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -107,11 +107,9 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
     """Returns the best set of the `earlier` campaign under the weights, the score and the objectives of its rerun; None if there is none,
-    before the end of the rerun, if the earlier campaign was pruned, and if setups, space or constraints on sets differ, or the evaluator of
-    the built-in problem. Reads all answers of the earlier campaign."""
+    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluator of the built-in problem. Reads all
+    answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
-        return None
-    if earlier.pruned_at is not None:
         return None
     ours, theirs = resolved_spec(campaign), resolved_spec(earlier)
     driven = all(theirs.setups.get(name) == fingerprint for name, fingerprint in ours.setups.items())
@@ -127,9 +125,10 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
     given: Mapping[str, float] = campaign.spec["weights"]
     weights = {name: given.get(name, 1.0) if name in ours.weights else 0.0 for name in theirs.weights}
     ranked = ranking(database, earlier, replace(theirs, weights=weights, goals=ours.goals), None, score).ranked
+    is_pruned = earlier.pruned_at is not None
     if not ranked or ranked[0].shares_violated > campaign.best.violation:
-        return None
-    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score)
+        return Earlier(earlier.id, None, weights, score=score, is_pruned=True) if is_pruned else None
+    return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score, is_pruned)
 
 
 def later_best(database: Database, campaign: StoredCampaign, withdrawn: int) -> Later | None:

@@ -62,7 +62,7 @@ def print_failures(causes: Sequence[FailureCause]) -> None:
     """Prints a line per cause of failed cells; nothing without one."""
     if not causes:
         return
-    typer.echo("\nfailed cells by cause; `drivecal explain CAMPAIGN EXAMPLE` shows one")
+    typer.echo("\nfailed runs and cells without a result, by cause; `drivecal explain CAMPAIGN EXAMPLE` shows one")
     print_columns(FAILURES, failure_causes(causes))
 
 
@@ -86,7 +86,7 @@ def print_accounting(accounting: Accounting) -> None:
     confirmed, proved = totals(accounting.scenarios, "confirmed", "proved")
     if confirmed:
         typer.echo(
-            f"  {confirmed:,} reused cells were simulated after all, to confirm the best set; they are not counted as saved"
+            f"  {confirmed:,} copied or predicted scores were simulated after all, to confirm the best set; they are not counted as saved"
         )
     if proved:
         off = [

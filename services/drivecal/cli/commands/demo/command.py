@@ -87,6 +87,7 @@ def _first(client: Client, as_json: bool) -> Campaign:
             "How its cells were answered; certified: by a proof that the run would repeat a stored one",
             campaign=campaign,
         )
+        typer.echo(f"\nWhat that saved and cost: {client.accounting(campaign.id).sentence}")
     return campaign
 
 
