@@ -75,7 +75,7 @@ def _check_bounds(name: str, lower: Decimal, upper: Decimal, **others: Decimal) 
         except ValueError as error:
             raise _refused(name, attribute, str(error), "round it") from error
     if upper <= lower:
-        message = f"the grid is empty: upper {upper} is not above lower {lower}"
+        message = f"the range is empty: upper {upper} is not above lower {lower}"
         remedy = "swap them" if upper < lower else "to hold a parameter, name it in `fixed`"
         raise _refused(name, "upper", message, remedy)
 
