@@ -22,7 +22,7 @@ def alone(connection: Connection) -> None:
 
 def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
     """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. The caller inserts in
-    the same transaction: until its end no other one is admitted, so that concurrent requests cannot overshoot, and no campaign is deleted.
+    the same transaction: until its end no other request is admitted, so that requests at once cannot overshoot, and no campaign is deleted.
     So what a request names is checked after this call.
 
     A request whose key is known inserts nothing and is always admitted.

@@ -234,7 +234,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
     """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
     repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better.
 
-    Of a pruned run of a comparison: the one that it had with all its cells, unless an earlier release pruned it."""
+    Of a pruned run of a comparison: the best that it had with all its cells, unless an earlier release pruned it."""
     pruned = connection.scalar(select(campaigns.c.pruned).where(campaigns.c.sequence == campaign_sequence)) or {}
     if "simulated_best" in pruned:
         kept: float | None = pruned["simulated_best"]

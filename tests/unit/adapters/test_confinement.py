@@ -145,7 +145,7 @@ def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
 
 @landlock
 def test_files_of_other_sessions_cannot_be_read(tmp_path: Path) -> None:
-    """Those that are open, and those that begin later."""
+    """Sessions that are open, and sessions that begin later."""
     bundles = [tmp_path / name for name in ("own", "earlier", "later")]
     for bundle in bundles:
         bundle.mkdir()

@@ -277,7 +277,7 @@ def test_however_many_rankings_are_computed_other_answers_have_threads() -> None
                 assert int(refused.headers["retry-after"]) > 0
             finally:
                 go.set()
-            assert [(await one).json() for one in computing] == list(range(COMPUTED))
+            assert [(await answer).json() for answer in computing] == list(range(COMPUTED))
             assert limits.computed.taken == 0
             assert (await client.get("/ranking/7")).json() == 7
 

@@ -130,7 +130,7 @@ def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:
 
 
 class Clock:
-    """Time that passes only while somebody waits."""
+    """A clock that only `sleep` moves on."""
 
     def __init__(self) -> None:
         self.now = 0.0
