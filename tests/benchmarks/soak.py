@@ -4,7 +4,7 @@ Runs a server with many small campaigns and comparisons, clients and a page's We
 and then. Every few seconds it notes memory, handles, threads and number of the processes of each role of the server, the largest process
 of each, temporary files, and Ray's store. It prints the slope of each per hour (Theil-Sen, of the time after a first part in which caches
 fill) and a verdict: flat, if the slope adds less than a tenth, or than a floor, in the measured time. Writes `.drivecal/bench/soak.json`
-every ten minutes and at the end; 0 if all is flat and no campaign failed.
+every ten minutes and at the end, which Ctrl+C brings forward; 0 if all is flat and no campaign failed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -80,25 +80,32 @@ def main() -> int:
             busy.append(threading.Thread(target=page, args=(client.url, over, course)))
             for thread in busy:
                 thread.start()
-            began = killed = written = time.monotonic()
-            while (passed := time.monotonic() - began) < 60 * chosen.minutes:
-                look(course, passed, temporary)
-                if time.monotonic() - written >= WRITE_EVERY:
-                    written = time.monotonic()
-                    write(course, passed)
-                if time.monotonic() - killed >= KILL_EVERY:
-                    killed = time.monotonic()
-                    course.done["workers killed"] += kill_a_worker()
-                time.sleep(EVERY)
+            passed = followed(course, 60 * chosen.minutes, temporary)
             over.set()
             for thread in busy:
                 thread.join()
-    rows = write(course, 60 * chosen.minutes)
+    rows = write(course, passed)
     print(", ".join(f"{number:,} {what}" for what, number in course.done.items()))
     for row in rows:
         print(f"{row['of']:24} {row['unit']:10} {row['median']:10,.1f} {row['per_hour']:+10,.1f} per hour  {row['verdict']}")
     print("\n".join(course.faults))
     return int(bool(course.faults) or any(row["verdict"] != "flat" for row in rows))
+
+
+def followed(course: Course, seconds: float, temporary: Path) -> float:
+    """Looks, writes and kills workers for `seconds`, or until it is interrupted (Ctrl+C). Returns the seconds that it took."""
+    began = killed = written = time.monotonic()
+    with suppress(KeyboardInterrupt):
+        while (passed := time.monotonic() - began) < seconds:
+            look(course, passed, temporary)
+            if time.monotonic() - written >= WRITE_EVERY:
+                written = time.monotonic()
+                write(course, passed)
+            if time.monotonic() - killed >= KILL_EVERY:
+                killed = time.monotonic()
+                course.done["workers killed"] += kill_a_worker()
+            time.sleep(EVERY)
+    return time.monotonic() - began
 
 
 def write(course: Course, seconds: float) -> list[dict[str, float | str]]:
@@ -162,15 +169,15 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
 
 def page(url: str, over: threading.Event, course: Course) -> None:
     """Keeps one page open, as a user does for days: its WebSocket, which follows whatever campaign is the newest."""
-    followed = ""
+    shown = ""
     with Client(url, token="") as client, connect(url.replace("http", "ws") + "/api/v1/live") as socket:
         while not over.is_set():
             try:
-                newest = next((campaign.id for campaign in client.campaigns(limit=1).items), followed)
-                if newest != followed:
-                    leave = {"unfollow": followed} if followed else {}
+                newest = next((campaign.id for campaign in client.campaigns(limit=1).items), shown)
+                if newest != shown:
+                    leave = {"unfollow": shown} if shown else {}
                     socket.send(json.dumps({"follow": newest} | leave))
-                    followed = newest
+                    shown = newest
                 socket.recv(timeout=1.0)
                 course.done["messages to the page"] += 1
             except TimeoutError:

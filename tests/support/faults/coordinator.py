@@ -152,6 +152,18 @@ class Coordinator:
             time.sleep(0.1)
         return patience.told()
 
+    def awaited(self, find: Callable[[], psutil.Process]) -> psutil.Process:
+        """A process of the server, waited for if it is only being started."""
+        found: list[psutil.Process] = []
+
+        def is_there() -> bool:
+            with suppress(AssertionError, psutil.NoSuchProcess):
+                found[:] = [find()]
+            return bool(found)
+
+        self.until(is_there, "a process that is looked for", READY_SECONDS)
+        return found[0]
+
     def wait_ready(self) -> str:
         """Waits until the server can work; gives the time that it took, in words."""
 
@@ -173,7 +185,7 @@ class Coordinator:
 
     def kill_supervisor(self) -> None:
         """SIGKILL to the process that was started; the others have to notice."""
-        self.supervisor().kill()
+        self.awaited(self.supervisor).kill()
         self.wait_gone()
 
     def terminate(self) -> str:

@@ -13,7 +13,7 @@ import httpx
 import psutil
 from sqlalchemy import func, select
 from tests.support.effort import LONG
-from tests.support.faults.coordinator import ORPHAN_SECONDS, READY_SECONDS, Coordinator, suspended
+from tests.support.faults.coordinator import ORPHAN_SECONDS, Coordinator, suspended
 from tests.support.faults.findings import Found, assert_equal, assert_sound, found
 from tests.support.faults.patience import Patience
 from tests.support.faults.postgres import KillablePostgres
@@ -27,7 +27,8 @@ from drivecal.storage import campaigns
 from drivecal.storage.engine.tables import campaigns as stored
 from drivecal.storage.engine.tables import evaluations
 
-LOOK_SECONDS = 0.03
+LOOK_SECONDS = 0.1
+"""Between two looks, which take processor time from the server."""
 SAID_SECONDS = 5.0
 """In which the server says what is wrong."""
 ASLEEP_SECONDS = 20.0
@@ -44,7 +45,7 @@ class Fault(Protocol):
 
 
 def kill_dispatcher(coordinator: Coordinator) -> None:
-    """SIGKILL; nothing of its Ray may stay behind, and the supervisor starts the next one."""
+    """SIGKILL; nothing of it, such as its Ray, may stay behind, and the supervisor starts the next one."""
     _kill_child(coordinator, coordinator.dispatcher)
 
 
@@ -65,18 +66,11 @@ def kill_gcs_server(coordinator: Coordinator) -> None:
 
 def _kill_child(coordinator: Coordinator, find: Callable[[], psutil.Process]) -> None:
     """Kills a process, waited for where it is just being started again; what it had started must end as well."""
-    found: list[psutil.Process] = []
-
-    def is_there() -> bool:
-        with suppress(AssertionError, psutil.NoSuchProcess):
-            found[:] = [find()]
-        return bool(found)
-
-    coordinator.until(is_there, "a process to kill", READY_SECONDS)
-    before = list(found)
+    victim = coordinator.awaited(find)
+    before = [victim]
     with suppress(psutil.NoSuchProcess):  # it may end by itself just now
-        before += found[0].children(recursive=True)
-        found[0].kill()
+        before += victim.children(recursive=True)
+        victim.kill()
     coordinator.until(lambda: not any(alive(one) for one in before), f"the end of {before}", ORPHAN_SECONDS)
 
 
@@ -238,12 +232,12 @@ class Life:
 
 
 def moments(seed: int, number: int) -> list[Moment]:
-    """Random points of a life: most at a share of the work and up to a batch's time after it; every fourth at any second after the
+    """Random points of a life: most at a share of the work and up to a batch's time after it; every third at any second after the
     fault before, so that starting and taking up are hit as well."""
     chance = random.Random(seed)
     shares = sorted(chance.uniform(0.0, 0.95) for _ in range(number))
     return [
-        Moment(None, chance.uniform(0.0, 8.0)) if chance.random() < 0.25 else Moment(share, chance.uniform(0.0, 0.3))
+        Moment(None, chance.uniform(0.0, 8.0)) if chance.random() < 1 / 3 else Moment(share, chance.uniform(0.0, 0.3))
         for share in shares
     ]
 
