@@ -54,10 +54,11 @@ def look_up(
     query = select(table.key, table.since, table.evaluation_id, table.run_id, table.score, table.rating, table.failure)
     query = query.where(table.index_id == index, table.run_id <= watermark, table.since <= watermark)
     newest: dict[bytes, tuple[int, Donor]] = {}
-    for key, since, *donor in rows_among(connection, query, table.key, sorted(keys)):  # in the order of the tree
-        number = since or donor[1]
+    rows = rows_among(connection, query, table.key, sorted(keys))  # in the order of the tree
+    for key, since, evaluation, run, score, rating, failure in rows:
+        number = since or run
         if key not in newest or number > newest[key][0]:
-            newest[key] = number, Donor(*donor)
+            newest[key] = number, Donor(evaluation, run, score, rating, failure)
     return {key: donor for key, (_, donor) in newest.items()}
 
 
