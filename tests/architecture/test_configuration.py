@@ -9,9 +9,11 @@ from functools import cache
 from io import StringIO
 from typing import Any
 
+import hypothesis
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from tests.support.effort import LONG
 from tests.support.tree import PROJECT, modules, shown
 
 LOCK = PROJECT / "deploy" / "requirements.lock"
@@ -29,6 +31,10 @@ def declared() -> list[Requirement]:
     lists += table["dependency-groups"].values()
     lists.append(table["build-system"]["requires"])
     return [Requirement(entry) for entries in lists for entry in entries if not entry.startswith("drivecal[")]
+
+
+def test_properties_try_the_same_examples_everywhere_unless_the_long_form_is_chosen() -> None:
+    assert hypothesis.settings().derandomize is not LONG
 
 
 @cache

@@ -54,7 +54,8 @@ COUNTED = (
 
 
 def grow(database: Database, cells: int, problems: int, progress: Callable[[str], None]) -> None:
-    """Fills an empty database with about so many cells; every second group belongs to the first problem, the others take turns."""
+    """Fills an empty database with about so many cells; every second group has the first setups, the others take turns with those of
+    `problems` variants."""
     for number in range(problems):
         store(database, MANIFEST | {"problem": f"heater-{number}"})
     _carry_out(database)

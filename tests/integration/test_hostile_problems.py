@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import socket
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from tests.support.attacks import ATTACKS
 from tests.support.hostile import (
@@ -29,6 +31,8 @@ from tests.support.simulators import eventually, running
 from drivecal.client import Client
 
 pytestmark = pytest.mark.slow
+IDLE = 4
+"""Most processes of simulators without a run: two workers with two problems each. Their keepers work elsewhere."""
 
 
 def reach(server: Server, mark: str) -> dict[str, Any]:
@@ -45,6 +49,16 @@ def reach(server: Server, mark: str) -> dict[str, Any]:
 def processes(server: Server) -> set[int]:
     """The processes of the server and its workers; keepers of simulators are no children of theirs."""
     return {process.pid for process in server.family() if alive(process)}
+
+
+def inside(folder: Path) -> list[psutil.Process]:
+    """The processes that work in a folder or below, such as simulators."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.status() != psutil.STATUS_ZOMBIE and process.cwd().startswith(str(folder)):
+                found.append(process)
+    return found
 
 
 def test_every_attack_is_expected_to_cost_its_cell_or_nothing() -> None:
@@ -65,11 +79,15 @@ def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(tmp_path: 
 
         posted = {name: attack(client, name) for name in held_back(sorted(ATTACKS))}
         beside = client.wait(client.submit(NEIGHBOUR).id)
-        assert any(is_pending(client, identifier) for identifier in posted.values()), "the attacks did not outlast the campaign"
+        pending = [name for name, identifier in posted.items() if is_pending(client, identifier)]
+        assert len(pending) > len(posted) / 2, "the campaign waited for most of the attacks"
         assert (beside.state, beside.cells, beside.best) == ("succeeded", alone.cells, alone.best)
         cells = {name: ended(client, identifier) for name, identifier in posted.items()}
         lost = assert_costs(cells, CAUSES)
         assert (tmp_path / "home" / "push.secret").read_text() not in str(lost)
         assert {worker.id for worker in client.workers().items} == workers
         assert processes(server) == family
+        eventually(
+            lambda: running(mark) == [] and len(inside(temporary)) <= IDLE
+        )  # forks have no mark, but the folder of their run
     eventually(lambda: running(mark) == [] and list(temporary.rglob("drivecal-run-*")) == [])

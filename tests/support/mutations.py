@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import signal
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -16,7 +20,20 @@ SECONDS = 20
 STRANGE = (
     "", "0", "-1", "1e308", "-1e308", "nan", "inf", "1e-320", "0x10", "١", "1_0", "99999999999999999999", "a" * 300, "\u202e", "before",
     "before_0", ":b_0", "0,0", "0,0 0,0", "0,0 1e9,1e9", "0,0 1,1,1 2,2", "-0.0,5 5,-0.0", " ", "true", "internal", "driving", "0.1 0.2",
+    "/etc/passwd",
 )  # fmt: skip
+
+ROOT = Path(__file__).parents[2]
+PLACES = tuple(
+    os.path.realpath(place)
+    for place in (
+        tempfile.gettempdir(),
+        sys.prefix,
+        sys.base_prefix,
+        *(str(ROOT / name) for name in ("services", "workers", "shared", "deploy")),
+    )
+)
+"""What an attempt may open: temporary folders, installed packages, and modules and examples of drivecal."""
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:
@@ -84,6 +101,33 @@ def cut(content: bytes, chance: random.Random) -> bytes:
     return content[: chance.randrange(max(1, len(content)))] if chance.random() < 0.2 else content
 
 
+_strays: list[str] | None = None
+
+
+def _note(event: str, arguments: tuple[object, ...]) -> None:
+    if _strays is None or event != "open" or not isinstance(arguments[0], str | bytes):
+        return
+    path = os.path.realpath(os.fsdecode(arguments[0]))
+    if not path.startswith(PLACES):
+        _strays.append(path)
+
+
+sys.addaudithook(_note)  # stays as long as the process
+
+
+@contextmanager
+def at_home() -> Iterator[None]:
+    """Fails if Python opens a file elsewhere than in `PLACES`. Programs that it starts are not seen."""
+    global _strays  # noqa: PLW0603  # the hook of the process cannot be taken away
+    strays: list[str] = []
+    _strays = strays
+    try:
+        yield
+    finally:
+        _strays = None
+    assert not strays, strays
+
+
 @contextmanager
 def soon() -> Iterator[None]:
     """Fails after a while. The test's own time limit goes on afterwards."""
@@ -101,9 +145,9 @@ def soon() -> Iterator[None]:
 
 
 def outcome(attempt: Callable[[], object]) -> bool:
-    """Whether the attempt succeeds; any exception but InvalidInputError fails the test, and so does a hang."""
+    """Whether the attempt succeeds; any exception but InvalidInputError fails the test, and so does a hang or a file elsewhere."""
     problems: tuple[Problem, ...] = ()
-    with warnings.catch_warnings(), soon():
+    with warnings.catch_warnings(), soon(), at_home():
         warnings.simplefilter("error")
         try:
             attempt()

@@ -35,6 +35,7 @@ def dispatcher(silent: float = 0.5, states: tuple[str, ...] = ("idle",), degrade
         (dispatcher(silent=5), True, "the dispatcher has been silent for 5 s"),
         (dispatcher(silent=11), False, "the dispatcher has been silent for 11 s"),
         (dispatcher(silent=-3), True, None),
+        (dispatcher(silent=-3600), False, "the dispatcher's last heartbeat is later than this clock"),
     ],
 )
 def test_ready_is_who_can_have_a_campaign_simulated(found: StoredProcess | None, ready: bool, words: str | None) -> None:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from drivecal.api.live.dispatcher_health import SILENT_SECONDS, degraded, silence
+from drivecal.api.live.dispatcher_health import AHEAD, SILENT_SECONDS, degraded, silence
 from drivecal.api.responses import etag, list_etag, matches
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState
@@ -38,6 +38,10 @@ def campaign_revision(
 def test_a_silence_is_told_in_words_that_stay_the_same_for_a_while(seconds: float, said: str | None) -> None:
     found = silence(NOW - timedelta(seconds=seconds), NOW)
     assert found == (None if said is None else f"the dispatcher has been silent for {said}")
+
+
+def test_a_heartbeat_from_before_a_clock_was_set_back_hides_no_dispatcher_that_is_gone() -> None:
+    assert silence(NOW + timedelta(hours=1), NOW) == AHEAD
 
 
 def test_a_dispatcher_that_never_spoke_is_not_running() -> None:

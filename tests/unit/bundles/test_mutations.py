@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 from tests.support import effort
 from tests.support.effort import tries
-from tests.support.mutations import soon
+from tests.support.mutations import at_home, soon
 
 from drivecal.bundles.archives import executables, files_of, manifest_text, pack, remove, unpack
 from drivecal.bundles.expressions import Constraint, Formula, UndefinedError
@@ -31,6 +31,7 @@ STRANGE = [
     b"", b"\x00", b"../", b"/", b"..", b"\xff\xfe", b"\n", b"- ", b": ", b"{", b"]", b"&a ", b"*a", b"!!python/object:os.system ", b"1e999",
     b"-1", b"nan", b"9" * 400, b"[" * 400, b"(" * 400, b"=", b"**", b"__import__('os')", b"\xe2\x80\xae", b"PK\x01\x02", b"PK\x05\x06",
     b"\xff\xff\xff\xff", b"\x00\x00\x00\x80", b"\xa0\xff", b"'", b'"', b"|", b">", b"\t", b"true", b"0x10", b"2020-01-01", b"<<: ",
+    b"/etc/passwd",
 ]  # fmt: skip
 FORMULAS = [
     b"10*energy + 5*abs(comfort - 2)",
@@ -83,7 +84,7 @@ def rewritten(content: bytes, chance: random.Random) -> bytes:
 def taken(attempt: Callable[[], object]) -> bool:
     """Whether something is taken; otherwise the refusal names what is wrong."""
     refusal = None
-    with soon():
+    with soon(), at_home():
         try:
             attempt()
         except InvalidInputError as error:
@@ -128,6 +129,11 @@ def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_pat
     assert outside.read_text() == "content"
     assert any(results)
     assert not all(results)
+
+
+def test_a_file_that_is_opened_elsewhere_would_be_noticed() -> None:
+    with pytest.raises(AssertionError, match="/dev/null"), at_home():
+        Path("/dev/null").read_bytes()
 
 
 @pytest.mark.parametrize("name", sorted(path.parent.name for path in EXAMPLES.glob("*/problem.yaml")))

@@ -24,6 +24,8 @@ STEPS = (
 )
 """Coarse steps, so that the message about a silence, and with it the ETag, stays the same for a while."""
 NOT_STARTED = "no dispatcher is running"
+AHEAD = "the dispatcher's last heartbeat is later than this clock: a clock was set back, or those of two machines differ"
+"""Said of a heartbeat that is further ahead than GONE_AFTER_SECONDS. It would hide the end of a dispatcher until the clock reaches it."""
 
 
 def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
@@ -31,6 +33,8 @@ def silence(heartbeat_at: datetime | None, now: datetime) -> str | None:
     if heartbeat_at is None:
         return NOT_STARTED
     silent = (now - heartbeat_at) / timedelta(seconds=1)
+    if silent < -GONE_AFTER_SECONDS:
+        return AHEAD
     longest = next((words for seconds, words in reversed(STEPS) if silent > seconds), None)
     return None if longest is None else f"the dispatcher has been silent for more than {longest}"
 
@@ -54,7 +58,11 @@ class Judgement:
 
 def silent_seconds(dispatcher: StoredProcess, now: datetime) -> float:
     """Returns the time since the last heartbeat, not negative even if clocks differ."""
-    return max(0.0, (now - dispatcher.heartbeat_at) / timedelta(seconds=1))
+    return max(0.0, _age(dispatcher, now))
+
+
+def _age(dispatcher: StoredProcess, now: datetime) -> float:
+    return (now - dispatcher.heartbeat_at) / timedelta(seconds=1)
 
 
 def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
@@ -63,14 +71,17 @@ def judge(dispatcher: StoredProcess | None, now: datetime) -> Judgement:
         reason = "no dispatcher has started yet; `drivecal serve` starts one, and in a cluster its log says what keeps it"
         return Judgement(ready=False, problems=(reason,), silent=True)
     problems = []
-    silent = silent_seconds(dispatcher, now)
-    if silent > SILENT_SECONDS:
+    silent = _age(dispatcher, now)
+    gone = abs(silent) > GONE_AFTER_SECONDS
+    if gone and silent < 0:
+        problems.append(f"{AHEAD}; set them alike")
+    elif silent > SILENT_SECONDS:
         problems.append(
             f"the dispatcher has been silent for {silent:.0f} s; it is started again by itself, and its log says why"
         )
     if dispatcher.detail.get("degraded"):
         problems.append(str(dispatcher.detail["degraded"]))
-    if silent > GONE_AFTER_SECONDS:
+    if gone:
         return Judgement(ready=False, problems=tuple(problems), silent=True)
     states = [worker.get("state") for worker in dispatcher.detail.get("workers", [])]
     started = any(state != "starting" for state in states)

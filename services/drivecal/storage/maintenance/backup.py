@@ -8,13 +8,13 @@ at once, and an upgrade that was killed after that is completed by the next one.
 import os
 import sqlite3
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Table
+from sqlalchemy import URL, Connection, Table, event
 
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage.engine import locks, schema
@@ -195,15 +195,23 @@ def _copy_pages(source: Connection, target: Path, progress: Progress) -> None:
 
 
 def _copy_into_new(source: Connection, partial: Path, revision: str, progress: Progress) -> dict[str, int]:
-    with _opened(partial) as opened, opened.transaction() as target:
+    with _opened(partial, _trust) as opened, opened.transaction() as target:
         schema.upgrade(target, opened.name, revision)
         return copy_rows(source, target, progress)
 
 
+def _trust(connection: sqlite3.Connection, _record: object) -> None:
+    """Leaves foreign keys to the check of the whole file: a look at each row takes a quarter of the copy's time."""
+    connection.execute("PRAGMA foreign_keys = OFF")
+
+
 @contextmanager
-def _opened(file: Path) -> Iterator[Database]:
+def _opened(file: Path, prepare: Callable[[sqlite3.Connection, object], None] | None = None) -> Iterator[Database]:
     url = URL.create("sqlite+pysqlite", database=str(file))
-    database = Database(url, make_engine(url))
+    engine = make_engine(url)
+    if prepare is not None:
+        event.listen(engine, "connect", prepare)
+    database = Database(url, engine)
     try:
         yield database
     finally:
