@@ -69,6 +69,9 @@ campaigns_of_a_history = st.builds(
 )
 
 
+MIXED = ("influence", "certified", "predicted", "influence")
+
+
 class KilledError(Exception):
     """Stands for the end of the process."""
 
@@ -159,11 +162,27 @@ def dangling(connection: Connection) -> int:
 def test_whatever_is_pruned_and_killed_the_rest_is_whole_and_answers_as_before(
     history: list[Told], keep_best: int, killed_after: int | None
 ) -> None:
-    with fresh() as database, pytest.MonkeyPatch.context() as patch:
+    with fresh() as database:
+        prune_a_history(database, history, keep_best, killed_after)
+
+
+@pytest.mark.slow
+def test_on_postgresql_the_rest_is_whole_and_answers_as_before(postgres_url: str) -> None:
+    database = migrated(postgres_url)
+    history = [Told(kind, 1 + number % 2, number < 3, 0 if number == 3 else None) for number, kind in enumerate(MIXED)]
+    assert prune_a_history(database, history, 1, 3) > 0
+    database.dispose()
+
+
+def prune_a_history(database: Database, history: list[Told], keep_best: int, killed_after: int | None) -> int:
+    """Carries a history out and prunes it, in small portions, killed once; everything that stays has to answer as before. Returns the
+    number of cells that the first plan removes."""
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(retention, "SLICE", 7)
         patch.setattr(retention, "CAMPAIGNS", 1)
         made = tell(database, history)
         plan = planned(database, keep_best)
+        doomed: int = plan.doomed.cells
         prunable = {campaign.sequence for campaign in plan.selection.prunable}
         assert prunable <= {campaign.sequence for campaign, one in zip(made, history, strict=True) if one.old}
         kept = {campaign.sequence: answers(database, campaign) for campaign in made if campaign.sequence not in prunable}
@@ -188,6 +207,7 @@ def test_whatever_is_pruned_and_killed_the_rest_is_whole_and_answers_as_before(
                 left = ranking(database, campaign, resolved_spec(campaign), None).solutions(0, keep_best)
                 assert left == best[campaign.sequence]
         assert planned(database, keep_best).doomed.cells == 0
+    return doomed
 
 
 def dying(database: Database, transactions: int) -> Database:
