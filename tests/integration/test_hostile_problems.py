@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import socket
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 from tests.support.attacks import ATTACKS
 from tests.support.hostile import (
@@ -21,6 +19,7 @@ from tests.support.hostile import (
     attacker,
     ended,
     held_back,
+    inside,
     is_pending,
     push,
     push_attacker,
@@ -49,16 +48,6 @@ def reach(server: Server, mark: str) -> dict[str, Any]:
 def processes(server: Server) -> set[int]:
     """The processes of the server and its workers; keepers of simulators are no children of theirs."""
     return {process.pid for process in server.family() if alive(process)}
-
-
-def inside(folder: Path) -> list[psutil.Process]:
-    """The processes that work in a folder or below, such as simulators."""
-    found = []
-    for process in psutil.process_iter():
-        with suppress(psutil.Error):
-            if process.status() != psutil.STATUS_ZOMBIE and process.cwd().startswith(str(folder)):
-                found.append(process)
-    return found
 
 
 def test_every_attack_is_expected_to_cost_its_cell_or_nothing() -> None:

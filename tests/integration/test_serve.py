@@ -14,10 +14,16 @@ from typing import Any
 
 import httpx
 import psutil
+import psycopg
 import pytest
+from psycopg import sql
+from sqlalchemy import make_url
 from tests.support.command import refused
+from tests.support.hostile import NEIGHBOUR, WORKING, WORKS, inside, push
 from tests.support.serve import Server, gone, serving, until
 from tests.support.values import MIDDLE
+
+from drivecal.client import Client
 
 TOKEN, READER, MINE = "writer-0123456789abcdef", "reader-0123456789abcdef", "somebody-elses-0123456789"
 
@@ -99,6 +105,39 @@ def test_no_token_is_in_the_database(server: Server) -> None:
     assert any(posted.json()["id"].encode() in content for content in files.values())
     tokens = [token.encode() for token in (TOKEN, READER, MINE)]
     assert [name for name, content in files.items() for token in tokens if token in content] == []
+
+
+@pytest.mark.slow
+def test_the_password_of_the_database_is_told_to_nobody(
+    tmp_path: Path, postgres_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody but the server's own processes: not to simulators, logs, answers, tables and lists of processes."""
+    url = make_url(postgres_url).set(password=MINE).render_as_string(hide_password=False)
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))  # with the secret that allows to push
+    places = {"DRIVECAL_DATABASE_URL": url, "TMPDIR": str(tmp_path / "temporary")}
+    with (
+        serving(tmp_path, 1, 0, DRIVECAL_BACKEND="processes", DRIVECAL_LOG_LEVEL="debug", **places) as server,
+        Client(server.url) as client,
+    ):
+        push(client, tmp_path, WORKING, WORKS)
+        assert client.wait(client.submit(NEIGHBOUR).id).state == "succeeded"
+        simulators = inside(tmp_path / "temporary")
+        assert simulators
+        assert not [process for process in simulators if MINE in str(process.environ())]
+        assert not [process for process in psutil.process_iter(["cmdline"]) if MINE in str(process.info["cmdline"])]
+        told = [httpx.get(server.url + path, timeout=60).text for path in ("/readyz", "/metrics", "/api/v1/workers")]
+    assert MINE not in str(told)
+    assert MINE not in server.log.read_text()
+    with psycopg.connect(postgres_url) as connection:
+        tables = connection.execute(
+            "SELECT relname::text FROM pg_class WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
+        )
+        for (table,) in tables.fetchall():
+            found = sql.SQL("SELECT count(*) FROM {} t WHERE position({} IN t::text) > 0").format(
+                sql.Identifier(table), sql.Literal(MINE)
+            )
+            assert connection.execute(found).fetchone() == (0,), table
 
 
 def test_a_port_in_use_is_refused(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
 import yaml
 from tests.support import attacks
 from tests.support.attacks import ATTACKS
@@ -118,6 +120,16 @@ def ended(client: Client, identifier: str) -> EvaluatedCell:
     """The cell of a single evaluation, once it has ended."""
     until(lambda: not is_pending(client, identifier), identifier, 300)
     return client.evaluation(identifier).items[0]
+
+
+def inside(folder: Path) -> list[psutil.Process]:
+    """The processes that work in a folder or below, such as simulators."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            if process.status() != psutil.STATUS_ZOMBIE and process.cwd().startswith(str(folder)):
+                found.append(process)
+    return found
 
 
 def assert_costs(cells: Mapping[str, EvaluatedCell], causes: Mapping[str, str]) -> dict[str, str]:
