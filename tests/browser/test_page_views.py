@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from sqlalchemy import update
 from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, barriers_everywhere
 from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
@@ -19,7 +18,6 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
 from tests.support.server import RunningApi, serving
 
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.tables import campaigns
 
 STUDIED = WITH_ANALYSIS | {
     "robustness": {"delta": 0.2, "steps": 3, "samples": 2, "solutions": 3},
@@ -399,20 +397,3 @@ def test_tables_and_charts_are_exported(shown: Shown, opening: Opening, tmp_path
         assert pressed("CSV").startswith(numbers)
     page.get_by_role("button", name="CLI").click()
     expect(page.get_by_text(f"drivecal export {shown.campaign.id[:8]} --table generations")).to_be_visible()
-
-
-MARKUP = "<img src=x onerror='window.carriedOut = 1'><script>window.carriedOut = 1</script>"
-
-
-def test_a_name_in_markup_is_shown_letter_by_letter(opening: Opening, tmp_path: Path) -> None:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api:
-        campaign = run(api.database, submit(api.database), ComputedBackend(answer=influenced))
-        with api.database.transaction() as connection:
-            connection.execute(update(campaigns).values(name=MARKUP))
-        page = opening(f"{api.url}/#/")
-        views = ["", f"campaigns/{campaign.id}", f"campaigns/{campaign.id}/ranking", f"compare?a={campaign.id}&b={campaign.id}"]
-        for path in views:
-            page.goto(f"{api.url}/#/{path}")
-            expect(page.get_by_role("main").get_by_text(MARKUP).first).to_be_visible()
-            assert not page.evaluate("'carriedOut' in window")
-        page.close()

@@ -22,7 +22,7 @@ from tests.support.faults.lives import (
     wait_until_ended,
 )
 from tests.support.faults.report import noted
-from tests.support.faults.workload import ANALYSING, post, submit
+from tests.support.faults.workload import ANALYSING, draw_alike, post, submit
 from tests.support.serve import alive
 
 from drivecal.storage.engine.tables import campaigns
@@ -89,6 +89,7 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     first = server_on("postgresql")
     first.start_ready()
     accepted = submit(first.url)
+    draw_alike(first.database, accepted)
     life = Life(first, sum(len(one.tables["evaluations"]) for one in without_faults.values()), note=noted(first.database_url))
     life.note.accepted = len(accepted.campaigns)
     life.wait_for(Moment(0.3, 0.0), accepted)

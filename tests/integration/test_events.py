@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -16,7 +17,7 @@ from sqlalchemy import text
 from tests.support.serve import until
 from tests.support.server import RunningApi, free_port, new_database, serving
 
-from drivecal.api.live import streams
+from drivecal.api.live import dispatcher_health, streams
 from drivecal.api.routes import events as route
 from drivecal.client.client import Client
 from drivecal.client.event_stream import EventParser, ServerSentEvent
@@ -33,6 +34,7 @@ from drivecal.storage.engine.types import now
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "LOOK_SECONDS", 0.05)
+    monkeypatch.setattr(dispatcher_health, "GONE_AFTER_SECONDS", math.inf)  # `submit` lets its dispatcher live for centuries
 
 
 @pytest.fixture

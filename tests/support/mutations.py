@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,17 +24,11 @@ STRANGE = (
     "/etc/passwd",
 )  # fmt: skip
 
-ROOT = Path(__file__).parents[2]
 PLACES = tuple(
-    os.path.realpath(place)
-    for place in (
-        tempfile.gettempdir(),
-        sys.prefix,
-        sys.base_prefix,
-        *(str(ROOT / name) for name in ("services", "workers", "shared", "deploy")),
-    )
+    os.path.realpath(place) + os.sep
+    for place in (tempfile.gettempdir(), sys.prefix, sys.base_prefix, Path(__file__).parents[2])
 )
-"""What an attempt may open: temporary folders, installed packages, and modules and examples of drivecal."""
+"""What an attempt may open: temporary folders, installed packages, and this project, whose lines a warning's traceback shows."""
 
 
 def mutated(content: bytes, chance: random.Random) -> bytes:
@@ -101,15 +96,17 @@ def cut(content: bytes, chance: random.Random) -> bytes:
     return content[: chance.randrange(max(1, len(content)))] if chance.random() < 0.2 else content
 
 
-_strays: list[str] | None = None
+_watched: tuple[int, list[str]] | None = None
+"""The thread of an attempt, and what it opens elsewhere."""
 
 
 def _note(event: str, arguments: tuple[object, ...]) -> None:
-    if _strays is None or event != "open" or not isinstance(arguments[0], str | bytes):
+    if event != "open" or _watched is None or not isinstance(arguments[0], str | bytes):
         return
+    thread, strays = _watched
     path = os.path.realpath(os.fsdecode(arguments[0]))
-    if not path.startswith(PLACES):
-        _strays.append(path)
+    if thread == threading.get_ident() and not f"{path}{os.sep}".startswith(PLACES):
+        strays.append(path)
 
 
 sys.addaudithook(_note)  # stays as long as the process
@@ -117,14 +114,14 @@ sys.addaudithook(_note)  # stays as long as the process
 
 @contextmanager
 def at_home() -> Iterator[None]:
-    """Fails if Python opens a file elsewhere than in `PLACES`. Programs that it starts are not seen."""
-    global _strays  # noqa: PLW0603  # the hook of the process cannot be taken away
+    """Fails if Python opens a file elsewhere than in `PLACES` in this thread. Programs that it starts are not seen."""
+    global _watched  # noqa: PLW0603  # the hook of the process cannot be taken away
     strays: list[str] = []
-    _strays = strays
+    _watched = threading.get_ident(), strays
     try:
         yield
     finally:
-        _strays = None
+        _watched = None
     assert not strays, strays
 
 
