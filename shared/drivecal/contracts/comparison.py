@@ -12,6 +12,7 @@ from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
+    UNIQUE,
     Identifier,
     ProblemSpecification,
     ReductionMode,
@@ -42,12 +43,18 @@ class ComparisonSpecification(ProblemSpecification):
     kind: Literal["comparison"] = "comparison"
     name: Name = "comparison"
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
-    populations: Annotated[list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50)]
-    seeds: Annotated[list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS)]
+    populations: Annotated[
+        list[Annotated[int, Field(ge=2, le=LARGEST_POPULATION)]], Field(min_length=1, max_length=50, json_schema_extra=UNIQUE)
+    ]
+    seeds: Annotated[
+        list[Annotated[int, Field(ge=0, le=2**63 - 1)]], Field(min_length=3, max_length=LARGEST_RUNS, json_schema_extra=UNIQUE)
+    ]
     """At least three, as in the paper: fewer say nothing about chance."""
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     start: Literal["lhs", "halton"] = "halton"
-    reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20)] = Field(default_factory=lambda: EXACT_ALONE)
+    reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
+        default_factory=lambda: EXACT_ALONE
+    )
     """Modes, alone or with settings; only those that use a map or `narrow` get it. The others are compared with the first, seed by seed.
     Runs with references or predictions confirm up to 100 sets unless `confirm` is given."""
     at_a_time: Annotated[int, Field(ge=1, le=64)] = 4

@@ -7,6 +7,7 @@ checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` an
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -32,6 +33,19 @@ LARGEST_CONFIRM = 1_000
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""
+UNIQUE: dict[str, Any] = {"uniqueItems": True}
+"""Says in a JSON schema that no item comes twice. Checked elsewhere."""
+
+
+def _each_once(value: str | list[str]) -> str | list[str]:
+    if isinstance(value, list) and len(set(value)) != len(value):
+        raise ValueError("a scenario is listed twice; list each once")
+    return value
+
+
+_Scenarios = Annotated[list[Identifier], Field(min_length=1, max_length=1000, json_schema_extra=UNIQUE)]
+Catalogue = Annotated[Identifier | _Scenarios, AfterValidator(_each_once)]
+"""A catalogue of scenarios, or a list of their ids."""
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
 """A value per parameter: a number, or the text of a choice."""
@@ -295,7 +309,7 @@ class ProblemSpecification(Model):
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
     problem: ProblemName = HIGHWAY
     """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
-    catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
+    catalogue: Catalogue = "highway"
     """The scenarios: a catalogue, or a list of scenario ids; of a pushed problem all by default."""
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     """The searched space: a named one (of a pushed problem its own), or a list."""
@@ -311,13 +325,6 @@ class ProblemSpecification(Model):
     """Rates runs: `reference` or `learned` on the motorway, a score's name in a problem of yours (`reference`: its first one)."""
     sensitivity: MaybeSensitivity = None
     """A new analysis, a stored map, or neither."""
-
-    @field_validator("catalogue")
-    @classmethod
-    def _no_scenario_twice(cls, value: str | list[str]) -> str | list[str]:
-        if isinstance(value, list) and len(set(value)) != len(value):
-            raise ValueError("a scenario is listed twice; list each once")
-        return value
 
 
 class CampaignSpecification(ProblemSpecification):
@@ -377,7 +384,7 @@ class InfluenceMapSpecification(Model):
 
     name: Name = "influence map"
     problem: ProblemName = HIGHWAY
-    catalogue: Identifier | Annotated[list[Identifier], Field(min_length=1, max_length=1000)] = "highway"
+    catalogue: Catalogue = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     driving_function: Identifier = "frenet"
     scenarios: Annotated[

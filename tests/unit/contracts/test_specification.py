@@ -53,6 +53,27 @@ def with_value(path: str, value: object) -> dict[str, Any]:
     return document
 
 
+@pytest.mark.parametrize(
+    ("model", "field"),
+    [
+        (CampaignSpecification, "catalogue"),
+        (InfluenceMapSpecification, "catalogue"),
+        (ComparisonSpecification, "catalogue"),
+        (ComparisonSpecification, "populations"),
+        (ComparisonSpecification, "seeds"),
+        (ComparisonSpecification, "reductions"),
+    ],
+)
+def test_the_schema_says_which_lists_hold_everything_once(model: type[BaseModel], field: str) -> None:
+    described = model.model_json_schema()["properties"][field]
+    lists = [each for each in [described, *described.get("anyOf", [])] if each.get("type") == "array"]
+    assert [each["uniqueItems"] for each in lists] == [True]
+
+
+def test_a_posted_map_lists_each_scenario_once() -> None:
+    assert refused_at(InfluenceMapSpecification, {"catalogue": ["S1", "S1"], "scenarios": {"S1": {}}}) == ["catalogue"]
+
+
 def refused_at(model: type[BaseModel], document: object) -> list[str]:
     with pytest.raises(ValidationError) as refused:
         model.model_validate(document)
