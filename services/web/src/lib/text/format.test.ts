@@ -1,4 +1,4 @@
-import { afterEach, describe, expect, test } from "vitest";
+import { afterEach, describe, expect, test, vi } from "vitest";
 import { ago, capital, clock, duration, measured, number, percent, rounded, scored, spaced, tolerated, yesNo } from "./format";
 
 test("a part is never rounded to nothing, nor to the whole", () => {
@@ -44,11 +44,7 @@ describe("times", () => {
     expect(ago("2026-01-02T12:00:05Z", now)).toBe("just now");
   });
 
-  const zone = process.env.TZ;
-  afterEach(() => {
-    if (zone === undefined) delete process.env.TZ;
-    else process.env.TZ = zone;
-  });
+  afterEach(() => vi.unstubAllEnvs());
 
   test.each([
     ["UTC", "00:30:00", "24 Oct 2026"],
@@ -56,7 +52,7 @@ describe("times", () => {
     ["Pacific/Apia", "13:30:00", "25 Oct 2026"],
     ["America/St_Johns", "22:00:00", "24 Oct 2026"],
   ])("are those of the reader's zone %s, and ages the same in all, where a clock was set back as well", (name, time, day) => {
-    process.env.TZ = name;
+    vi.stubEnv("TZ", name);
     expect(clock("2026-10-25T00:30:00Z")).toBe(time); // 02:30 in Berlin, for the first time
     expect(ago("2026-10-24T23:30:00Z", Date.parse("2026-10-26T00:00:00Z"))).toBe(day);
     expect(ago("2026-10-25T00:30:00Z", Date.parse("2026-10-25T01:30:00Z"))).toBe("1 h ago"); // 02:30, for the second time
