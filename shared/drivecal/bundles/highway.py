@@ -10,8 +10,8 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, model_validat
 
 from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
-from drivecal.contracts.specification import Identifier, Model, Number
-from drivecal.contracts.strict_json import ONE_LINE, Choice, Outside
+from drivecal.contracts.specification import Model
+from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number, Outside
 
 CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]

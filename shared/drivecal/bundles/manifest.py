@@ -11,8 +11,8 @@ from pydantic import Field, StringConstraints
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
-from drivecal.contracts.specification import Identifier, Model, Number
-from drivecal.contracts.strict_json import Choice
+from drivecal.contracts.specification import Model
+from drivecal.contracts.strict_json import Choice, Identifier, Number
 from drivecal.domain.scales import Direction, Scale
 
 

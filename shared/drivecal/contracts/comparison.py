@@ -12,13 +12,11 @@ from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
-    UNIQUE,
-    Identifier,
     ProblemSpecification,
     ReductionMode,
     ReductionSpecification,
 )
-from drivecal.contracts.strict_json import Label, Name
+from drivecal.contracts.strict_json import UNIQUE, Identifier, Label, Name
 
 AnyReduction = ReductionMode | ReductionSpecification
 EXACT_ALONE: list[AnyReduction] = ["exact"]

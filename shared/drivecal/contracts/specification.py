@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from drivecal.contracts.strict_json import Choice, Name
+from drivecal.contracts.strict_json import UNIQUE, Choice, Identifier, Name, Number, ProblemName
 from drivecal.domain.scales import Scale
 
 HIGHWAY = "highway"
@@ -29,12 +29,6 @@ HIGHWAY = "highway"
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
 LARGEST_CONFIRM = 1_000
-
-Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
-ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
-"""Name of a problem, or digest of a bundle."""
-UNIQUE: dict[str, Any] = {"uniqueItems": True}
-"""Says in a JSON schema that no item comes twice. Checked elsewhere."""
 
 
 def _each_once(value: str | list[str]) -> str | list[str]:
@@ -46,7 +40,6 @@ def _each_once(value: str | list[str]) -> str | list[str]:
 _Scenarios = Annotated[list[Identifier], Field(min_length=1, max_length=1000, json_schema_extra=UNIQUE)]
 Catalogue = Annotated[Identifier | _Scenarios, AfterValidator(_each_once)]
 """A catalogue of scenarios, or a list of their ids."""
-Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Values = Annotated[dict[Identifier, Number | Choice], Field(max_length=200)]
 """A value per parameter: a number, or the text of a choice."""
 

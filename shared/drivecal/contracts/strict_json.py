@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, StringConstraints, ValidationInfo
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, StringConstraints, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
@@ -164,3 +164,9 @@ Address = Annotated[
     Outside(rf"^#/[^\x00-\x1f{_STEERING}]*$"),
 ]
 """A view of the page: the part of its URL from `#/` on."""
+Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
+ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+"""Name of a problem, or digest of a bundle."""
+UNIQUE: dict[str, Any] = {"uniqueItems": True}
+"""Says in a JSON schema that no item comes twice. Checked elsewhere."""
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
