@@ -26,6 +26,8 @@ LOST = "WebSocket"
 """Part of the complaint about a server that is gone."""
 GONE = (LOST, "ERR_CONNECTION_", "ERR_EMPTY_RESPONSE", "ERR_INCOMPLETE_CHUNKED_ENCODING")
 """Complaints of a page whose server ends, between two requests or in one."""
+BUSY = re.compile("Loading|Reading|Counting")
+"""Words of a view that is not there yet."""
 DESKTOP, PHONE = ViewportSize(width=1280, height=900), ViewportSize(width=390, height=844)
 
 
@@ -34,7 +36,7 @@ def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, lis
     width counts as well. Skips where axe-core is not there."""
     if not AXE.is_file():
         pytest.skip("axe-core is not there: `make test` could not fetch it")
-    expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting"))
+    expect(page.get_by_role("main")).not_to_contain_text(BUSY)
     if not page.evaluate("'axe' in window"):
         page.evaluate(AXE.read_text())
     options = {"resultTypes": ["violations"]} | ({"runOnly": ["color-contrast"]} if contrast_alone else {})
@@ -178,6 +180,6 @@ def away_and_back(page: Page, address: str) -> None:
     expect(page.get_by_text(re.compile("^(Nothing to rank|No evaluation|No campaign|No problem) "))).to_have_count(0)
     page.context.set_offline(False)
     expect(page.get_by_text(re.compile("Connection lost|cannot be reached"))).to_have_count(0)
-    expect(page.get_by_role("main")).not_to_contain_text(re.compile("Loading|Reading|Counting"))
+    expect(page.get_by_role("main")).not_to_contain_text(BUSY)
     expect(page.locator("main h1")).to_be_visible()
     assert page.evaluate("window.neverReloaded")

@@ -30,8 +30,9 @@ from tests.support.simulators import eventually, running
 from drivecal.client import Client
 
 pytestmark = pytest.mark.slow
-IDLE = 4
-"""Most processes of simulators without a run: two workers with two problems each. Their keepers work elsewhere."""
+IDLE = 6
+"""Most processes of simulators without a run: two workers, each with one for every scenario of both problems. Their keepers work
+elsewhere."""
 
 
 def reach(server: Server, mark: str) -> dict[str, Any]:
@@ -68,15 +69,13 @@ def test_an_attack_costs_its_cell_and_nothing_of_a_campaign_beside_it(tmp_path: 
 
         posted = {name: attack(client, name) for name in held_back(sorted(ATTACKS))}
         beside = client.wait(client.submit(NEIGHBOUR).id)
-        pending = [name for name, identifier in posted.items() if is_pending(client, identifier)]
-        assert len(pending) > len(posted) / 2, "the campaign waited for most of the attacks"
+        assert any(is_pending(client, identifier) for identifier in posted.values()), "the campaign waited for all attacks"
         assert (beside.state, beside.cells, beside.best) == ("succeeded", alone.cells, alone.best)
         cells = {name: ended(client, identifier) for name, identifier in posted.items()}
         lost = assert_costs(cells, CAUSES)
         assert (tmp_path / "home" / "push.secret").read_text() not in str(lost)
         assert {worker.id for worker in client.workers().items} == workers
         assert processes(server) == family
-        eventually(
-            lambda: running(mark) == [] and len(inside(temporary)) <= IDLE
-        )  # forks have no mark, but the folder of their run
-    eventually(lambda: running(mark) == [] and list(temporary.rglob("drivecal-run-*")) == [])
+        # forks have no mark, but the folder of their run
+        eventually(lambda: running(mark) == [] and len(inside(temporary)) <= IDLE)
+    eventually(lambda: running(mark) == [] and inside(temporary) == [] and list(temporary.rglob("drivecal-run-*")) == [])

@@ -107,13 +107,20 @@ def test_whatever_is_pruned_and_killed_the_rest_is_whole_and_answers_as_before(
 def test_on_postgresql_the_rest_is_whole_and_answers_as_before(postgres_url: str) -> None:
     database = migrated(postgres_url)
     history = [Told(kind, 1 + number % 2, number < 3, 0 if number == 3 else None) for number, kind in enumerate(MIXED)]
-    assert prune_a_history(database, history, 1, 3) > 0
+    assert prune_a_history(database, history, 1, 10, is_killed=True) > 0
     database.dispose()
 
 
-def prune_a_history(database: Database, history: list[Told], keep_best: int, killed_after: int | None) -> int:
-    """Carries a history out and prunes it, in small portions, killed once; everything that stays has to answer as before. Returns the
-    number of cells that the first plan removes."""
+def prune_a_history(
+    database: Database,
+    history: list[Told],
+    keep_best: int,
+    killed_after: int | None,
+    *,
+    is_killed: bool = False,
+) -> int:
+    """Carries a history out and prunes it, in small portions, killed once unless it has too few (`is_killed`: it has not); everything
+    that stays has to answer as before. Returns the number of cells that the first plan removes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(retention, "SLICE", 7)
         patch.setattr(retention, "CAMPAIGNS", 1)
@@ -129,7 +136,7 @@ def prune_a_history(database: Database, history: list[Told], keep_best: int, kil
             if campaign.sequence in prunable
         }
         if killed_after is not None:
-            with suppress(KilledError):
+            with pytest.raises(KilledError) if is_killed else suppress(KilledError):
                 carry_out(dying(database, killed_after), plan)
             assert problems(database) == []
             plan = planned(database, keep_best)

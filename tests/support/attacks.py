@@ -183,7 +183,7 @@ def reads_the_secret(data: Data) -> None:
 def reads_the_environment(data: Data) -> None:
     for process in Path("/proc").glob("[0-9]*"):  # workers and its own keeper among them
         with contextlib.suppress(OSError):
-            if b"DRIVECAL_HOME=" in (process / "environ").read_bytes():
+            if process.name != str(os.getpid()) and (process / "environ").read_bytes():
                 raise RuntimeError(process)
     raise RuntimeError(Path(f"/proc/{data['server']}/environ").read_text())
 

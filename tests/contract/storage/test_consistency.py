@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,10 +20,12 @@ from drivecal.campaigns.resolve.maps import stored_map
 from drivecal.campaigns.results import verification
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
+from drivecal.domain.errors import DatabaseError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.reduction.keys import keys_under
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
+from drivecal.storage.maintenance import backup
 from drivecal.storage.references import influence_maps, reference_keys, setups
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
@@ -266,7 +269,8 @@ def test_numbers_that_are_taken_are_found(filled: Database) -> None:
     assert re.search(r"\bruns\b.*\b6\b.*\b227\b", found)
 
 
-def test_rows_that_point_nowhere_are_found(filled: Database) -> None:
+def test_rows_that_point_nowhere_are_found_and_not_backed_up(filled: Database, tmp_path: Path) -> None:
+    (tmp_path / "backups").mkdir()
     with filled.transaction() as connection:
         connection.execute(text("UPDATE evaluations SET run_id = 1 WHERE run_id = 7"))
     with filled._engine.connect() as connection:  # a connection that checks nothing
@@ -279,6 +283,9 @@ def test_rows_that_point_nowhere_are_found(filled: Database) -> None:
         connection.execute(text("DELETE FROM setups WHERE id = 1"))
         connection.commit()
     assert any("storage" in one and "setups" in one for one in problems(filled))
+    with pytest.raises(DatabaseError, match="setups"):
+        backup.write(filled, tmp_path / "backups" / "backup.db", lambda *_: None)
+    assert list((tmp_path / "backups").iterdir()) == []
 
 
 def test_documents_that_are_none_are_found(filled: Database) -> None:

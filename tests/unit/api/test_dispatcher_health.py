@@ -52,5 +52,5 @@ def test_a_dispatcher_that_died_degraded_is_silent_first_and_degraded_second() -
     assert (judgement.ready, judgement.silent, len(judgement.problems)) == (False, True, 2)
 
 
-def test_a_clock_that_is_ahead_makes_no_negative_age() -> None:
-    assert silent_seconds(dispatcher(silent=-3), NOW) == 0.0
+def test_an_age_is_never_negative_and_large_if_clocks_differ_much() -> None:
+    assert [silent_seconds(dispatcher(silent=age), NOW) for age in (-3, 2, -3600)] == [0.0, 2.0, 3600.0]

@@ -57,8 +57,9 @@ class Judgement:
 
 
 def silent_seconds(dispatcher: StoredProcess, now: datetime) -> float:
-    """Returns the time since the last heartbeat, not negative even if clocks differ."""
-    return max(0.0, _age(dispatcher, now))
+    """Returns the time since the last heartbeat; how far it is ahead, if that is more than GONE_AFTER_SECONDS; else 0."""
+    age = _age(dispatcher, now)
+    return -age if age < -GONE_AFTER_SECONDS else max(0.0, age)
 
 
 def _age(dispatcher: StoredProcess, now: datetime) -> float:
