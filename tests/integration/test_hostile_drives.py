@@ -1,6 +1,6 @@
 """Damaged networks, route files and scenario files that pass the check of a push: a worker's session drives them, or names a cause.
 
-20 drives in `make test`, 200 in `make test-slow`, 500 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
+10 drives in `make test`, 200 in `make test-slow`, 500 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SUBJECTS: dict[str, tuple[str, dict[str, Any]]] = {
     "cut_out": ("scenarios/cut_out.xosc", {"openscenario": "scenarios/cut_out.xosc", "duration": 4}),
 }
 """The damaged file, and the scenario that reads it."""
-DRIVES = {"few": 4, "many": int(os.environ.get("DRIVECAL_DRIVES") or tries(40, 100))}
+DRIVES = {"few": 2, "many": int(os.environ.get("DRIVECAL_DRIVES") or tries(40, 100))}
 """Drives of each subject."""
 
 

@@ -128,7 +128,7 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.slow("planner")
+@pytest.mark.slow("planner", "steering", "trajectory", "acceleration")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS]
@@ -178,6 +178,7 @@ def folders() -> Iterator[list[str]]:
 
 
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+@pytest.mark.slow("settings", "link")
 @pytest.mark.parametrize("kind", ["settings", "link", "numba"])
 def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
     code = LEAVES.replace("FOLDERS", repr(folders)).replace("KIND", kind)
