@@ -19,7 +19,7 @@ $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (twelve minutes)
+test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (a quarter of an hour)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
@@ -29,7 +29,7 @@ test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: who
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
 
-test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (two hours)
+test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (more than two hours)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@failed=0; export DRIVECAL_LONG=1; \

@@ -33,7 +33,7 @@ from drivecal.configuration.settings import load_settings
 
 TOKEN = "writer-0123456789abcdef"
 HEADERS = {"Authorization": f"Bearer {TOKEN}"}
-EXAMPLES = tries(2, 100)
+EXAMPLES = tries(2, 40)
 LONGEST_SECONDS = tries(900, 3600)
 """For all operations together."""
 SMALL: dict[str, Any] = {"sensitivity": None, "catalogue": ["S1", "S4"], "optimizer": {"population": 10, "iterations": 2}}
