@@ -140,6 +140,7 @@ def prune_a_history(
                 carry_out(dying(database, killed_after), plan)
             assert problems(database) == []
             plan = planned(database, keep_best)
+            assert not is_killed or 0 < plan.doomed.cells < doomed, "it was killed among the cells"
         carry_out(database, plan)
         assert problems(database) == []
         with database.read() as connection:
