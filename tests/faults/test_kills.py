@@ -32,7 +32,7 @@ from tests.support.faults.postgres import KillablePostgres
 
 DATABASES = ("sqlite", "postgresql")
 BACKENDS = ("ray", "processes", "processes", "processes")
-"""Of the lives in turn. After each kill Ray takes longer to start than everything else."""
+"""Backends of the lives, in turn. A server with Ray needs longer to start after each kill."""
 LIVES, KILLS_IN_A_LIFE = 20, 10
 KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
