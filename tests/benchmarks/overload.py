@@ -21,7 +21,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-import yaml
+from tests.support.hostile import push
 
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client import Client
@@ -40,23 +40,14 @@ def evaluate(parameters, data):
         pass
     return {{"y": parameters["x1"]}}
 """
-
-
-def push(client: Client) -> None:
-    """Pushes a problem whose cells compute."""
-    manifest = {
-        "problem": "quick",
-        "parameters": {f"x{number}": {"lower": 0, "upper": 1} for number in range(1, 7)},  # so many that no set comes twice
-        "simulator": {"kind": "python", "file": "cell.py", "timeout": 60, "memory_mb": 300, "deterministic": True},
-        "scenarios": {"one": {}, "two": {}},
-        "measures": {"y": "1"},
-        "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
-    }
-    bundle = HOME / "quick"
-    bundle.mkdir()
-    (bundle / "problem.yaml").write_text(yaml.safe_dump(manifest))
-    (bundle / "cell.py").write_text(CODE)
-    client.push_problem(bundle)
+MANIFEST: dict[str, Any] = {
+    "problem": "quick",
+    "parameters": {f"x{number}": {"lower": 0, "upper": 1} for number in range(1, 7)},  # so many that no set comes twice
+    "simulator": {"kind": "python", "file": "cell.py", "timeout": 60, "memory_mb": 300, "deterministic": True},
+    "scenarios": {"one": {}, "two": {}},
+    "measures": {"y": "1"},
+    "scores": {"cost": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
+}
 
 
 def document(population: int, iterations: int, seed: int) -> dict[str, Any]:
@@ -113,7 +104,7 @@ def main() -> int:
     # the secret in its home lets this client push
     os.environ |= {"DRIVECAL_HOME": str(HOME), "DRIVECAL_BACKEND": "processes", "DRIVECAL_WORKERS": "2"}
     with fresh_folder(HOME), coordinator(HOME) as client:
-        push(client)
+        push(client, HOME, MANIFEST, CODE)
         one(client, 1)  # starts the simulators
         seconds["alone"] = one_by_one(client, range(100, 100 + runs))
         seconds["at once"] = at_once(client, range(200, 200 + runs))
