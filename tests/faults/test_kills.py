@@ -33,7 +33,7 @@ from tests.support.faults.postgres import KillablePostgres
 DATABASES = ("sqlite", "postgresql")
 BACKENDS = ("ray", "processes", "processes", "processes")
 """Backends of the lives, in turn. A server with Ray needs longer to start after each kill."""
-LIVES, KILLS_IN_A_LIFE = 20, 10
+LIVES, KILLS_IN_A_LIFE = 10, 20
 KINDS: tuple[Fault, ...] = (kill_dispatcher, kill_dispatcher, kill_supervisor, kill_everything)
 
 SMALL: dict[str, dict[str, Any]] = {

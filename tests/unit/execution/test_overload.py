@@ -7,14 +7,17 @@ from collections import Counter
 import pytest
 from tests.support.plant import TARGET, Plant, cells
 
+from drivecal.execution.scheduling.batching import BatchPolicy
+
 MANY = 2_500
 """Cells of the large campaign for each worker that wait at a time."""
 SMALL = 100
 """Cells of a small campaign for each worker: ten times the work that workers hold when it comes."""
 COST = {"S1": 0.05, "S2": 0.05}
 GENERATIONS, POPULATION = 4, 12
-WAIT = 2 * TARGET
-"""Seconds that the cells of a generation wait at most for their first turn: for the running batch of a worker and the one behind it."""
+WAIT, WAIT_LATER = 2 * TARGET, 2 * BatchPolicy().beside_small_seconds
+"""Seconds that the cells of a generation wait at most for their first turn, of the first two and of each later one: for the running batch
+of a worker and the one behind it, which are long if they were sent before the campaign came."""
 
 
 def time_alone(workers: int, scenario: str, count: int, cost: dict[str, float]) -> float:
@@ -65,7 +68,7 @@ def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
 
 
 @pytest.mark.parametrize("workers", [1, 2, 8])
-def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_a_second_for_each(
+def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_little_more(
     workers: int,
 ) -> None:
     alone = seconds_of_generations(warm(workers, COST), "small", 500_001)
@@ -74,8 +77,32 @@ def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_it
     plant.run(until=plant.now + 10.0)
     for number in range(10):
         took = seconds_of_generations(plant, f"small {number}", 500_001 + 1_000 * number)
-        assert took <= 3 * alone + GENERATIONS * WAIT
+        assert took <= 3 * alone + 2 * WAIT + (GENERATIONS - 2) * WAIT_LATER
+        plant.run(until=plant.now + 6.0)  # until the batches are long again
     assert plant.scheduler.held("large") > 0
+
+
+def cells_of_batches(plant: Plant, tag: str) -> list[int]:
+    """Cells of the batches that a campaign gets within four seconds."""
+    before = len(plant.order)
+    plant.run(until=plant.now + 4.0)
+    return [count for whose, _, count in plant.order[before:] if whose == tag]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 8])
+def test_batches_are_short_beside_a_small_campaign_only(workers: int) -> None:
+    """A short batch costs the dispatcher as much as a long one."""
+    long, short = int(TARGET / COST["S1"]), int(BatchPolicy().beside_small_seconds / COST["S1"])
+    plant = warm(workers, COST)
+    plant.now += 10.0
+    plant.add("large", "S1", cells(MANY * workers))
+    plant.add("as large", "S2", cells(MANY * workers, first=200_001))
+    assert set(cells_of_batches(plant, "large")) == {long}
+    plant.add("small", "S2", cells(POPULATION, first=500_001))
+    seconds_until_done(plant, "small")
+    assert set(cells_of_batches(plant, "large")) == {short}
+    plant.run(until=plant.now + 2.0)
+    assert set(cells_of_batches(plant, "large")) == {long}, "the small campaign is over"
 
 
 @pytest.mark.parametrize("workers", [2, 8])

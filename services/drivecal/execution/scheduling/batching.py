@@ -14,6 +14,8 @@ class BatchPolicy:
     """Target sizes. A batch costs the dispatcher about 8 ms besides its cells: batches of 0.5 s lose less than 1 % of two cores to it."""
 
     target_seconds: float = 0.5
+    beside_small_seconds: float = 0.1
+    """Target beside a small campaign, which waits for running batches in each of its generations."""
     shortest_seconds: float = 0.04
     """Batches shrink to this towards the end of the queue."""
     largest: int = 128
@@ -70,10 +72,13 @@ def _note(known: dict[K, V], key: K, value: V) -> None:
         del known[next(iter(known))]
 
 
-def batch_size(policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int) -> int:
-    """Returns the size of the next batch: `target_seconds` of work, at most half a worker's share of the waiting work (guided
-    self-scheduling), and a single cell before the first measurement."""
+def batch_size(
+    policy: BatchPolicy, seconds_per_cell: float | None, waiting_seconds: float, workers: int, *, beside_small: bool = False
+) -> int:
+    """Returns the size of the next batch: the target's seconds of work, at most half a worker's share of the waiting work (guided
+    self-scheduling), and a single cell before the first measurement. `beside_small`: whether a small campaign needs workers as well."""
     if seconds_per_cell is None:
         return 1
+    target = min(policy.target_seconds, policy.beside_small_seconds) if beside_small else policy.target_seconds
     share = max(waiting_seconds / (2 * max(workers, 1)), policy.shortest_seconds)
-    return max(1, min(math.floor(min(policy.target_seconds, share) / seconds_per_cell), policy.largest))
+    return max(1, min(math.floor(min(target, share) / seconds_per_cell), policy.largest))

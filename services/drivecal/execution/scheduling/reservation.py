@@ -1,10 +1,12 @@
-"""Workers kept for quick cells: a long batch is never taken back from its worker, so that it must not take the last one. Pure.
+"""Room for quick cells: a long batch is never taken back from its worker, so that it must not take the last one. Pure.
 
 A cell that takes longer than `LONG_SECONDS`, or that was never measured, is long. A campaign whose last cells were not long is quick. While
 quick campaigns of the same or a higher priority need workers, the long cells of all campaigns together hold at most their share of them. No
-worker is kept for a campaign that may come later: it waits for a long cell at most.
+worker is kept for a campaign that may come later: it waits for a long cell at most. A quick campaign with little work at a time is small:
+beside it, the batches of others are short.
 """
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -14,6 +16,8 @@ LONG_SECONDS = 5.0
 """Cells of this time share the workers by turns alone: nothing waits long for them."""
 REMEMBERED_SECONDS = 5.0
 """Time for which a quick campaign without waiting cells keeps its workers: between two generations, for instance."""
+SMALL_SECONDS = 2.0
+"""Most work at a time of a small campaign, for each worker: four batches."""
 
 
 @dataclass(slots=True)
@@ -23,6 +27,8 @@ class _Campaign:
     is_quick: bool = False
     cells: int = 0
     """Cells that it had at most at a time since it last had none."""
+    seconds_per_cell: float = math.inf
+    """Of its last batch; infinite if never measured."""
     seen: float = 0.0
 
 
@@ -55,10 +61,22 @@ class Reservation:
         known = self._campaigns.get((line.priority, line.tag))
         if known is not None:
             known.is_quick, known.seen = not self.is_long(seconds_per_cell), self._now
+            known.seconds_per_cell = math.inf if seconds_per_cell is None else seconds_per_cell
 
     def forget(self, tag: str) -> None:
         """Forgets a campaign."""
         self._campaigns = {place: known for place, known in self._campaigns.items() if place[1] != tag}
+
+    def is_beside_small(self, line: Line, workers: int) -> bool:
+        """Returns whether another campaign, of the same or a higher priority, has had little work at a time lately."""
+        return any(
+            place[0] >= line.priority
+            and place[1] != line.tag
+            and known.is_quick
+            and self._now - known.seen <= REMEMBERED_SECONDS
+            and known.cells * known.seconds_per_cell <= SMALL_SECONDS * workers
+            for place, known in self._campaigns.items()
+        )
 
     def most(self, line: Line, waiting: Collection[Line], workers: int) -> int:
         """Returns how many of `workers` may run long batches, at least one. `line` wants another; `waiting`: lines with waiting cells."""

@@ -288,7 +288,9 @@ class Scheduler:
             return 1
         cost = self._costs.seconds_per_cell(group.setup)
         waiting = self._costs.seconds(self._queue.simulations(group.line.priority))
-        return batch_size(self._policy, cost, waiting, self._worker_health.ready)
+        workers = self._worker_health.ready
+        beside_small = self._reservation.is_beside_small(group.line, workers)
+        return batch_size(self._policy, cost, waiting, workers, beside_small=beside_small)
 
     def _dispatch(self, worker: str, group: ClaimGroup, most: int) -> Dispatch:
         sent = _Sent(worker, group.line, self._queue.take(group, most), alone=group.avoid is not None)
