@@ -33,11 +33,12 @@ def files() -> list[str]:
 
 def own_scale(tree: ast.Module) -> list[int]:
     """The lines with the upper end of the comfort score, or words and names of it."""
-    constants = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
+    nodes = list(ast.walk(tree))
+    constants = [node for node in nodes if isinstance(node, ast.Constant)]
     numbers = [node.lineno for node in constants if type(node.value) in {int, float} and node.value == 7]
     texts = [node for node in constants if isinstance(node.value, str)]
     said = [node.lineno for node in texts if re.search(r"manoeuvre|\b(one|whole|a) points?\b|0 to 7|0\.\.7", str(node.value))]
-    named = [getattr(node, "lineno", 0) for node in ast.walk(tree) for name in names(node) if "manoeuvre" in name.lower()]
+    named = [getattr(node, "lineno", 0) for node in nodes for name in names(node) if "manoeuvre" in name.lower()]
     return [*numbers, *said, *named]
 
 

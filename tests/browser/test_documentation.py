@@ -53,6 +53,7 @@ def test_every_page_opens_without_a_complaint(api: RunningApi, opening: Opening,
         expect(page.locator("h1").first).to_be_visible()
 
 
+@pytest.mark.slow
 def test_the_documentation_of_the_api_asks_no_other_host(api: RunningApi, opening: Opening) -> None:
     page = opening(f"{api.url}/docs")
     expect(page.get_by_role("heading", name="drivecal")).to_be_visible()

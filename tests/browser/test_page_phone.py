@@ -118,6 +118,7 @@ def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, 
     expect(axis).to_have_attribute("aria-valuetext", "all")
 
 
+@pytest.mark.slow
 def test_rows_keep_their_names_when_a_table_is_scrolled_sideways(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at("ranking"), phone=True)
     place, first = page.get_by_role("grid"), page.get_by_role("gridcell").first
@@ -146,6 +147,7 @@ def test_names_of_rows_stay_whole_words(shown: Shown, opening: Opening) -> None:
     assert too_wide(page) == []
 
 
+@pytest.mark.slow
 def test_what_a_button_opens_comes_into_sight(shown: Shown, touched: Page) -> None:
     touched.goto(shown.at("overview"))
     touched.get_by_role("button", name="Replay in S2").tap()

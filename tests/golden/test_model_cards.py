@@ -47,6 +47,7 @@ def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_hal
     assert np.all(errors["plain"] <= errors["converted"])
 
 
+@pytest.mark.slow
 def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
     """The first two manoeuvres represent all forty."""
     recordings = vehicle.record_all((*TRAINED, UNSEEN), 2, vehicle.SEED + 1000)

@@ -93,6 +93,7 @@ def test_an_unknown_campaign_is_not_found(run: Run, command: str, identifier: st
     assert "`drivecal list`" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_prefix_of_several_ids_is_not_found(run: Run) -> None:
     for _ in range(17):  # two of them begin with the same character
         run("submit", "-", stdin="{}")
@@ -174,6 +175,7 @@ def test_several_campaigns_stand_in_one_table(run: Run, api: RunningApi, submitt
     assert run("top", "0" * 32).exit_code == 5
 
 
+@pytest.mark.slow
 def test_the_live_table_ends_with_ctrl_c(api: RunningApi, submitted: str) -> None:
     screen, terminal = pty.openpty()
     process = subprocess.Popen(
@@ -218,6 +220,7 @@ def test_solutions_are_ranked_by_other_weights(run: Run, api: RunningApi, submit
     assert (wrong.exit_code, "--weights: S1 " in wrong.stderr) == (2, True)
 
 
+@pytest.mark.slow
 def test_a_rerun_needs_an_ended_campaign(run: Run, api: RunningApi, submitted: str) -> None:
     early = run("rerun", submitted, "--weights", "S1=2")
     assert early.exit_code == 1

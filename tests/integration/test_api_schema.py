@@ -151,6 +151,7 @@ def answered(api: RunningApi, method: str, path: str, known: Known) -> httpx.Res
     return api.http.request(method, target, json=BODIES[path.removeprefix("/api/v1/")] if method == "post" else None)
 
 
+@pytest.mark.slow
 def test_the_ids_of_links_stand_where_they_say_and_are_known_to_the_operations_they_lead_to(
     api: RunningApi, known: Known
 ) -> None:

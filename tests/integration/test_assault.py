@@ -99,6 +99,7 @@ def test_a_foreign_page_gets_no_live_connection(server: Server) -> None:
         pass
 
 
+@pytest.mark.slow("formula")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_is_a_name_in_files_and_on_terminals(server: Server, tmp_path: Path, name: str) -> None:
     with Client(server.url) as client:

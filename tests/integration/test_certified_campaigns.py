@@ -155,7 +155,7 @@ def test_certified_results_are_references_like_simulated_ones(database: Database
     assert [row[:-1] for row in found(database, second)] == [row[:-1] for row in found(database, first)]
 
 
-@pytest.mark.slow("off-1", "influence-2")
+@pytest.mark.slow("off-1", "influence-2", "influence-3", "exact-1")
 @pytest.mark.parametrize(("mode", "seed"), [("off", 1), ("exact", 1), ("influence", 1), ("influence", 2), ("influence", 3)])
 def test_no_result_changes_by_a_bit_when_certification_is_switched_on_or_off(tmp_path: Path, mode: str, seed: int) -> None:
     seen, certified_cells = [], []
@@ -287,6 +287,7 @@ def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_b
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
+@pytest.mark.slow("False")
 @pytest.mark.parametrize("certified", [True, False])
 def test_what_parallel_campaigns_count_as_simulated_a_worker_has_simulated(database: Database, *, certified: bool) -> None:
     both = [submit(database, **simple(reduction={"mode": "exact", "certified": each})) for each in (True, certified)]
@@ -310,6 +311,7 @@ def test_who_does_not_want_certificates_gets_none(database: Database) -> None:
     assert ended.cells.simulated > 0
 
 
+@pytest.mark.slow("False")
 @pytest.mark.parametrize("right", [True, False])
 def test_certificates_say_of_reused_cells_whether_the_reference_was_right(database: Database, *, right: bool) -> None:
     scenarios = nothing_matters()

@@ -42,7 +42,7 @@ def runner(name: str, memory: Memory | None = None) -> CertifiedRunner:
     return CertifiedRunner(HIGHWAY.scenarios[name], FRENET, SINGLE_TRACK.create(NOMINAL), REFERENCE, memory or Memory())
 
 
-@pytest.mark.slow("S2", "S4", "S6")
+@pytest.mark.slow("S2", "S4", "S6", "S3", "S5")
 @pytest.mark.parametrize("name", list(HIGHWAY.scenarios))
 def test_what_is_certified_is_what_a_simulation_gives_bit_for_bit(name: str) -> None:
     certifying = runner(name)

@@ -116,6 +116,7 @@ def test_runs_count_alike_whatever_was_stored_before_and_whichever_others_there_
     assert [everything(database, one) for one in runs_of(database, alone)] == swarms
 
 
+@pytest.mark.slow
 def test_a_killed_comparison_ends_bit_for_bit_like_one_that_was_not(
     compared: tuple[Database, StoredCampaign, ComputedBackend], tmp_path: Path
 ) -> None:

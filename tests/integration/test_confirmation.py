@@ -152,6 +152,7 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
     assert ranked_by == own.id
 
 
+@pytest.mark.slow
 def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: Database) -> None:
     cut = run(database, ask(database, 1), ComputedBackend(answer=spoiled))
     assert {row.iteration for row in rows_of(database, cut) if row.iteration >= ITERATIONS} == {ITERATIONS}
@@ -164,6 +165,7 @@ def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: D
     assert [one for one in verify(database, full=True) if one.problems] == []
 
 
+@pytest.mark.slow
 def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path) -> None:
     def begin(database: Database) -> StoredCampaign:
         campaign = ask(database, 50, population=10)

@@ -140,6 +140,7 @@ def test_a_server_whose_database_does_not_answer_hears_signals(
     assert any("database" in reason for reason in lacking)
 
 
+@pytest.mark.slow
 def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.api.app.PROMPT", replace(PROMPT, lock=30))
     with serving(postgres.new_database()) as api, api.database.transaction() as connection:

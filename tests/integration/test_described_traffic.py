@@ -77,6 +77,7 @@ def series(outcome: RunOutcome, name: str) -> np.ndarray:
     return np.array(outcome.series[name])
 
 
+@pytest.mark.slow
 def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) -> None:
     outcome = result(folder, {"openscenario": "scenarios/cut_in.xosc"})
     gap, speed, time = (series(outcome, name) for name in ("gap_m", "leader_speed_mps", "time_s"))
@@ -98,6 +99,7 @@ def test_a_parameter_of_the_file_moves_the_cut_in(folder: Path) -> None:
         assert gap - 8 * 3.3 < first < gap  # it comes in while the ego vehicle closes in by 8 m/s
 
 
+@pytest.mark.slow
 def test_a_leader_leaves_before_an_obstacle(folder: Path) -> None:
     outcome = result(folder, {"openscenario": "scenarios/cut_out.xosc"})
     assert outcome.failure == "collision"  # a controller that does nothing meets the box

@@ -163,6 +163,7 @@ class _Clock(datetime):
         return super().now(tz) + cls.offset
 
 
+@pytest.mark.slow
 def test_a_clock_that_jumps_in_the_middle_changes_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.storage.engine.types.datetime", _Clock)
     found = []
@@ -180,6 +181,7 @@ def test_a_clock_that_jumps_in_the_middle_changes_no_result(tmp_path: Path, monk
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> None:
     scores = {}
     for mode in ("off", "exact", "influence"):

@@ -74,6 +74,7 @@ def python(folder: Path, code: str, **controller: Any) -> tuple[Path, dict[str, 
     return motorway(folder / "other", code), CONTROLLERS["python"] | controller
 
 
+@pytest.mark.slow
 def test_an_acc_follows_a_braking_leader_in_its_lane(folder: Path) -> None:
     outcome = result(folder, drive([BRAKING], 30.0))
     measures = outcome.measures
@@ -113,7 +114,7 @@ def test_the_lane_keeper_holds_the_centre_on_a_curve_and_the_speed_keeper_the_li
     assert series(steered, "speed_mps")[-1] == pytest.approx(36.1, abs=1.0)
 
 
-@pytest.mark.slow("standing1-False")
+@pytest.mark.slow("standing1-False", "standing0-False")
 @pytest.mark.parametrize(
     ("standing", "gap"),
     [
@@ -148,6 +149,7 @@ def test_steering_leaves_the_road_and_a_blind_driver_hits_the_leader(tmp_path: P
     assert spun.failure == "unstable"
 
 
+@pytest.mark.slow
 def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
     outcome = result(folder, drive([CUTTER], 20.0))
     gaps = series(outcome, "gap_m")
@@ -204,6 +206,7 @@ def test_all_kinds_of_controllers_give_the_same_bits(folder: Path) -> None:
     assert outcomes[0].failure is None
 
 
+@pytest.mark.slow("random-process")
 @pytest.mark.slow(
     *(f"{traffic}-{kind}" for traffic in ("exact", "random", "sublanes") for kind in ("python", "process", "numba", "fmu")
       if (traffic, kind) not in {("random", "process"), ("sublanes", "numba")})
@@ -245,6 +248,7 @@ def test_a_controller_may_run_slower_or_faster_than_the_traffic(folder: Path) ->
         assert series(outcome, "time_s")[1] == pytest.approx(step)
 
 
+@pytest.mark.slow
 def test_a_class_keeps_its_state_for_one_run(tmp_path: Path) -> None:
     code = """
 class Control:
@@ -359,6 +363,7 @@ def test_an_fmu_without_a_reset_has_a_process_for_each_run(tmp_path: Path) -> No
             assert session.evaluate(PARAMETERS) == expected
 
 
+@pytest.mark.slow
 def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
     outcome = result(folder, drive([LEADER | {"s": 2900}], 30.0, ego={"s": 2700}))
     assert outcome.failure is None

@@ -81,6 +81,7 @@ def test_a_controller_without_its_function_suits_no_machine(tmp_path: Path) -> N
         pass
 
 
+@pytest.mark.slow
 def test_a_worker_blames_a_problem_that_was_pushed_with_a_broken_network(tmp_path: Path) -> None:
     bundle = motorway(tmp_path / "bundle")
     (bundle / "road.net.xml").write_text("<net/>")

@@ -35,7 +35,7 @@ def _installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "driving_function", lambda *_: MIXED)
 
 
-@pytest.mark.slow("swarm", "optuna", "random")
+@pytest.mark.slow("swarm", "optuna", "random", "cma_es")
 @pytest.mark.parametrize(
     "optimizer",
     [{"kind": "genetic"}, {"kind": "swarm"}, {"kind": "random"}, {"kind": "cma_es"}, {"kind": "optuna", "sampler": "tpe"}],

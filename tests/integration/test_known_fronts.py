@@ -112,6 +112,7 @@ def begin(database: Database, known: Known, document: dict[str, Any]) -> StoredC
     return submission.submit(database, Limits.of(load_settings()), CampaignSpecification.model_validate(document), None)
 
 
+@pytest.mark.slow("zdt1")
 @KNOWN
 def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: Path) -> None:
     """So figures of the bare optimizer, such as those of the benchmark `fronts`, hold for campaigns of problems, which compare 9 places."""

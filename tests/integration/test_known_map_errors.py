@@ -6,6 +6,7 @@ from datetime import timedelta
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from sqlalchemy import update
 from tests.support.computed import ComputedBackend
 from tests.support.runs import get, influenced, nothing_matters, post_map, run, submit
@@ -31,6 +32,7 @@ def validated(database: Database, stored: str) -> StoredCampaign:
     return run(database, study, ComputedBackend(answer=influenced))
 
 
+@pytest.mark.slow
 def test_a_map_that_a_validation_refuted_is_used_with_a_warning(database: Database) -> None:
     stored = post_map(database, nothing_matters())
     before = run(database, submit(database, stored_map=stored, reduction={"audit": 0.0}), ComputedBackend(answer=influenced))

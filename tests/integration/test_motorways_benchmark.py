@@ -7,10 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from tests.benchmarks import motorways
 from tests.support.motorways import motorway
 
 
+@pytest.mark.slow
 def test_a_run_takes_longer_than_sumo_alone(tmp_path: Path) -> None:
     folder = motorway(tmp_path / "bundle")
     command = [sys.executable, "-m", motorways.__name__, "--runs", "2", "--case", "3 others", "--folder", str(folder)]

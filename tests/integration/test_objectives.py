@@ -77,7 +77,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
         assert any(each[0] >= comfort - 1e-9 and each[1] <= jerk + 1e-9 for each in front), "a set beyond the front"
 
 
-@pytest.mark.slow("changes1", "changes2")
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"kind": "nsga3"}, {"kind": "optuna", "population": 8, "iterations": 4}])
 def test_a_killed_search_ends_with_the_same_rows(
     database: Database, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch

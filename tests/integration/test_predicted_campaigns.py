@@ -331,6 +331,7 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
     assert ended.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
 
 
+@pytest.mark.slow
 def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(database: Database) -> None:
     comparison = submit_comparison(
         database,

@@ -107,7 +107,7 @@ JOIN = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False); pri
 
 
 @pytest.mark.usefixtures("ray_backend")
-@pytest.mark.slow("other")
+@pytest.mark.slow
 @pytest.mark.parametrize("token", ["", "0" * 64], ids=["none", "other"])
 def test_a_process_without_the_token_cannot_join_a_local_ray(token: str) -> None:
     import ray

@@ -45,6 +45,7 @@ def test_the_page_needs_no_other_file_and_no_script(api: RunningApi, ended: str)
         assert client.report(ended[:8]).decode() == page
 
 
+@pytest.mark.slow
 def test_the_archive_holds_what_the_command_writes(api: RunningApi, run: Run, ended: str, tmp_path: Path) -> None:
     response = api.http.get(f"/api/v1/campaigns/{ended}/report", params={"format": "zip"})
     assert response.headers["content-type"] == "application/zip"
@@ -58,6 +59,7 @@ def test_the_archive_holds_what_the_command_writes(api: RunningApi, run: Run, en
     assert 'href="figures/' in archive.read(f"report-{ended}/index.html").decode()
 
 
+@pytest.mark.slow
 def test_a_comparison_has_a_report_and_a_single_evaluation_has_none(api: RunningApi) -> None:
     comparison = api.http.post("/api/v1/comparisons", json=TWO_OPTIMIZERS | {"name": "compared"}).json()
     page = api.http.get(comparison["links"]["report"])

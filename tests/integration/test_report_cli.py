@@ -113,6 +113,7 @@ def test_show_prints_the_account_and_gives_it_as_json(run: Run, api: RunningApi,
     assert json.loads(run("show", queued, "--json").stdout)["accounting"] is None
 
 
+@pytest.mark.slow
 def test_only_the_report_pays_for_matplotlib() -> None:
     code = "import sys, drivecal.cli.main; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -90,6 +90,7 @@ def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend |
     )
 
 
+@pytest.mark.slow
 def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database: Database) -> None:
     wide = _run(database)
     assert wide.narrowed is None
@@ -146,6 +147,7 @@ def test_a_narrowed_campaign_that_was_killed_ends_like_one_that_was_not(
     assert ends[0][3]
 
 
+@pytest.mark.slow
 def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Database) -> None:
     baseline = dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2)
     experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]

@@ -63,6 +63,7 @@ def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -
     monkeypatch.setattr(optuna_samplers.OptunaEngine, "learn", learning)
 
 
+@pytest.mark.slow
 def test_an_engine_that_draws_otherwise_ends_the_campaign_and_changes_no_row(
     database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -50,6 +50,7 @@ def _blocks(scenario: str, one: dict[str, float], other: dict[str, float]) -> in
     return sum(one[name] != other[name] for name in one if IGNORED.get(scenario) != name)
 
 
+@pytest.mark.slow
 def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(database: Database) -> None:
     used = post_map(database, TRUE_MAP)
     earlier = rows_of(database, run(database, submit(database, stored_map=used)))
@@ -114,6 +115,7 @@ def test_where_the_campaign_allows_no_reuse_that_is_the_reason(
     assert _explain(database, cell).reason == reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["influence", "predicted"])
 def test_a_baseline_is_simulated_as_a_given_set_where_others_are_reused(database: Database, mode: str) -> None:
     baseline = {f"P{number}": 0.5 for number in range(1, 12)}

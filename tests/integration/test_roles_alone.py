@@ -50,6 +50,7 @@ def test_an_api_for_everybody_names_the_file_of_tokens_that_is_missing(tmp_path:
     assert f"{tmp_path / 'tokens'}: " in done.stderr
 
 
+@pytest.mark.slow
 def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path: Path) -> None:
     done = run(tmp_path, "drivecal.dispatch")
     assert done.returncode == 1

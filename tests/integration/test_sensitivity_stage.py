@@ -217,6 +217,7 @@ def test_failed_runs_cost_their_effects_and_not_the_analysis(database: Database)
     assert _map(database, ended).influence("S2", "P3").influential
 
 
+@pytest.mark.slow
 def test_a_scenario_that_always_scores_zero_is_unknown_which_counts_as_influential(database: Database) -> None:
     def hopeless(scenario: str, cell: Cell) -> CellResult:
         return CellResult(cell.id, 0.0, 0, {}, "collision", 7.0) if scenario == "S2" else _answer(scenario, cell)

@@ -74,6 +74,7 @@ def fresh(path: Path) -> tuple[Database, StoredCampaign]:
     return opened, run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=influenced))
 
 
+@pytest.mark.slow
 def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_metrics(database: Database) -> None:
     specification = CampaignSpecification.model_validate(MAPPED)
     first = run(database, submission.submit(database, LIMITS, specification, None), ComputedBackend(answer=influenced))

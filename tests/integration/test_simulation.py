@@ -152,6 +152,7 @@ def test_the_same_cell_gives_the_same_bits_after_any_other_cells() -> None:
         assert driven(scenario, *changes_lane(scenario)) == first[scenario.id]
 
 
+@pytest.mark.slow
 def test_a_fresh_process_gives_the_same_bits() -> None:
     code = (
         "import hashlib, sys, importlib.util as util\n"

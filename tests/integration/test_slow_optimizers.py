@@ -89,6 +89,7 @@ def test_a_campaign_whose_optimizer_computes_is_cancelled(database: Database, do
     assert not doors.open.is_set()
 
 
+@pytest.mark.slow("1-pause", "1-death")
 @pytest.mark.parametrize("how", ["pause", "death"])
 @pytest.mark.parametrize("iteration", [0, 1])
 def test_a_campaign_that_stops_while_its_optimizer_computes_ends_as_if_nothing_had_been(

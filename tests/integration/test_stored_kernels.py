@@ -128,7 +128,7 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.slow("planner", "steering", "trajectory", "acceleration")
+@pytest.mark.slow("planner", "steering", "trajectory", "acceleration", "warm_up", "vehicle")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS]
@@ -203,6 +203,7 @@ def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: lis
         assert session.evaluate(PARAMETERS).measures
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 def test_a_driver_with_threads_that_could_change_kernels_loads_no_controller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

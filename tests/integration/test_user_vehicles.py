@@ -91,6 +91,7 @@ def test_a_faulty_vehicle_costs_its_cell(tmp_path: Path, code: str, cause: str) 
         assert cause in lost(session, PARAMETERS, Breakdown.ERROR)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_leaves_its_grip_is_unstable(tmp_path: Path) -> None:
     bundle = motorway(tmp_path / "b")
     (bundle / "car.py").write_text(

@@ -110,6 +110,7 @@ def test_exceptions_and_lack_of_memory_in_a_cell_cost_neither_worker_nor_neighbo
     assert [worker.id for worker in backend.workers()] == before
 
 
+@pytest.mark.slow("ray")
 def test_a_crash_loses_what_the_worker_had_and_nothing_else(backend: Backend) -> None:
     send(backend, 1, batch(WELL, CRASH, WELL))
     send(backend, 2, batch(WELL, WELL))
@@ -140,7 +141,7 @@ def test_a_hanging_worker_is_ended_at_the_deadline_and_replaced(backend: Backend
     assert backend.trouble() is None
 
 
-@pytest.mark.slow("ray")
+@pytest.mark.slow
 def test_a_replaced_worker_is_another_process_and_its_fault_is_told_until_there_is_a_result(backend: Backend) -> None:
     one, other = (worker.id for worker in backend.workers())
     backend.replace(one, "it sees ghosts")

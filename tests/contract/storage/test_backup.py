@@ -128,6 +128,7 @@ def test_a_campaign_that_ran_when_it_was_backed_up_ends_alike_in_the_restored_da
     target.dispose()
 
 
+@pytest.mark.slow("sqlite")
 def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
     used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -261,6 +262,7 @@ def test_another_programs_database_is_not_restored_into(
     target.dispose()
 
 
+@pytest.mark.slow("postgresql")
 def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
     database: Database, empty_url: str, tmp_path: Path
 ) -> None:

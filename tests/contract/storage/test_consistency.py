@@ -77,7 +77,7 @@ def failing(scenario: str, cell: Cell) -> CellResult:
     return influenced(scenario, cell)
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> None:
     listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
     working = dispatcher(database, ComputedBackend(4, failing))

@@ -49,6 +49,7 @@ def names_in(file: Path) -> set[str]:
         return {name for (name,) in plain.execute("SELECT name FROM campaigns")}
 
 
+@pytest.mark.slow("postgresql")
 def test_the_log_of_an_earlier_backup_does_not_change_the_new_one(database: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     with database.transaction() as connection:
@@ -62,6 +63,7 @@ def test_the_log_of_an_earlier_backup_does_not_change_the_new_one(database: Data
     assert names_in(file) == {"second"}
 
 
+@pytest.mark.slow("postgresql")
 def test_an_earlier_backup_is_complete_until_the_new_one_has_its_name(
     database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,6 +84,7 @@ def test_an_earlier_backup_is_complete_until_the_new_one_has_its_name(
     assert names_in(file) == {"first"}
 
 
+@pytest.mark.slow("postgresql")
 @pytest.mark.parametrize("suffix", ["-journal", "-wal", "-shm"])
 def test_what_is_left_of_a_removed_backup_is_removed_only_by_force(database: Database, tmp_path: Path, suffix: str) -> None:
     file = tmp_path / "backup.db"
@@ -96,6 +99,7 @@ def test_what_is_left_of_a_removed_backup_is_removed_only_by_force(database: Dat
     names_in(file)
 
 
+@pytest.mark.slow("postgresql")
 def test_a_backup_that_a_server_or_another_process_uses_is_not_replaced(database: Database, tmp_path: Path) -> None:
     file = tmp_path / "backup.db"
     with database.transaction() as connection:
@@ -115,6 +119,7 @@ def test_a_backup_that_a_server_or_another_process_uses_is_not_replaced(database
     assert not list(tmp_path.glob("*.partial*"))
 
 
+@pytest.mark.slow("postgresql")
 def test_a_log_that_is_left_of_a_removed_database_does_not_change_the_restored_one(database: Database, tmp_path: Path) -> None:
     file, target = tmp_path / "backup.db", tmp_path / "restored.db"
     with database.transaction() as connection:

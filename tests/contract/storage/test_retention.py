@@ -111,7 +111,7 @@ def test_a_comparison_reports_after_a_pruning_what_it_reported_before(
         assert tables() == before
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow
 def test_a_later_cell_may_name_a_pruned_one_as_its_proof(database: Database) -> None:
     """A worker that drove the first campaign remembers its runs, and certifies by them, after these were pruned."""
     stored = post_map(database, nothing_matters())

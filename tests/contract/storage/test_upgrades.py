@@ -101,6 +101,7 @@ def test_every_revision_is_tried() -> None:
     assert tuple(sorted(schema.known_revisions())) == REVISIONS, "make the rows of a release with support/revisions/make.py"
 
 
+@pytest.mark.slow("sqlite-0003", "sqlite-0005", "sqlite-0014", "postgresql-0001")
 @pytest.mark.slow(
     *(f"sqlite-{revision}" for revision in REVISIONS if revision not in KEPT), "postgresql-0003", "postgresql-0005"
 )
@@ -179,6 +180,7 @@ def assert_references_answer(old: Database) -> None:
     assert len(asked) > 250
 
 
+@pytest.mark.slow("sqlite-0003", "sqlite-0005", "sqlite-0014", "postgresql-0001")
 @kept
 def test_campaigns_of_the_old_release_are_shown_carried_on_and_rerun(old: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     old.upgrade()
@@ -229,7 +231,7 @@ def _is_running(campaign: StoredCampaign) -> bool:
     return campaign.state is CampaignState.RUNNING
 
 
-@pytest.mark.slow("postgresql")
+@pytest.mark.slow("postgresql", "sqlite-1")
 @pytest.mark.parametrize("statement", [1, 12, None])
 def test_a_killed_upgrade_leaves_the_old_revision_or_the_new_one(empty_url: str, statement: int | None) -> None:
     database = Database.open(empty_url)

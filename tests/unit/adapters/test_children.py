@@ -209,6 +209,7 @@ def test_a_child_that_kills_its_keeper_costs_its_run_only(tmp_path: Path, mark: 
     eventually(lambda: running(mark) == [])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unconfined")
 def test_a_child_that_stops_its_keeper_costs_its_run_only(tmp_path: Path, mark: str) -> None:
     spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
@@ -376,6 +377,7 @@ def test_the_time_of_a_start_is_no_runs(tmp_path: Path) -> None:
         assert outcome.cpu_seconds < 0.3
 
 
+@pytest.mark.slow("time.sleep(600)")
 @pytest.mark.parametrize("body", ["os.abort()", "time.sleep(600)"])
 def test_cpu_time_of_a_lost_run_counts(tmp_path: Path, body: str) -> None:
     with (

@@ -91,6 +91,7 @@ def test_a_flood_of_messages_neither_blocks_nor_changes_a_run(tmp_path: Path) ->
             assert session.evaluate({"x": float(x)}).measures == {"y": 2.0 * x}
 
 
+@pytest.mark.slow
 def test_an_endless_flood_of_messages_is_a_hang(tmp_path: Path) -> None:
     with served(tmp_path, "while x == 1.0: os.write(2, b'warning ' * 1000)") as session:
         assert "warning" in hung(session, {"x": 1.0}, 5.0)
@@ -166,6 +167,7 @@ def test_an_error_of_null_is_none(tmp_path: Path) -> None:
         assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
 
 
+@pytest.mark.slow("time.sleep(600)")
 @pytest.mark.parametrize(
     "fault",
     [
@@ -231,6 +233,7 @@ def test_a_process_that_ended_between_two_runs_costs_no_run(tmp_path: Path) -> N
             eventually(lambda: not session._pipes.is_fresh())
 
 
+@pytest.mark.slow
 def test_a_process_that_does_not_read_a_large_request_is_a_hang(tmp_path: Path) -> None:
     with served(tmp_path, "if x == 1.0: time.sleep(600)") as session:
         session._head = session._head.replace("3}", '3, "large": "' + "x" * 3_000_000 + '"}')

@@ -71,6 +71,7 @@ def test_a_client_that_does_not_read_loses_its_connection_and_its_place(app: Any
     asyncio.run(visited(app, never_read))
 
 
+@pytest.mark.slow("in_pieces")
 @pytest.mark.parametrize("app", [whole, in_pieces])
 def test_a_client_that_reads_slowly_gets_the_whole_answer(app: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(closing, "STALLED_SECONDS", 1.5)  # less than the answer takes, more than a busy machine halts

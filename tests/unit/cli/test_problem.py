@@ -50,6 +50,7 @@ def check(folder: str, *options: str) -> tuple[int, dict[str, Any]]:
     return result.exit_code, json.loads(result.stdout)
 
 
+@pytest.mark.slow("process", "command")
 @pytest.mark.parametrize("kind", ["process", "command", "python"])
 def test_a_new_problem_works_as_it_is(tmp_path: Path, kind: str) -> None:
     folder = str(tmp_path / "mine")
@@ -77,6 +78,7 @@ def test_every_scenario_is_run_twice_in_the_middle_of_the_space(write: Write) ->
     assert (len(report["digest"]), report["files"]) == (64, ["model.py", "problem.yaml"])
 
 
+@pytest.mark.slow
 def test_another_set_within_the_constraints_is_tried_too(write: Write) -> None:
     manifest = MANIFEST + 'constraints: ["x > 0.9", "n < 3"]\nbaseline: {x: 0.95, n: 2, g: 0.25, mode: eco}\n'
     code, report = check(write(manifest=manifest))
@@ -102,6 +104,7 @@ STATEFUL = (
 """Answers by the first set that its process got."""
 
 
+@pytest.mark.slow
 def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
     code, report = check(write(STATEFUL))
     assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [True, True])
@@ -195,6 +198,7 @@ def test_a_faulty_manifest_is_refused_with_its_line(write: Write) -> None:
     assert command("problem", "check", "/nowhere").exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_middle_that_breaks_a_constraint_asks_for_a_baseline(write: Write) -> None:
     manifest = MANIFEST + 'constraints: ["x > 0.9"]\n'
     assert command("problem", "check", write(manifest=manifest)).exit_code == 2

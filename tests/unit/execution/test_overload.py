@@ -45,6 +45,7 @@ def seconds_until_done(plant: Plant, tag: str) -> float:
     return plant.now - began
 
 
+@pytest.mark.slow("1")
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_each_of_ten_small_campaigns_ends_in_three_times_its_time_alone_beside_a_large_one(workers: int) -> None:
     alone = time_alone(workers, "S2", SMALL * workers, COST)
@@ -67,6 +68,7 @@ def seconds_of_generations(plant: Plant, tag: str, first: int) -> float:
     return plant.now - began
 
 
+@pytest.mark.slow("8")
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_little_more(
     workers: int,
@@ -151,6 +153,7 @@ def running(plant: Plant) -> Counter[str]:
     return Counter(scenario for _, scenario in {(sent.worker, sent.batch.setup.scenario) for _, _, sent in plant._ends})
 
 
+@pytest.mark.slow("False-2", "False-7", "True-4", "True-7")
 @pytest.mark.parametrize("workers", [2, 4, 7])
 @pytest.mark.parametrize("measured", [False, True])
 def test_slow_cells_hold_their_share_of_the_workers_beside_quick_ones(workers: int, measured: bool) -> None:
@@ -165,6 +168,7 @@ def test_slow_cells_hold_their_share_of_the_workers_beside_quick_ones(workers: i
     assert running(plant)["slow"] > 0
 
 
+@pytest.mark.slow
 def test_slow_problems_of_many_scenarios_and_campaigns_leave_a_worker_to_quick_cells() -> None:
     plant = warm(4, {"fast": 0.02})
     plant.of_users = True

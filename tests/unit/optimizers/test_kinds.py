@@ -50,6 +50,7 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
     return told
 
 
+@pytest.mark.slow("tpe")
 @every
 def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(
     plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]
@@ -67,6 +68,7 @@ def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(
     assert [population.tolist() for population in rest] == [population.tolist() for population in whole[3:]]
 
 
+@pytest.mark.slow("tpe")
 @every
 def test_it_gets_closer_than_its_start(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 20, "seed": 1, **chosen})

@@ -79,7 +79,7 @@ def test_the_same_seed_gives_the_same_populations_on_the_grid(plugin: OptimizerP
         assert np.all(population < GRID)
 
 
-@pytest.mark.slow("False")
+@pytest.mark.slow("False", "True-tpe")
 @every
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_resumed_run_equals_an_uninterrupted_one(plugin: OptimizerPlugin, chosen: dict[str, Any], asked: bool) -> None:
@@ -185,7 +185,7 @@ def test_telling_twice_is_refused() -> None:
         optimizer.tell(*answers)
 
 
-@pytest.mark.slow("tpe")
+@pytest.mark.slow("tpe", "nsga2")
 @pytest.mark.parametrize(
     ("plugin", "chosen", "iterations"),
     [(*case, iterations) for case, iterations in zip(CASES, (8, 8, 25), strict=False)],

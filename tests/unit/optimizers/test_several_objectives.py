@@ -48,6 +48,7 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
     return populations
 
 
+@pytest.mark.slow("True-tpe", "False-tpe")
 @every
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_resumed_search_of_several_objectives_equals_an_uninterrupted_one(
@@ -64,6 +65,7 @@ def test_a_resumed_search_of_several_objectives_equals_an_uninterrupted_one(
     assert all(np.array_equal(a, b) for a, b in zip(begun + drive(second, iterations - iterations // 2), whole, strict=True))
 
 
+@pytest.mark.slow("tpe")
 @every
 def test_individuals_get_feasible(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     populations = drive(plugin.create(plugin.settings(**chosen), GRID), chosen["iterations"])
@@ -71,6 +73,7 @@ def test_individuals_get_feasible(plugin: DeclaringOptimizerPlugin, chosen: dict
     assert (populations[-1][:, 0] >= 20).mean() > 0.7
 
 
+@pytest.mark.slow("tpe")
 @every
 def test_fronts_are_larger_than_those_of_random_search(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     def volume(which: DeclaringOptimizerPlugin, seed: int, **settings: Any) -> float:

@@ -70,6 +70,7 @@ def bits() -> str:
     return " ".join(part.tobytes().hex() for part in (told.scores, told.confidence, told.mean, told.variance))
 
 
+@pytest.mark.slow
 def test_predictions_have_the_same_bits_in_another_process() -> None:
     script = "from tests.unit.reduction.test_regression_forest import bits;print(bits())"
     there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # this test itself

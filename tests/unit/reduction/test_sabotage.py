@@ -145,7 +145,7 @@ def test_replays_of_a_sabotaged_predictor_release_few_errors(
         assert lots <= 1.1 * REPLAYS, "a rejected lot is lesson enough"
 
 
-@pytest.mark.slow("0.05")
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.05, 0.02])
 def test_predictions_of_continuous_scores_are_released_and_keep_the_limit(limit: float) -> None:
     """A cost with a cliff, searched in a region that moves from batch to batch."""

@@ -81,7 +81,9 @@ def test_lanes_of_the_file_are_where_another_reader_finds_them(file: str) -> Non
                 assert np.allclose(widths, [lane_width(element, at - begin) for at in s], atol=1e-9)
 
 
-@pytest.mark.slow("exit_ramp-through", "entrance-through", "direct-through", "direct-exit", "two_way-against")
+@pytest.mark.slow(
+    "exit_ramp-through", "entrance-through", "direct-through", "direct-exit", "two_way-against", "two_way-along", "direct-ramp"
+)
 @every_route
 def test_tracks_lie_on_lanes_of_the_file(route: tuple[str, str]) -> None:
     road, lanes = drive(route), truth(route[0])

@@ -40,6 +40,7 @@ def test_damaged_files_give_a_scenario_or_a_named_refusal(subject: str) -> None:
     assert not all(results)
 
 
+@pytest.mark.slow
 def test_a_file_with_too_many_elements_or_parameters_of_parameters_is_refused() -> None:
     content = FILES["cut_in"]()
     assert "elements" in refused(content.replace(b"<Entities>", b"<a/>" * 200_001 + b"<Entities>"))

@@ -110,6 +110,7 @@ def test_what_waits_inside_of_a_part_for_its_begin_waits_for_nothing_else() -> N
     assert [condition.begun for condition in outside.when] == [brake.id]
 
 
+@pytest.mark.slow
 def test_a_storyboard_with_too_many_parts_is_refused() -> None:
     events = "".join(f'<Event name="e{index}" priority="parallel"/>' for index in range(10_001))
     assert "10,000 parts" in refused(file(story(maneuver("first", events))))

@@ -125,7 +125,7 @@ def test_a_series_that_is_not_finite_is_refused(broken: float) -> None:
         rate(Manoeuvre.LANE_CHANGE, run)
 
 
-@pytest.mark.slow("lane_change", "lane_keeping")
+@pytest.mark.slow
 @every_class
 def test_it_rates_as_the_training_framework_does(manoeuvre: Manoeuvre) -> None:
     """Ridge regression by scikit-learn on standardised features, against the weights that are stored for it."""

@@ -66,6 +66,7 @@ def costs_of(planner: FrenetPlanner) -> Floats:
     return costs.ravel()
 
 
+@pytest.mark.slow("0", "2")
 @pytest.mark.parametrize("seed", range(tries(3, 16)))
 def test_features_costs_and_decisions_are_those_of_the_reference(seed: int) -> None:
     random = np.random.default_rng(seed)
