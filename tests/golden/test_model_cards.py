@@ -39,6 +39,7 @@ def test_a_figure_that_differs_would_be_noticed() -> None:
             assert_alike(table, "| a | 1.24 |")
 
 
+@pytest.mark.slow
 def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_half_as_much_as_the_plain_one() -> None:
     (kinds, drives), shipped = held_out.read(), residual.shipped()
     assert_alike(vehicle_card.error_table(shipped, kinds, drives), read_table(VEHICLE_CARD, vehicle_card.ERRORS))

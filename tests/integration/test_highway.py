@@ -372,6 +372,7 @@ def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
     assert series(outcome, "time_s")[-1] == pytest.approx(outcome.measures["duration_s"])
 
 
+@pytest.mark.slow
 def test_a_perfect_drive_to_the_end_of_the_route_is_whole_progress_and_its_last_moment_is_recorded(tmp_path: Path) -> None:
     bundle, controller = python(tmp_path, "def control(o, p):\n    return 0.0\n")
     whole = result(bundle, drive(duration=30.0, ego={"s": 2900, "speed": 36.11}), controller)

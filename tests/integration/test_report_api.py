@@ -29,6 +29,7 @@ def ended(api: RunningApi) -> str:
     return identifier
 
 
+@pytest.mark.slow
 def test_the_page_needs_no_other_file_and_no_script(api: RunningApi, ended: str) -> None:
     links = api.http.get(f"/api/v1/campaigns/{ended}").json()["links"]
     response = api.http.get(links["report"])

@@ -184,6 +184,7 @@ def test_contradictions_of_a_wrong_map_are_counted_and_those_of_a_true_one_are_n
     assert any(rate.audited for rate in true.error_rate.values())
 
 
+@pytest.mark.slow
 def test_cells_of_an_analysis_and_those_it_answers_are_explained(database: Database) -> None:
     analysis = {"intervals": 2, "samples": 4}
     coarse = [{**one, "step": 0.1} for one in EXPERT_SPACE[:3]]

@@ -178,7 +178,7 @@ def folders() -> Iterator[list[str]]:
 
 
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
-@pytest.mark.slow("settings", "link")
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["settings", "link", "numba"])
 def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
     code = LEAVES.replace("FOLDERS", repr(folders)).replace("KIND", kind)

@@ -150,7 +150,6 @@ def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) ->
     assert 1 - 0.025 ** (1 / rows[1]["bases"]) < rows[1]["upper_95"]
 
 
-@pytest.mark.slow
 def test_where_nothing_can_be_reduced_there_is_nothing_to_validate_and_that_is_no_error(run: Run, api: RunningApi) -> None:
     stored = post_map(api.database, {"S1": {"P1": {"influential": True}}})
     posted = api.http.post("/api/v1/campaigns", json=SMALL | {"sensitivity": {"map": stored}, "catalogue": ["S1"]}).json()["id"]
@@ -227,7 +226,6 @@ def test_a_campaign_without_a_search_has_no_optima_and_a_report(run: Run, api: R
     assert (tmp_path / "report" / "index.html").exists()
 
 
-@pytest.mark.slow
 def test_a_calibration_file_has_the_degree_of_a_study_by_another_campaign(run: Run, api: RunningApi, ended: str) -> None:
     run("robustness", ended, "--steps", "2", "--samples", "2", "--delta", "0.01", "--solutions", "1")
     study = newest(api)

@@ -85,7 +85,7 @@ def true_cost(row: results.StoredEvaluation) -> float:
     return min(10 * energy(row.scenario, dict(values)), 100.0)
 
 
-@pytest.mark.slow("swarm", "random", "cma_es", "optuna", "nsga3")
+@pytest.mark.slow("swarm", "random", "cma_es", "optuna", "nsga3", "nsga2")
 @pytest.mark.parametrize("kind", OPTIMIZERS)
 def test_every_optimizer_minimises_keeps_constraints_and_resumes_exactly(database: Database, kind: str) -> None:
     wanted = {"optimizer": {"kind": kind, "population": 12, "iterations": 5, "seed": 3}}

@@ -38,6 +38,7 @@ def result(folder: Path, vehicle: Mapping[str, Any] | str, controller: Mapping[s
         return [session.evaluate(PARAMETERS, series=True) for _ in range(2)]
 
 
+@pytest.mark.slow
 def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path) -> None:
     outcomes = [outcome for vehicle in VEHICLES.values() for outcome in result(folder, vehicle)]
     assert all(outcome == outcomes[0] for outcome in outcomes)

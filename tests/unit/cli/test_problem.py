@@ -158,6 +158,7 @@ def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
     assert [scenario["failure"] for scenario in report["scenarios"]] == [None, None]
 
 
+@pytest.mark.slow
 def test_a_score_that_is_cut_off_is_a_warning_with_its_true_value(write: Write) -> None:
     model = "def evaluate(p, s):\n    return {'energy': 10 / (14.5 if p['x'] == 0.5 else 4.5)}\n"
     code, report = check(write(model))

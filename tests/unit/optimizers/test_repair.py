@@ -82,7 +82,7 @@ def test_repair_is_feasible_idempotent_and_a_pure_function_of_the_row(population
 
 
 def test_a_row_is_repaired_alike_in_every_company() -> None:
-    population = np.random.default_rng(1).integers(0, LAST + 1, (300, len(LAST)))
+    population = np.random.default_rng(1).integers(0, LAST + 1, (60, len(LAST)))
     assert REPAIR(population).tolist() == [REPAIR(row[np.newaxis]).tolist()[0] for row in population]
 
 
@@ -139,6 +139,7 @@ CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.slow("tpe")
 @pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "nsga2"])
 def test_every_optimizer_keeps_constraints_and_resumes_exactly(
     plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]
