@@ -87,7 +87,7 @@ def test_the_client_alone_talks_to_a_server() -> None:
     assert done.returncode == 4, done.stderr  # nobody answers there
 
 
-@pytest.mark.slow
+@pytest.mark.slow("words1")
 @pytest.mark.parametrize("words", [("serve", "--port", "0"), ("db", "check", "--database-url", "sqlite:///{}")])
 def test_a_command_that_needs_more_names_the_extra(words: tuple[str, ...], tmp_path: Path) -> None:
     done = run(None, COMMAND, *(word.format(tmp_path / "a.db") for word in words))
@@ -102,7 +102,7 @@ def test_the_extra_that_a_message_names_brings_the_missing_module() -> None:
     assert {name for name, packages in brought.items() if not packages} == set()
 
 
-@pytest.mark.slow
+@pytest.mark.slow("words1")
 @pytest.mark.parametrize("words", [("--backend", "ray"), ("--ray-address", "10.0.0.1:6379")])
 def test_a_server_on_ray_names_the_extra_before_it_starts(words: tuple[str, ...], tmp_path: Path) -> None:
     done = run("local", COMMAND, "serve", "--port", "0", "--home", tmp_path, *words)

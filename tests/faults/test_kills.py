@@ -62,7 +62,6 @@ def test_a_small_campaign_outlives_all_processes_of_its_server(
     live(server, plan, small_without_faults, SMALL)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_a_small_campaign_outlives_its_database(
     server_on: MakeServer, small_without_faults: dict[str, Found], postgres: KillablePostgres

@@ -55,7 +55,6 @@ class _Beating(Dispatcher):
         self.heartbeat.beat()
 
 
-@pytest.mark.slow
 def test_a_campaign_waits_and_says_why_while_every_worker_has_another_version(database: Database) -> None:
     campaign = _submit(database)
     backend = FakeBackend(2, refusing={1: REASON, 2: REASON})

@@ -1,6 +1,6 @@
 """Damaged networks, route files and scenario files that pass the check of a push: a worker's session drives them, or names a cause.
 
-10 drives in `make test`, 200 in `make test-slow` and `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
+6 drives in `make test`, 200 in `make test-slow` and `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def ending(folder: Path, data: Mapping[str, Any]) -> str:
     return str(cause)
 
 
-@pytest.mark.slow("many", "cut_out", "real network", "network", "cut_in")
+@pytest.mark.slow("many", "cut_out", "real network")
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("number", DRIVES)
 @pytest.mark.parametrize("subject", SUBJECTS)

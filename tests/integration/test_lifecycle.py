@@ -253,7 +253,6 @@ class _Unreliable:
             raise UnavailableError("the answer to the commit was lost")
 
 
-@pytest.mark.slow
 def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tmp_path: Path) -> None:
     found = []
     for name in ("calm", "unreliable"):

@@ -178,7 +178,7 @@ def folders() -> Iterator[list[str]]:
 
 
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
-@pytest.mark.slow
+@pytest.mark.slow("settings", "link")
 @pytest.mark.parametrize("kind", ["settings", "link", "numba"])
 def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
     code = LEAVES.replace("FOLDERS", repr(folders)).replace("KIND", kind)
@@ -203,7 +203,6 @@ def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: lis
         assert session.evaluate(PARAMETERS).measures
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 def test_a_driver_with_threads_that_could_change_kernels_loads_no_controller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

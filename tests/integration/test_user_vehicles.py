@@ -38,9 +38,10 @@ def result(folder: Path, vehicle: Mapping[str, Any] | str, controller: Mapping[s
         return [session.evaluate(PARAMETERS, series=True) for _ in range(2)]
 
 
-@pytest.mark.slow
-def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path) -> None:
-    outcomes = [outcome for vehicle in VEHICLES.values() for outcome in result(folder, vehicle)]
+@pytest.mark.slow("all")
+@pytest.mark.parametrize("kinds", [["python"], list(VEHICLES)], ids=["python", "all"])
+def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path, kinds: list[str]) -> None:
+    outcomes = [outcome for kind in kinds for outcome in result(folder, VEHICLES[kind])]
     assert all(outcome == outcomes[0] for outcome in outcomes)
     assert outcomes[0].failure is None
 

@@ -101,10 +101,7 @@ def test_every_revision_is_tried() -> None:
     assert tuple(sorted(schema.known_revisions())) == REVISIONS, "make the rows of a release with support/revisions/make.py"
 
 
-@pytest.mark.slow("sqlite-0003", "sqlite-0005", "sqlite-0014", "postgresql-0001")
-@pytest.mark.slow(
-    *(f"sqlite-{revision}" for revision in REVISIONS if revision not in KEPT), "postgresql-0003", "postgresql-0005"
-)
+@pytest.mark.slow(*(f"sqlite-{revision}" for revision in REVISIONS[1:]), *(f"postgresql-{revision}" for revision in RELEASED))
 @every
 def test_everything_that_was_there_is_there_and_the_whole_is_sound_and_as_new(old: Database, migrated: Database) -> None:
     with old.read() as connection:

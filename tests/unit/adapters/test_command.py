@@ -43,7 +43,6 @@ def test_a_command_reads_files_and_writes_one(tmp_path: Path, monkeypatch: pytes
     assert out.read_text() == '{"x": 4}{"k": 3}{"x": 5, "mode": "eco"}{"k": 3}'
 
 
-@pytest.mark.slow("exec sleep 600-hang-timeout")
 @pytest.mark.parametrize(
     ("body", "breakdown", "detail"),
     [

@@ -78,7 +78,6 @@ def test_a_fault_costs_its_run_only(folder: Path, file: str, rate: float, breakd
         assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
 
 
-@pytest.mark.slow
 def test_a_hang_and_a_flood_cost_at_most_their_run(folder: Path) -> None:
     with run(folder, "trial2.fmu") as session:
         assert session.evaluate({"rate": 16.0}).measures["end"] == pytest.approx(32)

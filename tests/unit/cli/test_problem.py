@@ -104,7 +104,6 @@ STATEFUL = (
 """Answers by the first set that its process got."""
 
 
-@pytest.mark.slow
 def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
     code, report = check(write(STATEFUL))
     assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [True, True])
@@ -158,7 +157,6 @@ def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
     assert [scenario["failure"] for scenario in report["scenarios"]] == [None, None]
 
 
-@pytest.mark.slow
 def test_a_score_that_is_cut_off_is_a_warning_with_its_true_value(write: Write) -> None:
     model = "def evaluate(p, s):\n    return {'energy': 10 / (14.5 if p['x'] == 0.5 else 4.5)}\n"
     code, report = check(write(model))
@@ -199,7 +197,6 @@ def test_a_faulty_manifest_is_refused_with_its_line(write: Write) -> None:
     assert command("problem", "check", "/nowhere").exit_code == 2
 
 
-@pytest.mark.slow
 def test_a_middle_that_breaks_a_constraint_asks_for_a_baseline(write: Write) -> None:
     manifest = MANIFEST + 'constraints: ["x > 0.9"]\n'
     assert command("problem", "check", write(manifest=manifest)).exit_code == 2

@@ -24,7 +24,6 @@ def guarded(folder: Path, name: str, seconds: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at /proc")
 def test_a_node_whose_raylet_gives_up_ends_and_says_so(tmp_path: Path) -> None:
     process = guarded(tmp_path, "raylet", "5")

@@ -79,7 +79,7 @@ def test_the_same_seed_gives_the_same_populations_on_the_grid(plugin: OptimizerP
         assert np.all(population < GRID)
 
 
-@pytest.mark.slow("False", "True-tpe")
+@pytest.mark.slow("False", "tpe")
 @every
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_resumed_run_equals_an_uninterrupted_one(plugin: OptimizerPlugin, chosen: dict[str, Any], asked: bool) -> None:

@@ -48,7 +48,7 @@ def drive(optimizer: Optimizer, iterations: int) -> list[Indices]:
     return populations
 
 
-@pytest.mark.slow("True-tpe", "False-tpe")
+@pytest.mark.slow("tpe")
 @every
 @pytest.mark.parametrize("asked", [False, True])
 def test_a_resumed_search_of_several_objectives_equals_an_uninterrupted_one(

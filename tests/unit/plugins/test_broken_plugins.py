@@ -109,7 +109,6 @@ def test_a_broken_driving_function_leaves_the_others_listed(tmp_path: Path) -> N
     assert len(answer["all"]) == 2
 
 
-@pytest.mark.slow
 def test_a_name_that_two_packages_register_is_refused_with_both(tmp_path: Path) -> None:
     install(tmp_path, "first", EMPTY, "[drivecal.scenarios]\ntheirs = first:PLUGIN\n")
     install(tmp_path, "second", EMPTY, "[drivecal.scenarios]\ntheirs = second:PLUGIN\n")

@@ -11,11 +11,13 @@ from drivecal.contracts.work import Kind, SetupKey
 
 @dataclass(frozen=True, slots=True)
 class BatchPolicy:
-    """Target sizes. A batch costs the dispatcher about 8 ms besides its cells: batches of 0.5 s lose less than 1 % of two cores to it."""
+    """Target sizes. Batches of 0.5 s for two workers cost the dispatcher less than 2 % of two cores."""
 
     target_seconds: float = 0.5
     beside_small_seconds: float = 0.1
-    """Target beside a small campaign, which waits for running batches in each of its generations."""
+    """Target beside a small campaign, which waits for running batches in each of its generations. For many workers it is longer."""
+    dispatch_seconds: float = 0.008
+    """The dispatcher's time for a batch besides its cells. Beside a small campaign it takes half of a core at most."""
     shortest_seconds: float = 0.04
     """Batches shrink to this towards the end of the queue."""
     largest: int = 128
@@ -79,6 +81,8 @@ def batch_size(
     self-scheduling), and a single cell before the first measurement. `beside_small`: whether a small campaign needs workers as well."""
     if seconds_per_cell is None:
         return 1
-    target = min(policy.target_seconds, policy.beside_small_seconds) if beside_small else policy.target_seconds
+    target = policy.target_seconds
+    if beside_small:
+        target = min(target, max(policy.beside_small_seconds, 2 * workers * policy.dispatch_seconds))
     share = max(waiting_seconds / (2 * max(workers, 1)), policy.shortest_seconds)
     return max(1, min(math.floor(min(target, share) / seconds_per_cell), policy.largest))

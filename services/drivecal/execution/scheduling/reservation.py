@@ -27,13 +27,13 @@ class _Campaign:
     is_quick: bool = False
     cells: int = 0
     """Cells that it had at most at a time since it last had none."""
-    seconds_per_cell: float = math.inf
-    """Of its last batch; infinite if never measured."""
+    seconds: float = math.inf
+    """Expected work of the cells that it was given since it last had none; infinite if some were never measured."""
     seen: float = 0.0
 
 
 class Reservation:
-    """The workers that long batches may hold."""
+    """The workers that long batches may hold, and the campaigns beside which batches are short."""
 
     def __init__(self) -> None:
         self._campaigns: dict[tuple[int, str], _Campaign] = {}
@@ -48,6 +48,11 @@ class Reservation:
         """Whether cells of this cost are long; None: never measured."""
         return seconds_per_cell is None or seconds_per_cell > LONG_SECONDS
 
+    def given(self, tag: str, priority: int, seconds: float | None, *, had_none: bool) -> None:
+        """Notes new cells of a campaign. `seconds`: their expected work, None if never measured; `had_none`: before them."""
+        known = self._campaigns.setdefault((priority, tag), _Campaign())
+        known.seconds = (0.0 if had_none else known.seconds) + (math.inf if seconds is None else seconds)
+
     def sent(self, line: Line, seconds_per_cell: float | None, cells: int) -> None:
         """Notes a batch of a line; `cells`: those of its campaign without an answer."""
         known = self._campaigns.setdefault((line.priority, line.tag), _Campaign())
@@ -61,20 +66,21 @@ class Reservation:
         known = self._campaigns.get((line.priority, line.tag))
         if known is not None:
             known.is_quick, known.seen = not self.is_long(seconds_per_cell), self._now
-            known.seconds_per_cell = math.inf if seconds_per_cell is None else seconds_per_cell
 
     def forget(self, tag: str) -> None:
         """Forgets a campaign."""
         self._campaigns = {place: known for place, known in self._campaigns.items() if place[1] != tag}
 
     def is_beside_small(self, line: Line, workers: int) -> bool:
-        """Returns whether another campaign, of the same or a higher priority, has had little work at a time lately."""
-        return any(
+        """Returns whether another campaign, of the same or a higher priority, is small and has had a batch lately, and that of `line` is
+        not small."""
+        most = SMALL_SECONDS * workers
+        own = self._campaigns.get((line.priority, line.tag))
+        return (own is None or own.seconds > most) and any(
             place[0] >= line.priority
-            and place[1] != line.tag
             and known.is_quick
+            and known.seconds <= most
             and self._now - known.seen <= REMEMBERED_SECONDS
-            and known.cells * known.seconds_per_cell <= SMALL_SECONDS * workers
             for place, known in self._campaigns.items()
         )
 

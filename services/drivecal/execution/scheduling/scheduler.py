@@ -26,7 +26,7 @@ from drivecal.execution.scheduling.worker_health import WorkerHealth
 ATTEMPTS = 3
 """Breakdowns after which a cell has failed."""
 MOST_PASSED_OVER = 100
-"""Batches of 0.5 s after which a suspect no longer waits for its only worker to run idle."""
+"""Batches after which a suspect no longer waits for its only worker to run idle."""
 
 
 @dataclass(slots=True)
@@ -70,7 +70,10 @@ class Scheduler:
         unless either is `exclusive`, or a certificate gave the answer that the cell must not take. Raises ValueError if a cell is in
         flight already.
         """
-        self._costs.relate(work.setup.key, work.setup.kind)
+        setup = work.setup.key
+        self._costs.relate(setup, work.setup.kind)
+        cost, had_none = self._costs.seconds_per_cell(setup), not self._in_flight.of(tag)
+        self._reservation.given(tag, priority, None if cost is None else cost * len(work.cells), had_none=had_none)
         for claim in self._in_flight.add(work, tag, priority):
             simulation = claim.simulation
             count = min(work.breakdowns.get(claim.cell.id, 0), ATTEMPTS - 1)

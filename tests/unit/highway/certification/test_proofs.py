@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.support.effort import examples
+from tests.support.effort import examples, tries
 
 from drivecal.highway.certification.kernels import NONE, contenders
 from drivecal.highway.certification.memory import Memory
@@ -138,7 +138,7 @@ def simulate_or_prove(trie: Trie[bytes], parameters: Sequence[float], number: in
     share=st.sampled_from([0.0, 0.3, 0.9, 1.0]),
     room=st.sampled_from([2_000, 20_000, 2**30]),
 )
-@settings(max_examples=examples(10))
+@settings(max_examples=tries(10, 300))
 def test_what_is_certified_is_what_would_have_been_simulated(
     seed: int, n_candidates: int, n_terms: int, share: float, room: int
 ) -> None:
