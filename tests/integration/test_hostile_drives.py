@@ -1,6 +1,6 @@
 """Damaged networks, route files and scenario files that pass the check of a push: a worker's session drives them, or names a cause.
 
-6 drives in `make test`, 200 in `make test-slow` and `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
+6 drives in `make test`, 50 in `make test-slow`, 200 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SUBJECTS: dict[str, tuple[str, dict[str, Any]]] = {
     "cut_out": ("scenarios/cut_out.xosc", {"openscenario": "scenarios/cut_out.xosc", "duration": 4}),
 }
 """The damaged file, and the scenario that reads it."""
-DRIVES = {"few": 2, "many": int(os.environ.get("DRIVECAL_DRIVES") or 40)}
+DRIVES = {"few": 2, "many": int(os.environ.get("DRIVECAL_DRIVES") or effort.tries(10, 40))}
 """Drives of each subject."""
 
 
