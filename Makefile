@@ -19,12 +19,12 @@ $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (a quarter of an hour)
+test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (13 minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
-test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (a quarter of an hour)
+test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (20 to 30 minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
