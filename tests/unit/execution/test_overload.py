@@ -87,7 +87,7 @@ def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_it
     plant.run(until=plant.now + 10.0)
     for number in range(10):
         tag, first = f"small {number}", 500_001 + 1_000 * number
-        plant.add(tag, "S2", cells(before * workers, first=first + 500))
+        plant.add(tag, "S2", cells(before * workers, first=first + 100_000))
         seconds_until_done(plant, tag)
         assert seconds_of_generations(plant, tag, first) <= 3 * alone + 2 * WAIT + 2 * (GENERATIONS - 2) * short(workers)
         plant.scheduler.withdraw(tag)

@@ -73,8 +73,10 @@ class Scheduler:
         setup = work.setup.key
         self._costs.relate(setup, work.setup.kind)
         cost, had_none = self._costs.seconds_per_cell(setup), not self._in_flight.of(tag)
-        self._reservation.given(tag, priority, None if cost is None else cost * len(work.cells), had_none=had_none)
-        for claim in self._in_flight.add(work, tag, priority):
+        claims = self._in_flight.add(work, tag, priority)
+        if claims:
+            self._reservation.given(tag, priority, None if cost is None else cost * len(claims), had_none=had_none)
+        for claim in claims:
             simulation = claim.simulation
             count = min(work.breakdowns.get(claim.cell.id, 0), ATTEMPTS - 1)
             if count > simulation.breakdowns:  # a suspect from now on
