@@ -5,6 +5,7 @@ file does: what is driven is the network. It names the digest of its source, so 
 """
 
 import hashlib
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice, pairwise
@@ -29,6 +30,8 @@ MOST_ROUTES = 100
 """Different routes of a bundle's scenarios; checking one takes up to a second."""
 MOST_EDGES = 20_000
 """Edges of these routes together."""
+MOST_SECONDS = 120.0
+"""Limit of a core's time for the files that describe scenarios: a server reads one push at a time."""
 Driven = tuple[str, tuple[str, ...], float]
 """Network, route and limit of lanes without one (m/s, 0 without it) of a scenario: what its corridor depends on."""
 LARGEST_JUMP = 2.0
@@ -78,7 +81,11 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     roads = _Roads(files)
     problems: dict[str, list[Problem]] = {}
     descriptions: dict[str, Description] = {}
+    began = time.thread_time()
     for field, scenario in _scenarios(manifest):
+        if time.thread_time() - began > MOST_SECONDS:
+            message = f"their files take more than {MOST_SECONDS:g} s of a core to be read"
+            raise InvalidInputError(Problem("scenarios", message, "leave some out, or give smaller files"))
         problems[field] = []
         try:
             descriptions[field] = description = described(scenario, roads.files, roads.map, _step(manifest))

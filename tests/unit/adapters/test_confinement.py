@@ -10,13 +10,14 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import lost, opened, scratch_of, served, write_server
 
-from drivecal.adapters import confinement, keeper
+from drivecal.adapters import keeper
+from drivecal.adapters.confinement import landlock
 from drivecal.adapters.scratch import GRANTED, Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
 
-landlock = pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
+confining = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
 
 FORBIDDEN = {
     "create": "open('{outside}/new', 'w')",
@@ -42,6 +43,12 @@ FORBIDDEN = {
     "environment": "open('/proc/%d/environ' % os.getppid(), 'rb').read()",
     "memory": "open('/proc/%d/mem' % os.getppid(), 'rb').read(0)",
     "debug": "check(ctypes.CDLL(None, use_errno=True).ptrace(16, os.getppid(), 0, 0) == 0)",  # PTRACE_ATTACH
+    "limit": "resource.prlimit(os.getppid(), resource.RLIMIT_CORE, (0, 0))",
+    "limit_worker": "resource.prlimit({worker}, resource.RLIMIT_CORE, (0, 0))",
+    "processors": "os.sched_setaffinity(os.getppid(), os.sched_getaffinity(0))",
+    "policy": "os.sched_setscheduler(os.getppid(), os.SCHED_BATCH, os.sched_param(0))",
+    "priority": "os.setpriority(os.PRIO_PROCESS, os.getppid(), os.getpriority(os.PRIO_PROCESS, os.getppid()))",
+    "priority_of_all": "os.setpriority(os.PRIO_USER, 0, os.getpriority(os.PRIO_USER, 0))",
     "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",
 }
 LATER = {"truncate": "os.truncate('{outside}/file', 0)"}
@@ -58,6 +65,11 @@ ALLOWED = {
     "random": "open('/dev/urandom', 'rb').read(1)",
     "semaphore": "__import__('multiprocessing').Lock()",
     "shared_memory": "(m := __import__('multiprocessing.shared_memory').shared_memory.SharedMemory(create=True, size=9), m.unlink())",
+    "own_limit": "(resource.setrlimit(resource.RLIMIT_CORE, (0, 0)), resource.prlimit(os.getpid(), resource.RLIMIT_CORE, (0, 0)))",
+    "look_at_limits": "resource.prlimit(os.getppid(), resource.RLIMIT_CORE)",
+    "own_processors": "[os.sched_setaffinity(number, os.sched_getaffinity(0)) for number in (0, os.getpid())]",
+    "own_priority": "(os.nice(0), os.setpriority(os.PRIO_PROCESS, os.getpid(), os.getpriority(os.PRIO_PROCESS, 0)))",
+    "own_policy": "os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))",
     "program": "check(subprocess.run(['sh', '-c', 'echo x > file2; kill $$']).returncode == -15)",
     "system": "open('/etc/passwd').read()",
     "module": "__import__('decimal')",
@@ -74,7 +86,7 @@ def attempts(codes: dict[str, str], **places: object) -> str:
     """Returns a body that tries each code and answers 1 for each that works."""
     filled = {name: code.format(**places) for name, code in codes.items()}
     return f"""
-import ctypes, socket
+import ctypes, resource, socket
 def check(condition):
     if not condition: raise OSError
 def dial(address):
@@ -92,7 +104,7 @@ continue
 """
 
 
-@landlock
+@confining
 def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bundle, outside, home = tmp_path / "bundle", tmp_path / "outside", tmp_path / "home"
     for folder in (bundle / "deep", outside, home):
@@ -102,9 +114,9 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
     monkeypatch.setenv("DRIVECAL_TOKENS_FILE", str(outside / "tokens"))
     forbidden = dict(FORBIDDEN)
-    if confinement.version() >= confinement.TRUNCATION_SINCE:
+    if landlock.version() >= landlock.TRUNCATION_SINCE:
         forbidden |= LATER
-    if confinement.version() >= confinement.SCOPES_SINCE:
+    if landlock.version() >= landlock.SCOPES_SINCE:
         forbidden |= SCOPED
     codes = forbidden | ALLOWED
     listening = socket.socket(socket.AF_UNIX)
@@ -131,7 +143,7 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     assert (outside / "file").read_text() == "content"
 
 
-@landlock
+@confining
 def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
     own, other = tmp_path / ("a" * 64), tmp_path / ("b" * 64)
     for folder in (own, other):
@@ -143,7 +155,7 @@ def test_other_bundles_of_the_cache_cannot_be_read(tmp_path: Path) -> None:
         assert session.evaluate({"x": 1.0}).measures == {"own": 1.0, "other": 0.0}
 
 
-@landlock
+@confining
 def test_files_of_other_sessions_cannot_be_read(tmp_path: Path) -> None:
     """Sessions that are open, and sessions that begin later."""
     bundles = [tmp_path / name for name in ("own", "earlier", "later")]
@@ -182,7 +194,7 @@ def test_the_folder_of_sessions_is_private_and_not_another_users(tmp_path: Path,
         Scratch(bundle)
 
 
-@landlock
+@confining
 def test_a_refusal_names_the_folders_that_may_be_changed_and_the_owner_can_grant_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,50 +226,50 @@ def test_a_child_gains_no_privileges(tmp_path: Path) -> None:
 
 
 def test_a_kernel_without_landlock_confines_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(confinement, "version", lambda: 0)
-    assert confinement.ruleset([str(tmp_path)]) is None
+    monkeypatch.setattr(landlock, "version", lambda: 0)
+    assert landlock.ruleset([str(tmp_path)]) is None
 
 
-@landlock
+@confining
 @pytest.mark.parametrize("known", range(1, 8))
 def test_rules_suit_every_version_of_landlock(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, known: int) -> None:
     """A kernel takes the rules of all versions before its own."""
-    if known > confinement.version():
+    if known > landlock.version():
         pytest.skip("this kernel is older")
-    monkeypatch.setattr(confinement, "version", lambda: known)
-    rules = confinement.ruleset([str(tmp_path)], [], [str(tmp_path / "hidden")])
+    monkeypatch.setattr(landlock, "version", lambda: known)
+    rules = landlock.ruleset([str(tmp_path)], [], [str(tmp_path / "hidden")])
     assert rules is not None
     os.close(rules)
 
 
-@landlock
+@confining
 def test_too_many_neighbours_of_a_hidden_file_leave_it_readable(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(confinement, "MOST_RULES", 1)
-    assert confinement._beside({str(tmp_path / "hidden")}) == []
+    monkeypatch.setattr(landlock, "MOST_RULES", 1)
+    assert landlock._beside({str(tmp_path / "hidden")}) == []
     monkeypatch.undo()
     (tmp_path / "beside").write_text("")
-    beside = confinement._beside({str(tmp_path / "hidden")})
+    beside = landlock._beside({str(tmp_path / "hidden")})
     assert str(tmp_path / "beside") in beside
     assert not any(tmp_path.is_relative_to(path) for path in beside)
 
 
-@landlock
+@confining
 def test_a_hidden_file_with_too_many_neighbours_leaves_others_hidden(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     crowded, quiet = tmp_path / "crowded" / "hidden", tmp_path / "quiet" / "hidden"
     for path in (crowded, quiet):
         path.parent.mkdir()
-    needed = len(confinement._beside({str(quiet)}))
+    needed = len(landlock._beside({str(quiet)}))
     for number in range(100):
         (crowded.parent / str(number)).write_text("")
-    monkeypatch.setattr(confinement, "MOST_RULES", needed + 50)
-    assert confinement._beside({str(crowded), str(quiet)}) == []
-    assert confinement._affordable({str(crowded), str(quiet)}) == {str(quiet)}
+    monkeypatch.setattr(landlock, "MOST_RULES", needed + 50)
+    assert landlock._beside({str(crowded), str(quiet)}) == []
+    assert landlock._affordable({str(crowded), str(quiet)}) == {str(quiet)}
     for path in (crowded, quiet):
         path.write_text("content")
-    rules = confinement.ruleset([], [], [str(crowded), str(quiet)])
+    rules = landlock.ruleset([], [], [str(crowded), str(quiet)])
     child = os.fork()
     if child == 0:
-        confinement.confine(rules)
+        landlock.confine(rules)
         os._exit(_is_readable(crowded) + 2 * _is_readable(quiet))
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
     assert rules is not None

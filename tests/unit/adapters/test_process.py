@@ -287,8 +287,10 @@ def test_a_process_works_beside_links_to_the_bundle_and_leaves_it_as_it_is(tmp_p
     bundle = tmp_path / "bundle"
     bundle.mkdir()
     (bundle / "factor").write_text("7")
+    (bundle / "problem.yaml").write_text("problem: trial")
     before = sorted(bundle.rglob("*"))
-    with served(bundle, "x = float(open('factor').read())\nopen('out', 'w').write('1')\nos.mkdir('deep')") as session:
+    body = "x = float(open('factor').read()) + os.path.exists('problem.yaml')\nopen('out', 'w').write('1')\nos.mkdir('deep')"
+    with served(bundle, body) as session:
         assert session.evaluate({"x": 1.0}).measures == {"y": 14.0}
         folder = scratch_of(session).folder
         assert (folder / "work" / "out").is_file()

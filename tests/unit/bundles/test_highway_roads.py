@@ -280,3 +280,10 @@ def test_archives_with_further_files_stay_within_their_limits(tmp_path: Path) ->
         with_files(archive, {"more": b"0" * 2_000_000}, largest=1_000_000)
     with pytest.raises(InvalidInputError):
         with_files(archive, {str(number): b"" for number in range(9)}, most_files=10)
+
+
+def test_files_that_take_too_long_to_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(highway_roads, "MOST_SECONDS", -1.0)
+    with pytest.raises(InvalidInputError) as refusal:
+        check_roads(checked(MANIFEST), networks())
+    assert [problem.field for problem in refusal.value.problems] == ["scenarios"]

@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 if __name__ == "__main__":  # isolated, without site-packages
     sys.path.append(str(Path(__file__).parents[2]))
 
-from drivecal.adapters.confinement import confine, ruleset
+from drivecal.adapters.confinement.landlock import confine, keep_signals, ruleset
+from drivecal.adapters.confinement.seccomp import hold_to_itself
 from drivecal.adapters.files.removal import remove
 
 START, END, KILL = b"s", b"t", b"k"
@@ -132,10 +133,12 @@ class Keeper:
     `{"status": n, "cpu": s}` with the return code as in `subprocess`, and the CPU time of all ended processes since the keeper's start.
     """
 
-    def __init__(self, control: socket.socket, settings: dict[str, Any]) -> None:
+    def __init__(self, control: socket.socket, settings: dict[str, Any], worker: int) -> None:
         """`settings`: `command`, `environment`, `folder` (working directory), `memory` (bytes of data of each process), and `confinement`:
         the arguments of `ruleset`, or None."""
         self._control, self._settings = control, settings
+        self._reaches_its_own_only = settings["confinement"] is not None and _reaches_its_own_only(worker)
+        """Whether a signal to all processes reaches the descendants and none besides."""
         self._rules = None if settings["confinement"] is None else ruleset(**settings["confinement"])
         self._library = ctypes.CDLL(None, use_errno=True)
         self._library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -221,6 +224,7 @@ class Keeper:
             resource.setrlimit(limit, (value, value))
         if self._settings["confinement"] is not None:
             confine(self._rules)
+            hold_to_itself()
 
     def _notice(self) -> None:
         """Reaps orphans, and reports the child if it has ended."""
@@ -235,9 +239,7 @@ class Keeper:
     def _ask(self) -> None:
         """Asks every process to end, not the child's group alone, which may be a shell before the program. Waits while any lives, for the
         grace at most."""
-        for process in descendants(os.getpid()):
-            with contextlib.suppress(OSError):
-                os.kill(process.pid, signal.SIGTERM)
+        self._send(signal.SIGTERM)
         deadline = time.monotonic() + GRACE_SECONDS
         while self._reap() and time.monotonic() < deadline:  # without children of its own a subreaper has no descendants
             time.sleep(0.002)
@@ -256,14 +258,20 @@ class Keeper:
                 os.killpg(child, signal.SIGKILL)  # the child is not reaped yet, so the number is still its own
         deadline = time.monotonic() + SWEEP_SECONDS
         while self._reap():
-            family = descendants(os.getpid())
-            for number in (signal.SIGSTOP, signal.SIGKILL):  # stopped first: a parent cannot start another while its child dies
-                for process in family:
-                    with contextlib.suppress(OSError):
-                        os.kill(process.pid, number)
+            self._send(signal.SIGSTOP, signal.SIGKILL)  # stopped first: a parent cannot start another while its child dies
             if time.monotonic() > deadline:
                 return
             time.sleep(0.001)
+
+    def _send(self, *numbers: int) -> None:
+        """Sends signals to every descendant. If the kernel holds this process to its own, it signals all at once, which no process escapes
+        by a fork; else those that a look finds."""
+        with contextlib.suppress(OSError):  # a machine without files for a look, which is tried again
+            family = [-1] if self._reaches_its_own_only else [process.pid for process in descendants(os.getpid())]
+            for number in numbers:
+                for process in family:
+                    with contextlib.suppress(OSError):
+                        os.kill(process, number)
 
     def _reap(self) -> bool:
         """Waits for ended children; returns whether there are others."""
@@ -275,6 +283,23 @@ class Keeper:
             if pid == 0:
                 return True
             self._statuses[pid] = os.waitstatus_to_exitcode(status)
+
+
+def _reaches_its_own_only(worker: int) -> bool:
+    """Holds this process to signals to its descendants. Returns True only if the living worker, which is none, was within reach before and
+    is not since: a signal to all processes would end everything of the user otherwise."""
+
+    def reaches_worker() -> bool | None:
+        try:
+            os.kill(worker, 0)
+        except PermissionError:
+            return False
+        except OSError:
+            return None
+        return True
+
+    before = reaches_worker()
+    return keep_signals() and before is True and reaches_worker() is False
 
 
 def _has_ended(child: int) -> bool:
@@ -289,15 +314,17 @@ def main() -> None:
     for number in IGNORED:
         signal.signal(number, signal.SIG_IGN)
     settings = json.load(sys.stdin)
+    worker = os.getppid()
     if os.fork():
         os._exit(0)
-    keeper = Keeper(socket.socket(fileno=int(sys.argv[1])), settings)
+    keeper = Keeper(socket.socket(fileno=int(sys.argv[1])), settings, worker)
     try:
         keeper.serve()
     except OSError:  # the worker is gone
         pass
     finally:
-        keeper.finish()
+        with contextlib.suppress(OSError):
+            keeper.finish()
         remove(Path(settings["scratch"]))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import drivecal
 from drivecal.adapters.files.removal import remove
+from drivecal.bundles.archives import MANIFEST
 from drivecal.domain.errors import UnavailableError
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
@@ -46,11 +47,12 @@ class Scratch:
             raise
 
     def renew(self) -> None:
-        """Empties the working directory."""
+        """Empties the working directory. The manifest is not there: results depend on what it says of a run, and not on its text."""
         discard(self.work)
         self.work.mkdir()
         for path in self._bundle.iterdir():
-            (self.work / path.name).symlink_to(path)
+            if path.name != MANIFEST:
+                (self.work / path.name).symlink_to(path)
 
     def clear(self) -> None:
         """Empties the working directory and the folder of temporary files: locks and halves of files that a child has left would meet the

@@ -1,12 +1,13 @@
 """Reads the modelDescription.xml of an FMU (FMI 2.0 and 3.0, co-simulation): variables with their units, and the default experiment."""
 
-import lzma
 import math
 import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
+from io import SEEK_END
 from pathlib import Path
 from typing import IO
 from xml.parsers import expat  # DTDs and entities, which make XML dangerous, are refused below
@@ -16,6 +17,8 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 LARGEST_DESCRIPTION = 32 << 20
+LARGEST_DIRECTORY = 4 << 20
+"""Bytes of the list of an archive's files, which zipfile turns into ten times as much."""
 MOST_VARIABLES = 100_000
 NUMBERS = frozenset({"Real", "Float32", "Float64"})
 INTEGERS: Mapping[str, tuple[int, int]] = {
@@ -29,7 +32,6 @@ _TYPES = NUMBERS | _WHOLE | {"String", "Binary", "Clock"}
 _FAULTS = (
     zipfile.BadZipFile,
     zlib.error,
-    lzma.LZMAError,
     struct.error,
     KeyError,
     OSError,
@@ -105,8 +107,8 @@ def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescri
     """
     name = str(file) if name is None else name
     try:
-        with zipfile.ZipFile(file) as archive, archive.open("modelDescription.xml") as stream:
-            content = stream.read(LARGEST_DESCRIPTION + 1)
+        with open(file, "rb") if isinstance(file, str | Path) else nullcontext(file) as whole:  # noqa: PTH123  # a text or a path
+            content = _content(whole)
     except _FAULTS as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
         raise _refused(name, f"it cannot be read as an FMU: {shown(reason, 200)}", "give an .fmu file") from error
@@ -118,6 +120,32 @@ def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescri
     if not description.co_simulation:
         raise _refused(name, "it has no co-simulation", "export it for co-simulation")
     return description
+
+
+def _content(whole: IO[bytes]) -> bytes:
+    """Returns a modelDescription.xml, one byte more than allowed if it is larger. Raises BadZipFile."""
+    if _directory_size(whole) > LARGEST_DIRECTORY:
+        raise zipfile.BadZipFile(f"its directory has more than {LARGEST_DIRECTORY >> 20} MB")
+    with zipfile.ZipFile(whole) as archive:
+        entry = archive.getinfo("modelDescription.xml")
+        if entry.compress_type not in {
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        }:  # zipfile expands others whole, gigabytes of 10 kB
+            raise zipfile.BadZipFile("it is compressed by a method that FMI does not know")
+        with archive.open(entry) as stream:
+            return stream.read(LARGEST_DESCRIPTION + 1)
+
+
+def _directory_size(whole: IO[bytes]) -> int:
+    """Returns the bytes that zipfile would read as an archive's directory. Raises BadZipFile."""
+    length = whole.seek(0, SEEK_END)
+    whole.seek(max(0, length - 22 - 65_535 - 20))
+    tail = whole.read()
+    start = len(tail) - 22 if tail[-22:-18] == b"PK\5\6" and tail[-2:] == b"\0\0" else tail.rfind(b"PK\5\6")
+    if start < 0 or len(tail) < start + 22 or tail[max(0, start - 20) : start].startswith(b"PK\6\7"):
+        raise zipfile.BadZipFile("it is not a zip archive, or one of format 64")
+    return int.from_bytes(tail[start + 12 : start + 16], "little")
 
 
 def parse_description(content: bytes, name: str = "modelDescription.xml") -> FmuDescription:

@@ -32,6 +32,13 @@ class Element(Attributes):
         self.known: list[str] = []
         """Attributes that were read."""
 
+    def copy(self, parent: "Element | None" = None) -> "Element":
+        """Returns the element with all inside of it, below `parent` or its own."""
+        copied = Element(self, parent or self.parent, self.substitution)
+        copied.parameters = dict(self.parameters)
+        copied.children = [child.copy(copied) for child in self.children]
+        return copied
+
     def text(self, key: str, default: str | None = None) -> str:
         """Returns an attribute. Raises InvalidInputError if it is missing and has no default."""
         self.known.append(key)

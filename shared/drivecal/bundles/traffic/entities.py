@@ -24,11 +24,25 @@ LONGEST = 50.0
 """Metres of a vehicle."""
 
 
+MOST_ENTITIES = 200
+
+
 class Files:
     """The files of a bundle. `names`: all of them; `read`: returns the content of one."""
 
     def __init__(self, names: frozenset[str], read: Callable[[str], bytes]) -> None:
         self.names, self.read = names, read
+        self._catalogs: dict[str, str | None] = {}
+        self._last: tuple[str, Element] | None = None
+
+    def catalog(self, file: str, name: str) -> Element | None:
+        """Returns the catalog of this name in an OpenSCENARIO file, None if the file holds another or none. A file is read once to learn
+        its name. Raises InvalidInputError."""
+        if file not in self._catalogs or (self._catalogs[file] == name and (self._last is None or self._last[0] != file)):
+            content = read_tree(self.read(file), file, "OpenSCENARIO", substituted).optional("Catalog")
+            self._catalogs[file] = None if content is None else content.text("name")
+            self._last = None if content is None else (file, content)
+        return self._last[1] if self._catalogs[file] == name and self._last is not None else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +75,10 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
     if locations is not None:
         locations.skip()
     entities: dict[str, Entity] = {}
-    for element in root.only("Entities").every("ScenarioObject"):
+    listed = root.only("Entities").every("ScenarioObject")
+    if len(listed) > MOST_ENTITIES:
+        raise listed[MOST_ENTITIES].fault(f"there are more than {MOST_ENTITIES} entities", "leave some out")
+    for element in listed:
         name = element.text("name")
         if name in entities:
             raise element.fault(f"another entity is called {shown(name)}", "rename one")
@@ -90,22 +107,22 @@ def _from_catalog(reference: Element, locations: Element | None, files: Files) -
     """Returns the vehicle of a catalog that a reference names. Raises InvalidInputError if the bundle does not have it."""
     catalog, entry = reference.text("catalogName"), reference.text("entryName")
     folders = []
-    for location in (
-        locations.every("VehicleCatalog", "MiscObjectCatalog", "PedestrianCatalog") if locations is not None else []
-    ):
+    tags = ("VehicleCatalog", "MiscObjectCatalog", "PedestrianCatalog")
+    given = [] if locations is None else [locations.optional(tag) for tag in tags]
+    for location in filter(None, given):
         directory = location.only("Directory")
         folders.append(directory.text("path"))
         folder = normpath(join(dirname(reference.file), directory.text("path")))
         for file in sorted(name for name in files.names if dirname(name) == folder and name.endswith(".xosc")):
-            root = read_tree(files.read(file), file, "OpenSCENARIO", substituted)
-            content = root.optional("Catalog")
-            if content is None or content.text("name") != catalog:
+            content = files.catalog(file, catalog)
+            if content is None:
                 continue
             described = content.every("Vehicle", "MiscObject", "Pedestrian")
             for element in described:
                 if element.text("name") == entry:
-                    _declare(element, reference)
-                    return element
+                    own = element.copy()  # other references may give its parameters other values
+                    _declare(own, reference)
+                    return own
             remedy = nearest(entry, [element.text("name") for element in described])
             raise reference.fault(f"the catalog {shown(file, 200)} has no entry {shown(entry)}", remedy)
     place = f" in {', '.join(shown(folder, 100) for folder in folders)}" if folders else ""

@@ -24,7 +24,6 @@ from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import Corridor
 
-MOST_ENTITIES = 200
 BEHIND = 2_000.0
 """Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there; also the length of
 the road ahead of it, or of the first vehicle, that is the drive until a route is known."""
@@ -80,8 +79,6 @@ class ScenarioFile:
         scenario, storyboard = self._scenario, self._root.only("Storyboard")
         self._root.only("RoadNetwork").optional("LogicFile")
         entities = entities_of(self._root, self._files, self._notes)
-        if len(entities) > MOST_ENTITIES:
-            raise self._root.only("Entities").fault(f"there are more than {MOST_ENTITIES} entities", "leave some out")
         ego = self._ego(entities)
         duration = self._duration(storyboard, step)
         starts = self._starts(storyboard.only("Init"), entities, roads)

@@ -12,7 +12,7 @@ from typing import Any
 from drivecal.bundles.traffic.departures import LONG, Clock, Stream, seconds
 from drivecal.bundles.traffic.elements import Element, Notes, finite, read_tree
 from drivecal.bundles.traffic.entries import Entry, VehicleNames
-from drivecal.bundles.traffic.routes import joined
+from drivecal.bundles.traffic.routes import LongSearchError, WaySearch
 from drivecal.bundles.traffic.vehicle_types import VehicleTypes, check_attributes
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
@@ -49,6 +49,7 @@ class RouteFile:
         self._types = VehicleTypes(seed, self._notes)
         self._routes: dict[str, Element] = {}
         self._ways: dict[tuple[str, ...], list[str] | None] = {}
+        self._searched = WaySearch(network)
         self._count = self._early = 0
         self._from, self._to = inf, -inf
         self.entries: list[Entry] = []
@@ -193,7 +194,11 @@ class RouteFile:
         if tuple(stops) not in self._ways:
             if len(self._ways) == MOST_WAYS:
                 raise element.fault(f"the trips have more than {MOST_WAYS} different ways", "give routes instead of trips")
-            self._ways[tuple(stops)] = joined(self._network, stops)
+            try:
+                self._ways[tuple(stops)] = self._searched.over(stops)
+            except LongSearchError:
+                message = "the ways of the trips take too long to be searched in this network"
+                raise element.fault(message, "give routes instead of trips, or a smaller network") from None
         way = self._ways[tuple(stops)]
         if way is None:
             raise element.fault(f"no way leads over {', '.join(map(shown, stops))}", "give a route")

@@ -198,3 +198,19 @@ def test_files_of_memory_count_once_and_not_only_while_they_are_mapped(tmp_path:
     with served(tmp_path, body, memory_mb=200) as session:
         assert "MB of memory" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_more_open_files_than_can_be_looked_at_cost_their_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit(monkeypatch)
+    monkeypatch.setattr(usage, "MOST_LOOKS", 200)
+    many = "import os\nif x == 1.0:\n    kept = [os.dup(1) for _ in range(300)]\n    time.sleep(600)"
+    with served(tmp_path, many) as session:
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+        assert "more than 200 files open" in lost(session, {"x": 1.0}, Breakdown.ERROR)
+        assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_more_mappings_than_can_be_counted_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(usage, "MOST_MAPPINGS", 5)
+    with pytest.raises(usage.UncountableError):
+        usage.mapped([os.getpid()], str(tmp_path))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import time
+import tracemalloc
 import zipfile
 from io import BytesIO
 from pathlib import Path
@@ -16,8 +17,9 @@ from tests.support.fmus import archive
 from drivecal.bundles.archives import BundleFile, files_of, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
+from drivecal.bundles.fmus import description as description_module
 from drivecal.bundles.fmus.bundles import MOST_PROBLEMS, check_fmus, fields_of_resets
-from drivecal.bundles.fmus.description import parse_description
+from drivecal.bundles.fmus.description import parse_description, read_fmu
 from drivecal.client.problems import read_archived, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError
 
@@ -240,6 +242,35 @@ def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> N
     damaged = [whole.getvalue()[:at] + b"\xff" * 20 + whole.getvalue()[at + 20 :] for at in range(place, place + 60, 3)]
     for content in (b"no archive", file_of("<a").content, *damaged):
         assert check_fmus(checked(problem()), {"acc.fmu": BundleFile(content, False)}) == ()
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_description_that_would_be_expanded_whole_is_refused_before(compression: int) -> None:
+    """zipfile expands these methods without regard to how much is asked for."""
+    whole = BytesIO()
+    with zipfile.ZipFile(whole, "w", compression) as target:
+        target.writestr("modelDescription.xml", bytes(40 << 20))
+    assert len(whole.getvalue()) < 10_000
+    tracemalloc.start()
+    with pytest.raises(InvalidInputError, match="method"):
+        read_fmu(whole)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
+
+
+def test_an_fmu_with_too_many_files_is_refused_before_they_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = BytesIO()
+    with zipfile.ZipFile(whole, "w") as target:
+        target.writestr("modelDescription.xml", SECOND)
+        for number in range(100):
+            target.writestr(f"resources/{number}", b"")
+        target.comment = b"made by a tool"
+    assert read_fmu(whole, "acc.fmu").fmi == "2.0"
+    monkeypatch.setattr(description_module, "LARGEST_DIRECTORY", 5_000)
+    monkeypatch.setattr(zipfile, "ZipFile", lambda *_: pytest.fail("its files are listed"))
+    with pytest.raises(InvalidInputError, match="directory"):
+        read_fmu(whole)
 
 
 def test_arrays_are_no_numbers() -> None:

@@ -28,8 +28,10 @@ from tests.support.scenario_files import (
     with_events,
 )
 
-from drivecal.bundles.traffic.elements import read_tree
+from drivecal.bundles.traffic.elements import Notes, read_tree
+from drivecal.bundles.traffic.entities import Files, entities_of
 from drivecal.bundles.traffic.places import Map
+from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import read_network
 
 
@@ -178,6 +180,29 @@ def test_a_reference_gives_parameters_of_a_catalog_s_entry_other_values() -> Non
     assert of_file(content(assigned.format("length", 12.5)), files).scenario.ego.length == 12.5
     assert "width" in refused(content(assigned.format("width", 2)), files=files)
     assert "constraints" in refused(content(assigned.format("length", 20)), files=files)
+
+
+def test_a_catalog_is_read_once_however_many_refer_to_it() -> None:
+    car = vehicle().replace('name="car"', 'name="long"')
+    content = {
+        f"c/{name}.xosc": f'<OpenSCENARIO><Catalog name="{name}">{car}</Catalog></OpenSCENARIO>'.encode() for name in "abcd"
+    }
+    read: list[str] = []
+
+    def contents(name: str) -> bytes:
+        read.append(name)
+        return content[name]
+
+    files = Files(frozenset(content), contents)
+    reference = '<ScenarioObject name="v{}"><CatalogReference catalogName="d" entryName="long"/></ScenarioObject>'
+    locations = '<CatalogLocations><VehicleCatalog><Directory path="c"/></VehicleCatalog></CatalogLocations>'
+    entities = "".join(reference.format(number) for number in range(50))
+    root = read_tree(f"<a>{locations}<Entities>{entities}</Entities></a>".encode(), "s.xosc", "a")
+    assert len(entities_of(root, files, Notes("s.xosc"))) == 50
+    assert sorted(read) == sorted(content)
+    twice = locations.replace("</CatalogLocations>", "") + locations.removeprefix("<CatalogLocations>")
+    with pytest.raises(InvalidInputError, match="several"):
+        entities_of(read_tree(f"<a>{twice}<Entities>{entities}</Entities></a>".encode(), "s.xosc", "a"), files, Notes("s.xosc"))
 
 
 def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:

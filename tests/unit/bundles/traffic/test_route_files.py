@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import random
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import libsumo
+import numpy as np
 import pytest
+from scipy.sparse.csgraph import csgraph_from_dense, shortest_path
 from tests.support.networks import entrance
 from tests.support.scenario_files import ROUTES, with_routes
 
@@ -15,6 +20,8 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.highway import CLASSES
 from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.highway_roads import check_roads
+from drivecal.bundles.traffic import routes
+from drivecal.bundles.traffic.routes import WaySearch
 from drivecal.bundles.traffic.vehicle_types import MIN_GAP, SIGMA
 from drivecal.domain.errors import InvalidInputError
 
@@ -299,3 +306,37 @@ def test_a_file_that_is_missing_or_no_route_file_is_refused() -> None:
 def test_trips_with_many_ways_are_refused_before_they_take_minutes() -> None:
     trips = "".join(f'<trip id="t{n}" depart="0" from="before" via="{"beside " * n}" to="after"/>' for n in range(102))
     assert "different ways" in refusal(trips)
+
+
+def test_trips_whose_ways_take_too_many_steps_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    trip = '<trip id="t" depart="0" from="before" to="after"/>'
+    assert with_routes(file(trip)).scenario.traffic
+    monkeypatch.setattr(routes, "MOST_STEPS", 3)
+    assert "too long to be searched" in refusal(trip)
+
+
+def test_ways_are_the_shortest_of_the_network() -> None:
+    """Their lengths are those of SciPy, in networks of random lengths."""
+    chance = random.Random(7)
+    for _ in range(20):
+        lengths = {f"e{number}": chance.randint(1, 9) + chance.random() for number in range(30)}
+        names = list(lengths)
+        followers = {edge: chance.sample(names, chance.randint(0, 4)) for edge in names}
+        costs = np.array([[lengths[begin] if end in followers[begin] else np.inf for end in names] for begin in names])
+        least = shortest_path(csgraph_from_dense(costs, null_value=np.inf))
+        search = WaySearch(network_of(lengths, followers))
+        for begin, end in (chance.sample(names, 2) for _ in range(20)):
+            way, expected = search.over([begin, end]), least[names.index(begin), names.index(end)]
+            if way is None:
+                assert expected == np.inf
+            else:
+                assert (way[0], way[-1]) == (begin, end)
+                assert all(after in followers[before] for before, after in pairwise(way))
+                assert sum(lengths[edge] for edge in way[:-1]) == pytest.approx(expected)
+
+
+def network_of(lengths: dict[str, float], followers: dict[str, list[str]]) -> Any:
+    """What a search needs of a network of these edges."""
+    edges = {name: SimpleNamespace(function="", lanes=[SimpleNamespace(length=length)]) for name, length in lengths.items()}
+    links = {begin: [SimpleNamespace(end=end, for_cars=True) for end in ends] for begin, ends in followers.items()}
+    return SimpleNamespace(edges=edges, connections=links)

@@ -60,10 +60,11 @@ class Disk:
             return None
         try:
             taken, files = usage.written(str(self._folder), MOST_FILES)
+            nameless = usage.nameless(processes, str(self._folder))
+            mapped = usage.mapped(processes, str(self._folder))
         except usage.UncountableError as error:
             return f"its files cannot be counted: {error}"
-        nameless = usage.nameless(processes, str(self._folder))
-        taken += sum((usage.mapped(processes, str(self._folder)) | nameless.on_disk).values())
+        taken += sum((mapped | nameless.on_disk).values())
         taken >>= 20
         self._counted = room
         if room.is_scarce and taken > max(NOTICED_MB, room.megabytes):

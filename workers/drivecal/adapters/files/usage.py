@@ -11,8 +11,14 @@ _IN_MEMORY = ("/memfd:", "/dev/shm/")  # noqa: S108  # only compared with
 _DEAD = (b"Z", b"X")
 
 
+MOST_LOOKS = 100_000
+"""Limit of the descriptors and threads at which a count of files without a name looks: half a second."""
+MOST_MAPPINGS = 1_000_000
+"""Limit of the mappings, as above."""
+
+
 class UncountableError(Exception):
-    """A folder keeps its files from being counted."""
+    """Files cannot be counted: a folder hides them, or they are too many."""
 
 
 @dataclass(slots=True)
@@ -60,8 +66,9 @@ def nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = Tru
     """Returns what processes keep open of files without a name, of a folder and in memory.
 
     `of_every_thread`: a thread can have descriptors of its own, and those of the first end with it. A look at one takes six microseconds.
+    Raises UncountableError if there are too many.
     """
-    kept = Nameless()
+    kept, looks = Nameless(), 0
     for number in numbers:
         tasks = _listed(f"/proc/{number}/task") if of_every_thread else [str(number)]
         for path in (f"/proc/{number}/task/{task}" for task in tasks):
@@ -72,6 +79,9 @@ def nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = Tru
                 continue
             except OSError:  # ended
                 continue
+            looks += 1 + len(descriptors)
+            if looks > MOST_LOOKS:
+                raise UncountableError(f"its threads have more than {MOST_LOOKS:,} files open")
             for descriptor in descriptors:
                 with contextlib.suppress(OSError):  # closed meanwhile
                     _add(kept, f"{path}/fd/{descriptor}", folder)
@@ -79,11 +89,18 @@ def nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = Tru
 
 
 def mapped(numbers: Iterable[int], folder: str) -> dict[int, int]:
-    """Returns the sizes in bytes, by inode, that files of a folder have at least in mappings of processes, after their removal."""
+    """Returns the sizes in bytes, by inode, that files of a folder have at least in mappings of processes, after their removal.
+
+    Raises UncountableError if there are too many mappings.
+    """
     beginning = os.fsencode(folder) + b"/"
     sizes: dict[int, int] = {}
+    looks = 0
     for number in numbers:
         for line in _lines(f"/proc/{number}/maps"):
+            looks += 1
+            if looks > MOST_MAPPINGS:
+                raise UncountableError(f"its processes have more than {MOST_MAPPINGS:,} mappings")
             if not line.endswith(_DELETED):
                 continue
             addresses, _, offset, _, inode, path = line.split(maxsplit=5)

@@ -1,4 +1,4 @@
-"""What the system's kernel forbids a user's simulator, by Landlock (https://docs.kernel.org/userspace-api/landlock.html).
+"""Rules of Landlock (https://docs.kernel.org/userspace-api/landlock.html) for a simulator.
 
 A confined process writes below its own folders only, cannot read hidden files, cannot debug processes outside, and reads neither their
 memory nor their environment. From Linux 6.12 on it cannot signal them, nor connect to their abstract sockets. Its descendants inherit all
@@ -85,6 +85,26 @@ def ruleset(writable: Collection[str], readable: Collection[str] = (), hidden: C
     ):
         _allow(rules, path, access)
     return rules
+
+
+def keep_signals() -> bool:
+    """Holds the signals of this process and its descendants to each other, for good, and takes the right to gain privileges from them;
+    returns whether the kernel does that."""
+    if version() < SCOPES_SINCE:
+        return False
+    attributes = _Ruleset(_REFER, 0, _SCOPE_SIGNAL)
+    rules = int(_library.syscall(_CREATE_RULESET, ctypes.byref(attributes), ctypes.c_size_t(ctypes.sizeof(attributes)), 0))
+    if rules < 0:
+        return False
+    _allow(rules, "/", _REFER)  # else forbidden by all rules
+    try:
+        _call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
+        _call(_library.syscall(_RESTRICT_SELF, rules, 0))
+    except OSError:
+        return False
+    finally:
+        os.close(rules)
+    return True
 
 
 def confine(rules: int | None) -> None:

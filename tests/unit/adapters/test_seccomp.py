@@ -1,0 +1,74 @@
+"""The filter of system calls, carried out as Linux does it, on all architectures."""
+
+from __future__ import annotations
+
+import errno
+import re
+from pathlib import Path
+
+import pytest
+
+from drivecal.adapters.confinement import seccomp
+
+OWN, OTHER = 4711, 4712
+ALLOWED, REFUSED, UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
+HIGH = 7 << 32
+X86_64, I386, AARCH64, ARM = seccomp._NUMBERS
+
+
+def answer(architecture: int, number: int, *arguments: int) -> int:
+    """What the filter of process OWN answers to a call."""
+    data = number.to_bytes(4, "little") + architecture.to_bytes(4, "little") + bytes(8)
+    data += b"".join(argument.to_bytes(8, "little") for argument in arguments).ljust(48, b"\0")
+    program, place, loaded = list(seccomp._program(OWN)), 0, 0
+    while True:
+        code, yes, no, value = program[place]
+        place += 1
+        match code:
+            case 0x20:
+                loaded = int.from_bytes(data[value : value + 4], "little")
+            case 0x15:
+                place += yes if loaded == value else no
+            case 0x35:
+                place += yes if loaded >= value else no
+            case 0x06:
+                return value
+
+
+@pytest.mark.parametrize("architecture", [X86_64, I386, AARCH64, ARM])
+def test_calls_on_others_are_refused_and_those_on_itself_are_not(architecture: int) -> None:
+    for number, (name, call) in zip(seccomp._NUMBERS[architecture], seccomp._CALLS.items(), strict=True):
+        for process, expected in ((0, ALLOWED), (OWN, ALLOWED), (OTHER, REFUSED), (HIGH, ALLOWED), (HIGH | OTHER, REFUSED)):
+            arguments = [0] * 6
+            arguments[call.process] = process
+            if call.change is not None:
+                arguments[call.change] = HIGH
+            assert answer(architecture, number, *arguments) == expected, (name, process)
+
+
+def test_all_processes_of_the_user_are_others_and_a_look_is_no_change() -> None:
+    assert answer(X86_64, 141, 2, 0) == answer(X86_64, 251, 3, 0) == REFUSED
+    assert answer(X86_64, 302, OTHER, 7, 0, HIGH) == ALLOWED
+
+
+def test_other_calls_and_architectures_are_left_alone() -> None:
+    of_x86_64 = set(seccomp._NUMBERS[X86_64])
+    assert all(answer(X86_64, number, OTHER, OTHER) == ALLOWED for number in range(500) if number not in of_x86_64)
+    assert answer(0xC00000F3, 302, OTHER) == ALLOWED  # RISC-V
+    assert answer(X86_64, 0x40000000 | 302, OTHER, 7, HIGH) == UNKNOWN
+
+
+HEADERS = {
+    X86_64: Path("/usr/include/x86_64-linux-gnu/asm/unistd_64.h"),
+    I386: Path("/usr/include/x86_64-linux-gnu/asm/unistd_32.h"),
+    AARCH64: Path("/usr/include/asm-generic/unistd.h"),
+}
+
+
+@pytest.mark.parametrize("architecture", HEADERS)
+def test_numbers_are_those_of_linux(architecture: int) -> None:
+    header = HEADERS[architecture]
+    if not header.is_file():
+        pytest.skip("the kernel's headers are not installed")
+    known = dict(re.findall(r"#define __NR_(\w+) (\d+)", header.read_text()))
+    assert [int(known[name]) for name in seccomp._CALLS] == list(seccomp._NUMBERS[architecture])
