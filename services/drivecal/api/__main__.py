@@ -9,10 +9,9 @@ from importlib.metadata import version
 from threading import Timer
 
 from drivecal.api.app import create_app
-from drivecal.api.http import memory
 from drivecal.api.http.protocol import Server, configuration
 from drivecal.api.http.startup_log import tell_of_database
-from drivecal.configuration import logs
+from drivecal.configuration import logs, memory
 from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings

@@ -123,7 +123,9 @@ def campaign_ids(incomplete: str) -> list[str]:
 
 CampaignArgument = Annotated[
     str,
-    typer.Argument(metavar="ID", help="The campaign's id, or the first characters of it.", autocompletion=campaign_ids),
+    typer.Argument(
+        metavar="ID", help="The campaign's id, or at least four first characters of it.", autocompletion=campaign_ids
+    ),
 ]
 
 

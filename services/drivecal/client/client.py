@@ -60,8 +60,8 @@ class Client(CampaignLists, ChosenSets):
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
     the server does not know the `token` or requires one. NotFoundError and ConflictError are about the requested object.
 
-    If the server is busy or its database is away, the client asks again after the time that it names, for up to PATIENCE_SECONDS. It
-    never repeats a call that may already have changed something.
+    If the server is busy or its database is away, the client asks again after the time that it names, for up to PATIENCE_SECONDS. It only
+    repeats calls that change nothing the second time.
     """
 
     def __init__(

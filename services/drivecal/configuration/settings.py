@@ -50,7 +50,7 @@ class Settings(BaseSettings):
     token: Secret | None = Field(default=None, repr=False)
     """Token of clients."""
     tokens_file: Path | None = None
-    """The tokens file, see `drivecal.configuration.tokens`. Without it the server serves all users of this machine only."""
+    """The [tokens file](../how-to/tokens.md). Without it the server serves all users of this machine only."""
     queued_campaigns: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Largest number of waiting campaigns and evaluations; further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
@@ -64,7 +64,7 @@ class Settings(BaseSettings):
     allow_push: bool | None = None
     """Whether problems, which carry code, may be pushed; none: on loopback addresses only."""
     event_streams: Annotated[int, Field(ge=1, le=10_000)] = 100
-    """Largest number of open event streams; further ones are refused (429)."""
+    """Largest number of open event streams and pages; further ones are refused (429)."""
     backend: Literal["ray", "processes"] | None = None
     """Kind of the workers: processes of Ray, or plain ones of this machine; none: Ray if it is installed."""
     ray_address: Line | None = None

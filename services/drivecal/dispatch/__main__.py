@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from drivecal.campaigns.cells.predicting import load_predictors
 from drivecal.campaigns.resolve.problem import trial
-from drivecal.configuration import logs
+from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat
@@ -26,7 +26,7 @@ from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.supervised import WorkerLimits
 from drivecal.storage.engine import locks
-from drivecal.storage.engine.database import PROMPT, Database
+from drivecal.storage.engine.database import LASTING, PROMPT, Database
 from drivecal.storage.problems import bundles
 
 LONGEST_PAUSE = 10.0
@@ -40,6 +40,7 @@ log = logging.getLogger(__name__)
 
 def main() -> int:
     """Serves campaigns until SIGTERM or SIGINT."""
+    memory.settle()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -62,7 +63,7 @@ def serve(settings: Settings, stop: threading.Event, server: int | None = None) 
     Raises DatabaseError if the database cannot be used, SupersededError if another dispatcher was elected, and BackendLostError if all
     workers are gone for good: a new process can recover.
     """
-    database = Database.open(settings.database_url)
+    database = Database.open(settings.database_url, LASTING)
     lock = _awaited("the database", lambda: _take_lock(database, settings, server), stop)
     if lock is None:
         return

@@ -127,7 +127,7 @@ ReductionMode = Literal["off", "exact", "influence", "predicted", "both"]
 class ReductionSpecification(Model):
     """Cells that may be answered without a simulation.
 
-    `off`: only equal sets of one population share a run; `exact`: equal parameter sets; `influence`: by an influence map (the paper's
+    `off`: every cell is simulated; `exact`: equal parameter sets; `influence`: by an influence map (the paper's
     Figure 6); `predicted`: equal sets and predictions in inspected lots; `both`: `influence` and `predicted`, the default with an
     analysis or a map. `limit` and `max_error` bound expected numbers of released errors (AOQL), by scenario.
     """

@@ -148,7 +148,7 @@ def test_different_bits_are_told_and_fail_where_the_simulator_claims_to_be_deter
 
 def test_the_problem_of_the_readme_works_as_it_is_shown(tmp_path: Path) -> None:
     text = (Path(__file__).parents[3] / "README.md").read_text()
-    shown = re.findall(r'^```[a-z]+ title="my-brake/(.*?)"\n(.*?)^```', text, re.MULTILINE | re.DOTALL)
+    shown = re.findall(r'^```[a-z]+ title="my-stop/(.*?)"\n(.*?)^```', text, re.MULTILINE | re.DOTALL)
     assert {name for name, _ in shown} == {"brake.py", "problem.yaml"}
     for name, content in shown:
         (tmp_path / name).write_text(content)

@@ -10,7 +10,7 @@ from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.plant import setup
 from tests.support.pooled import TAGS, cells, drain
 
-from drivecal.contracts.work import Cell
+from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
 from drivecal.execution.scheduling.dispatches import Completed
@@ -19,17 +19,32 @@ from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
-def test_an_exception_is_tried_once_more_alone_on_another_worker(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_exception_is_tried_once_more_alone_on_another_worker(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     backend = FakeBackend()
+    sent: list[tuple[str, list[int]]] = []
+    submit = backend.submit
+
+    def noted(worker: str, batch_id: int, batch: Batch, expected: float | None, *, alone: bool = False) -> None:
+        sent.append((worker, [cell.id for cell in batch.cells]))
+        submit(worker, batch_id, batch, expected, alone=alone)
+
+    monkeypatch.setattr(backend, "submit", noted)
     pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.WELL, Behaviour.ERROR, Behaviour.WELL])), tag="campaign-7")
+    behaviours = [Behaviour.WELL] * 300
+    behaviours[149] = Behaviour.ERROR  # in a batch of many
+    pool.submit(Work(setup(), cells(behaviours)), tag="campaign-7")
     [failed] = [entry for entry in drain(pool) if entry.result.breakdown is not None]
-    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (2, "error", WITNESSES)
+    assert (failed.result.id, failed.result.breakdown, failed.attempts) == (150, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
+    (first, _), (second, alone) = [one for one in sent if 150 in one[1]]
+    assert first != second
+    assert alone == [150]
     assert backend.replaced == []
     [(line, campaign)] = [(record.getMessage(), record.__dict__["campaign"]) for record in caplog.records]
     assert campaign == "campaign-7"
-    assert line.startswith("cell 2 has no result after 2 attempts (error, at last on worker-")
+    assert line.startswith("cell 150 has no result after 2 attempts (error, at last on worker-")
     assert line.endswith("; failure 1 of this campaign): ValueError: as asked for")
 
 

@@ -6,11 +6,13 @@ And ends of sessions that fail.
 from __future__ import annotations
 
 import errno
+import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator, worker
@@ -21,6 +23,7 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
+from drivecal.runtime.worker import Worker
 
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
@@ -174,3 +177,20 @@ def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
         result = works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),)))
         assert [cell.metrics for cell in result.results] == [{"a": 2.0}]
     assert len(simulator.opened) == MOST_SESSIONS + 2
+
+
+def test_a_machine_without_processes_refuses_cells_and_runs_them_when_there_are_some(
+    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
+    setup = replace(request_, simulator=section)
+    works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))
+    works.store(setup.bundle, archive)
+    no_process = Mock(side_effect=BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable"))
+    with monkeypatch.context() as crowded:
+        crowded.setattr(subprocess, "run", no_process)
+        result = works.run(Batch(setup, (Cell(1, {"x": 2.0}),)))
+        assert ("Resource temporarily unavailable" in (result.refusal or ""), result.results) == (True, ())
+    assert no_process.called
+    (answer,) = works.run(Batch(setup, (Cell(1, {"x": 2.0}),))).results
+    assert answer.metrics == {"a": 2.0}

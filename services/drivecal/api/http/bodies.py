@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 
 from drivecal.api import faults
 from drivecal.api.dependencies import Limits
-from drivecal.api.http.memory import give_back
+from drivecal.configuration.memory import give_back
 from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384

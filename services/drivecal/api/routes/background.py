@@ -48,7 +48,7 @@ SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
 
 @router.get("/setup")
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
-    """The parameters, versions and fingerprints that the campaign was taken up with; while it is queued, those of today."""
+    """The parameters, versions and fingerprints that the campaign began with; while it is queued, those of today."""
     with database.read() as connection:
         campaign = calibration(campaigns.get(connection, campaign_id))
         begun_with = resolved_spec(campaign)

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
+from drivecal.api.computed import computed
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluated_cell, evaluation_answer, evaluation_row
@@ -54,6 +55,7 @@ def read(evaluation_id: str, response: Response, database: DatabaseDependency) -
 
 
 @router.get("/{evaluation_id}/explain")
+@computed
 def explain_evaluation(evaluation_id: str, database: DatabaseDependency) -> Explanation:
     """The reason why a cell was answered from the reference table, or was not: by its number in a campaign's table, or by the id of a
     single evaluation in one scenario."""

@@ -12,11 +12,11 @@ from starlette.exceptions import HTTPException
 from drivecal.api.dependencies import ArchivePlace, DatabaseDependency, Limits, LimitsDependency
 from drivecal.api.http.authorisation import refuse_push
 from drivecal.api.http.bodies import body_of, check_encoding
-from drivecal.api.http.memory import give_back
 from drivecal.api.http.queries import ProblemsQuery
 from drivecal.api.responses import ROOT, matches
 from drivecal.bundles.archives import content_digest, files_of
 from drivecal.client.problems import read_archived
+from drivecal.configuration.memory import give_back
 from drivecal.configuration.pushing import HEADER
 from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
 from drivecal.storage import admission

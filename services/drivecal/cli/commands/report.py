@@ -21,7 +21,9 @@ LARGEST = 64 * 2**20
 @app.command()
 def report(
     identifier: CampaignArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to write to; made if need be.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder to write to; created if it is missing.")
+    ],
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -39,7 +41,9 @@ def report(
 def review(
     identifier: Annotated[
         str | None,
-        typer.Argument(metavar="ID", help="The campaign's id, or the first characters of it.", autocompletion=campaign_ids),
+        typer.Argument(
+            metavar="ID", help="The campaign's id, or at least four first characters of it.", autocompletion=campaign_ids
+        ),
     ] = None,
     rank: Annotated[
         int | None, typer.Option("--set", min=1, metavar="N", help="The set of this rank in the solutions.")

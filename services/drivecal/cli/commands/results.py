@@ -71,7 +71,7 @@ def front(
         ),
     ] = None,
     everything: Annotated[
-        bool, typer.Option("--everything", help="Of all stored sets of the same setups and space, by whatever campaign.")
+        bool, typer.Option("--everything", help="Of all stored sets of the same setups and space, by any campaign.")
     ] = False,
     between: Annotated[
         str | None, typer.Option(metavar="1,5", help="Show what the second of two ranks gains and costs against the first.")
@@ -138,9 +138,7 @@ def export(
     score: ScoreOption = None,
     everything: Annotated[
         bool,
-        typer.Option(
-            "--everything", help="Of the table front: all stored sets of the same setups and space, by whatever campaign."
-        ),
+        typer.Option("--everything", help="Of the table front: all stored sets of the same setups and space, by any campaign."),
     ] = False,
     measures: Annotated[
         bool, typer.Option("--measures", help="Of the table evaluations: the measures of each run as further columns.")

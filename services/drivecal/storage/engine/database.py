@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any
@@ -43,6 +43,8 @@ class Patience:
 
 PATIENT = Patience(lock=30, connect=5, statement=None, watched=False)
 """Limits for background work: it waits for an outage to end, and a statement may take long."""
+LASTING = replace(PATIENT, cache=16)
+"""The same for a process that lives for months. More pages would help it little: SQLite drops them all when another process writes."""
 PROMPT = Patience(lock=4, connect=2, statement=30, watched=True, cache=16)
 """Limits for requests, for which a client waits. They read little, and by many connections."""
 QUEUE_SECONDS = 0.003

@@ -1,0 +1,36 @@
+"""The same seed gives the same campaign, by whatever optimizer it searches."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.support.databases import migrated
+from tests.support.runs import everything, run, submit
+
+
+@pytest.mark.slow("random", "cma_es", "optuna", "nsga2")
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        {"kind": "genetic"},
+        {"kind": "swarm"},
+        {"kind": "random"},
+        {"kind": "cma_es"},
+        {"kind": "optuna", "sampler": "tpe"},
+        {"kind": "nsga2"},
+    ],
+    ids=lambda optimizer: str(optimizer["kind"]),
+)
+def test_the_same_seed_gives_the_same_campaign(tmp_path: Path, optimizer: dict[str, Any]) -> None:
+    def searched(name: str, seed: int) -> tuple[Any, ...]:
+        database = migrated(f"sqlite:///{tmp_path / name}.db")
+        chosen = optimizer | {"population": 12, "iterations": 4, "seed": seed}
+        results = everything(database, run(database, submit(database, optimizer=chosen, reduction={"mode": "exact"})))
+        database.dispose()
+        return results
+
+    first = searched("first", 3)
+    assert searched("again", 3) == first
+    assert searched("other", 4)[0] != first[0]
