@@ -123,9 +123,7 @@ def campaign_ids(incomplete: str) -> list[str]:
 
 CampaignArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="ID", help="The campaign's id, or at least four first characters of it.", autocompletion=campaign_ids
-    ),
+    typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids),
 ]
 
 

@@ -6,7 +6,7 @@ file does: what is driven is the network. It names the digest of its source, so 
 
 import hashlib
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice, pairwise
 
@@ -81,11 +81,8 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     roads = _Roads(files)
     problems: dict[str, list[Problem]] = {}
     descriptions: dict[str, Description] = {}
-    began = time.thread_time()
     for field, scenario in _scenarios(manifest):
-        if time.thread_time() - began > MOST_SECONDS:
-            message = f"their files take more than {MOST_SECONDS:g} s of a core to be read"
-            raise InvalidInputError(Problem("scenarios", message, "leave some out, or give smaller files"))
+        roads.check_time()
         problems[field] = []
         try:
             descriptions[field] = description = described(scenario, roads.files, roads.map, _step(manifest))
@@ -159,9 +156,16 @@ class _Roads:
 
     def __init__(self, files: Mapping[str, BundleFile]) -> None:
         self._files = files
-        self.files = files_read(files)
+        self._began = time.thread_time()
+        self.files = files_read(files, self.check_time)
         self._maps: dict[str, Map | InvalidInputError] = {}
         self._last: tuple[Driven, Corridor | InvalidInputError] | None = None
+
+    def check_time(self) -> None:
+        """Raises InvalidInputError if reading takes too long."""
+        if time.thread_time() - self._began > MOST_SECONDS:
+            message = f"the files of scenarios take more than {MOST_SECONDS:g} s of a core to be read"
+            raise InvalidInputError(Problem("scenarios", message, "leave scenarios out, or give smaller files"))
 
     def map(self, name: str) -> Map:
         """Returns a network of the bundle with its OpenDRIVE file. Raises InvalidInputError with the field `network`."""
@@ -317,10 +321,11 @@ def _by_road(descriptions: Mapping[str, Description]) -> list[tuple[str, Descrip
     return sorted(descriptions.items(), key=lambda entry: _road(entry[1].scenario))
 
 
-def files_read(files: Mapping[str, BundleFile]) -> Files:
-    """Returns the files of a bundle for `described`."""
+def files_read(files: Mapping[str, BundleFile], check: Callable[[], None] = lambda: None) -> Files:
+    """Returns the files of a bundle for `described`. `check` is called before one is read."""
 
     def read(name: str) -> bytes:
+        check()
         if name not in files:
             remedy = nearest(name, [other for other in files if other.endswith(name[name.rfind(".") :])])
             raise InvalidInputError(Problem(name, "the folder of the problem has no such file", remedy))

@@ -207,7 +207,7 @@ def test_a_child_that_kills_its_keeper_costs_its_run_and_session_only(tmp_path: 
     body = f"if x == 1.0:\n    {spawn}\n    os.kill(os.getppid(), 9)\n    time.sleep(600)"
     with served(tmp_path, body) as session:
         lost(session, {"x": 1.0}, Breakdown.CRASH)
-        with pytest.raises(FileNotFoundError):
+        with pytest.raises(PermissionError):
             session.evaluate({"x": 2.0})
     assert not scratch_of(session).folder.exists()
     eventually(lambda: running(mark) == [])
@@ -223,7 +223,7 @@ def test_a_child_that_stops_its_keeper_costs_its_run_and_session_only(tmp_path: 
         stopped = session._children._keeper
         session._children._control.settimeout(2.0)  # of this keeper, which will not answer
         hung(session, {"x": 1.0}, 5.0)
-        with pytest.raises(FileNotFoundError):
+        with pytest.raises(PermissionError):
             session.evaluate({"x": 2.0})
     eventually(lambda: running(mark) == [] and not is_running(stopped))
 

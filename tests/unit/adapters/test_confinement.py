@@ -45,8 +45,8 @@ FORBIDDEN = {
     "debug": "check(ctypes.CDLL(None, use_errno=True).ptrace(16, os.getppid(), 0, 0) == 0)",  # PTRACE_ATTACH
     "limit": "resource.prlimit(os.getppid(), resource.RLIMIT_CORE, (0, 0))",
     "limit_worker": "resource.prlimit({worker}, resource.RLIMIT_CORE, (0, 0))",
-    "processors": "os.sched_setaffinity(os.getppid(), os.sched_getaffinity(0))",
-    "policy": "os.sched_setscheduler(os.getppid(), os.SCHED_BATCH, os.sched_param(0))",
+    "processors": "(os.sched_setaffinity(os.getppid(), [0]), check(os.sched_getaffinity(os.getppid()) == set([0])))",
+    "policy": "(os.sched_setscheduler(os.getppid(), 3, os.sched_param(0)), check(os.sched_getscheduler(os.getppid()) == 3))",
     "priority": "os.setpriority(os.PRIO_PROCESS, os.getppid(), os.getpriority(os.PRIO_PROCESS, os.getppid()))",
     "priority_of_all": "os.setpriority(os.PRIO_USER, 0, os.getpriority(os.PRIO_USER, 0))",
     "mount": "check(ctypes.CDLL(None, use_errno=True).mount(b'none', os.getcwd().encode(), b'tmpfs', 0, None) == 0)",

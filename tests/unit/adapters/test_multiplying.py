@@ -43,7 +43,8 @@ CHAINS = """
 #include <fcntl.h>
 #include <unistd.h>
 int main(int count, char **arguments) {
-    open(arguments[1], O_WRONLY);
+    int fifo = open(arguments[1], O_WRONLY);
+    if (write(fifo, "x", 1) != 1) _exit(4);
     for (int chain = 0; chain < 16; chain++)
         if (fork() == 0)
             for (int hop = 0; hop < 200000; hop++) {
@@ -69,6 +70,7 @@ def test_chains_faster_than_any_look_at_processes_end(tmp_path: Path, monkeypatc
     run = f"os.execv({str(tmp_path / 'chains')!r}, ['chains', {str(kept_open)!r}])"
     with served(tmp_path, f"if x == 1.0:\n    {run}") as session:
         assert "exit code 3" in lost(session, {"x": 1.0}, Breakdown.CRASH)
+        assert os.read(reader, 1) == b"x"
         assert os.read(reader, 1) == b""  # nothing has it open; else it would block
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
     os.close(reader)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from tests.support.simulators import compiled
 
 from drivecal.adapters.confinement import seccomp
 
 OWN, OTHER = 4711, 4712
-ALLOWED, REFUSED, UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
+ALLOWED, REFUSED, UNKNOWN, PRETENDED = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS, 0x00050000
 HIGH = 7 << 32
 X86_64, I386, AARCH64, ARM = seccomp._NUMBERS
 
@@ -38,12 +42,54 @@ def answer(architecture: int, number: int, *arguments: int) -> int:
 @pytest.mark.parametrize("architecture", [X86_64, I386, AARCH64, ARM])
 def test_calls_on_others_are_refused_and_those_on_itself_are_not(architecture: int) -> None:
     for number, (name, call) in zip(seccomp._NUMBERS[architecture], seccomp._CALLS.items(), strict=True):
-        for process, expected in ((0, ALLOWED), (OWN, ALLOWED), (OTHER, REFUSED), (HIGH, ALLOWED), (HIGH | OTHER, REFUSED)):
+        other = PRETENDED if name.startswith("sched_") else REFUSED
+        for process, expected in ((0, ALLOWED), (OWN, ALLOWED), (OTHER, other), (HIGH, ALLOWED), (HIGH | OTHER, other)):
             arguments = [0] * 6
             arguments[call.process] = process
             if call.change is not None:
                 arguments[call.change] = HIGH
             assert answer(architecture, number, *arguments) == expected, (name, process)
+
+
+def test_threads_start_that_a_library_places_and_placing_them_has_no_effect(tmp_path: Path) -> None:
+    """As OpenMP starts its threads, by an attribute."""
+    source = tmp_path / "placed.c"
+    source.write_text(PLACED)
+    program = compiled("gcc", source, tmp_path / "placed", "-pthread")
+    confined = (
+        "import ctypes, os, sys; from drivecal.adapters.confinement import seccomp; ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)"
+    )
+    run = [sys.executable, "-c", f"{confined}; seccomp.hold_to_itself(); os.execv(sys.argv[1], sys.argv[1:])", str(program)]
+    ended = subprocess.run(run, capture_output=True, text=True, check=True)
+    assert int(ended.stdout) == len(os.sched_getaffinity(0))
+
+
+PLACED = """
+#define _GNU_SOURCE
+#include <pthread.h>
+#include <sched.h>
+#include <stdio.h>
+static void *work(void *unused) {
+    cpu_set_t set;
+    sched_getaffinity(0, sizeof set, &set);
+    printf("%d", CPU_COUNT(&set));
+    return 0;
+}
+int main(void) {
+    cpu_set_t set, one;
+    pthread_attr_t attributes;
+    pthread_t thread;
+    sched_getaffinity(0, sizeof set, &set);
+    CPU_ZERO(&one);
+    for (int cpu = 0; cpu < CPU_SETSIZE; cpu++)
+        if (CPU_ISSET(cpu, &set)) { CPU_SET(cpu, &one); break; }
+    pthread_attr_init(&attributes);
+    pthread_attr_setaffinity_np(&attributes, sizeof one, &one);
+    if (pthread_create(&thread, &attributes, work, 0)) return 1;
+    pthread_join(thread, 0);
+    return 0;
+}
+"""
 
 
 def test_all_processes_of_the_user_are_others_and_a_look_is_no_change() -> None:

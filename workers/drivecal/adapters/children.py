@@ -75,8 +75,6 @@ class Children:
         self._family: tuple[int, ...] = ()
         self._next_look = 0.0
         self._disk = Disk(scratch.folder, launch.memory_mb)
-        self._is_spoilt = False
-        """Whether the keeper was lost, so that a descendant may live and wait for the next start in the scratch folder."""
         self._exceeds = self._overflows = False
         """Whether the child exceeds a limit, or one of the disk in particular."""
         self._lost_seconds = self._ended_seconds = 0.0
@@ -93,9 +91,11 @@ class Children:
         Raises UnavailableError if its command cannot be run, and OSError if the machine lacks processes or the scratch folder is gone or
         not to be trusted.
         """
-        if (
-            self._is_spoilt or not self._scratch.work.is_dir()
-        ):  # removed by its program, or by a keeper: a new session has another
+        if self._scratch.is_spoilt:
+            raise PermissionError(
+                errno.EPERM, "a simulator's keeper was killed, so that its session ends", str(self._scratch.work)
+            )
+        if not self._scratch.work.is_dir():  # removed by its program, or by a keeper that ended: a new session has another
             raise FileNotFoundError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
         if self._control is None:
             self._start_keeper()
@@ -255,7 +255,7 @@ class Children:
     def _lose(self) -> None:
         """Forgets the keeper, and kills what is left of one that was killed or does not answer."""
         if self._keeper is not None:
-            self._is_spoilt = True
+            self._scratch.is_spoilt = True
             self._lost_seconds = self.cpu_seconds()
             for pid in self._family:
                 with contextlib.suppress(OSError):

@@ -53,7 +53,8 @@ class CommandSession:
             pipes.wait(self._timeout)
         except NoMeasuresError:
             pipes.stop()
-            self._scratch.clear()  # temporary files too: its locks would meet the next run
+            if not self._scratch.is_spoilt:
+                self._scratch.clear()  # temporary files too: its locks would meet the next run
             raise
         finally:
             pipes.stop()

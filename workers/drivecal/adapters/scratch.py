@@ -1,5 +1,6 @@
 """Scratch folders and environments of child processes."""
 
+import errno
 import os
 import re
 import stat
@@ -39,6 +40,8 @@ class Scratch:
         self.folder = Path(tempfile.mkdtemp(prefix="drivecal-run-", dir=_sessions()))
         self.work, self.home = self.folder / "work", self.folder / "home"
         self._kept: set[Path] = {self.work, self.home}
+        self.is_spoilt = False
+        """Whether a process may live that nothing ends, and put links where the worker writes."""
         try:
             self.home.mkdir()
             self.renew()
@@ -47,7 +50,12 @@ class Scratch:
             raise
 
     def renew(self) -> None:
-        """Empties the working directory. The manifest is not there: results depend on what it says of a run, and not on its text."""
+        """Empties the working directory. The manifest is not there: results do not depend on its text. Raises OSError if the folder is
+        spoilt."""
+        if self.is_spoilt:
+            raise PermissionError(
+                errno.EPERM, "a process that cannot be ended may change the folder of a simulator", str(self.folder)
+            )
         discard(self.work)
         self.work.mkdir()
         for path in self._bundle.iterdir():
@@ -62,7 +70,10 @@ class Scratch:
         self.home.mkdir()
 
     def empty(self) -> None:
-        """Removes everything but kept files, with new folders for work and temporary files. Takes all rights for that."""
+        """Removes everything but kept files, with new folders for work and temporary files. Takes all rights for that. Does nothing if the
+        folder is spoilt."""
+        if self.is_spoilt:
+            return
         self.folder.chmod(0o700)
         for path in self.folder.iterdir():
             if path not in self._kept:
@@ -84,7 +95,7 @@ class Scratch:
         installed = (sys.prefix, sys.base_prefix, *(str(Path(root).parent) for root in drivecal.__path__))
         return {
             "writable": [str(self.folder), *granted, *writable],
-            "readable": [str(self._bundle), *installed],
+            "readable": [*(str(path) for path in self._bundle.iterdir() if path.name != MANIFEST), *installed],
             "hidden": [str(path) for path in map(_absolute, self._hidden()) if path is not None],
         }
 

@@ -232,7 +232,7 @@ def list_maps(
 
 @maps.command("show")
 def show_map(
-    identifier: Annotated[str, typer.Argument(metavar="ID", help="The map's id, or at least four first characters of it.")],
+    identifier: Annotated[str, typer.Argument(metavar="ID", help="The map's id, or at least its first four characters.")],
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:

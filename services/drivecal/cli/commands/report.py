@@ -42,7 +42,7 @@ def review(
     identifier: Annotated[
         str | None,
         typer.Argument(
-            metavar="ID", help="The campaign's id, or at least four first characters of it.", autocompletion=campaign_ids
+            metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids
         ),
     ] = None,
     rank: Annotated[

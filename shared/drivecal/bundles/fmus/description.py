@@ -140,7 +140,7 @@ def _content(whole: IO[bytes]) -> bytes:
 def _directory_size(whole: IO[bytes]) -> int:
     """Returns the bytes that zipfile would read as an archive's directory. Raises BadZipFile."""
     length = whole.seek(0, SEEK_END)
-    whole.seek(max(0, length - 22 - 65_535 - 20))
+    whole.seek(max(0, length - 22 - (1 << 16) - 20))  # as far back as zipfile looks, and the locator before it
     tail = whole.read()
     start = len(tail) - 22 if tail[-22:-18] == b"PK\5\6" and tail[-2:] == b"\0\0" else tail.rfind(b"PK\5\6")
     if start < 0 or len(tail) < start + 22 or tail[max(0, start - 20) : start].startswith(b"PK\6\7"):

@@ -33,16 +33,15 @@ class Files:
     def __init__(self, names: frozenset[str], read: Callable[[str], bytes]) -> None:
         self.names, self.read = names, read
         self._catalogs: dict[str, str | None] = {}
-        self._last: tuple[str, Element] | None = None
 
     def catalog(self, file: str, name: str) -> Element | None:
-        """Returns the catalog of this name in an OpenSCENARIO file, None if the file holds another or none. A file is read once to learn
-        its name. Raises InvalidInputError."""
-        if file not in self._catalogs or (self._catalogs[file] == name and (self._last is None or self._last[0] != file)):
-            content = read_tree(self.read(file), file, "OpenSCENARIO", substituted).optional("Catalog")
-            self._catalogs[file] = None if content is None else content.text("name")
-            self._last = None if content is None else (file, content)
-        return self._last[1] if self._catalogs[file] == name and self._last is not None else None
+        """Returns the catalog of this name in an OpenSCENARIO file, None if the file holds another or none: it is not read again to learn
+        that. Raises InvalidInputError."""
+        if self._catalogs.get(file, name) != name:
+            return None
+        content = read_tree(self.read(file), file, "OpenSCENARIO", substituted).optional("Catalog")
+        self._catalogs[file] = None if content is None else content.text("name")
+        return content if self._catalogs[file] == name else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,22 +73,31 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
     locations = root.optional("CatalogLocations")
     if locations is not None:
         locations.skip()
-    entities: dict[str, Entity] = {}
     listed = root.only("Entities").every("ScenarioObject")
     if len(listed) > MOST_ENTITIES:
         raise listed[MOST_ENTITIES].fault(f"there are more than {MOST_ENTITIES} entities", "leave some out")
+    entities: dict[str, Entity] = {}
+    names: list[str] = []
+    referring: dict[str, list[tuple[str, Element, Element]]] = {}
+    """Names, references and entities by catalog: each catalog is read once, and none is kept while the next one is read."""
     for element in listed:
         name = element.text("name")
-        if name in entities:
+        if name in names:
             raise element.fault(f"another entity is called {shown(name)}", "rename one")
+        names.append(name)
         described = element.only("Vehicle", "MiscObject", "Pedestrian", "CatalogReference")
         if described.element == "CatalogReference":
-            described = _from_catalog(described, locations, files)
-        entities[name] = _entity(name, described, element)
+            referring.setdefault(described.text("catalogName"), []).append((name, described, element))
+        else:
+            entities[name] = _entity(name, described, element)
         if (controller := element.optional("ObjectController")) is not None:
             controller.skip()
             notes.add(controller, "ignored: controllers of the file do not drive")
-    return entities
+    for catalog, uses in referring.items():
+        file, entries = _catalog(catalog, uses[0][1], locations, files)
+        for name, reference, element in uses:
+            entities[name] = _entity(name, _entry(file, entries, reference), element)
+    return {name: entities[name] for name in names}
 
 
 def _entity(name: str, described: Element, element: Element) -> Entity:
@@ -103,31 +111,34 @@ def _entity(name: str, described: Element, element: Element) -> Entity:
     return Entity(name, vehicle_class, length, width, centre.number("x", -LONGEST, LONGEST), is_still, element)
 
 
-def _from_catalog(reference: Element, locations: Element | None, files: Files) -> Element:
-    """Returns the vehicle of a catalog that a reference names. Raises InvalidInputError if the bundle does not have it."""
-    catalog, entry = reference.text("catalogName"), reference.text("entryName")
-    folders = []
-    tags = ("VehicleCatalog", "MiscObjectCatalog", "PedestrianCatalog")
-    given = [] if locations is None else [locations.optional(tag) for tag in tags]
-    for location in filter(None, given):
+def _catalog(name: str, reference: Element, locations: Element | None, files: Files) -> tuple[str, dict[str, Element]]:
+    """Returns a catalog's file, and its entries by name. Raises InvalidInputError if the bundle does not have it."""
+    folders: list[str] = []
+    given = [] if locations is None else locations.every("VehicleCatalog", "MiscObjectCatalog", "PedestrianCatalog")
+    if len({location.element for location in given}) < len(given):
+        raise given[-1].fault("there are several locations of a kind", "give one")
+    for location in given:
         directory = location.only("Directory")
         folders.append(directory.text("path"))
         folder = normpath(join(dirname(reference.file), directory.text("path")))
         for file in sorted(name for name in files.names if dirname(name) == folder and name.endswith(".xosc")):
-            content = files.catalog(file, catalog)
-            if content is None:
-                continue
-            described = content.every("Vehicle", "MiscObject", "Pedestrian")
-            for element in described:
-                if element.text("name") == entry:
-                    own = element.copy()  # other references may give its parameters other values
-                    _declare(own, reference)
-                    return own
-            remedy = nearest(entry, [element.text("name") for element in described])
-            raise reference.fault(f"the catalog {shown(file, 200)} has no entry {shown(entry)}", remedy)
+            content = files.catalog(file, name)
+            if content is not None:
+                described = reversed(content.every("Vehicle", "MiscObject", "Pedestrian"))  # the first of a name stays
+                return file, {element.text("name"): element for element in described}
     place = f" in {', '.join(shown(folder, 100) for folder in folders)}" if folders else ""
-    message = f"the bundle has no catalog {shown(catalog)}{place}"
+    message = f"the bundle has no catalog {shown(name)}{place}"
     raise reference.fault(message, "copy its .xosc file there, or write a <Vehicle> into the file")
+
+
+def _entry(file: str, entries: Mapping[str, Element], reference: Element) -> Element:
+    """Returns the entry of a catalog that a reference names, with the values that it gives. Raises InvalidInputError."""
+    name = reference.text("entryName")
+    if name not in entries:
+        raise reference.fault(f"the catalog {shown(file, 200)} has no entry {shown(name)}", nearest(name, list(entries)))
+    own = entries[name].copy()  # other references may give its parameters other values
+    _declare(own, reference)
+    return own
 
 
 def _declare(described: Element, reference: Element) -> None:

@@ -1,22 +1,22 @@
 """Ways over a network: from an edge to another, and along the road."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 
 from drivecal.roads.network import Connection, Network
 
 LONGEST = 2_000
 """Edges of a way."""
-MOST_STEPS = 3_000_000
-"""Connections that the searches of a file may look at: some seconds."""
+MOST_STEPS = 30_000_000
+"""Connections that the searches of a file may look at, and edges at which they compare ways: half a minute."""
 
 
 class LongSearchError(Exception):
-    """Searches for ways look at more than MOST_STEPS connections."""
+    """Searches for ways take more than MOST_STEPS."""
 
 
 class WaySearch:
-    """Shortest ways for cars over a network, which share MOST_STEPS."""
+    """Shortest ways for cars over a network, which share MOST_STEPS. Of equally long ones the first by the names of their edges."""
 
     def __init__(self, network: Network) -> None:
         self._network = network
@@ -32,36 +32,64 @@ class WaySearch:
             way += piece[1:]
         return way
 
+    def count(self, steps: int) -> None:
+        """Counts steps. Raises LongSearchError."""
+        self._steps += steps
+        if self._steps > MOST_STEPS:
+            raise LongSearchError
+
     def _shortest(self, begin: str, end: str) -> list[str] | None:
-        """Returns the edges from one to another, with both."""
-        waiting: list[tuple[float, str, str | None, int]] = [(0.0, begin, None, 1)]
-        before: dict[str, str | None] = {}
+        """Returns the edges from `begin` to `end`, with both."""
+        waiting = [(0.0, begin, _Way(self, begin, None))]
+        done: set[str] = set()
         while waiting:
-            length, edge, last, edges = heappop(waiting)
-            if edge in before:
-                continue
+            length, edge, way = heappop(waiting)
             if edge == end:
-                return _traced(before | {end: last}, end)
-            if edges == LONGEST:
+                return way.traced()
+            if edge in done or way.size >= LONGEST:
                 continue
-            before[edge] = last
+            done.add(edge)
             length += self._network.edges[edge].lanes[0].length
-            self._steps += 1 + len(self._network.connections.get(edge, ()))
-            if self._steps > MOST_STEPS:
-                raise LongSearchError
+            self.count(1 + len(self._network.connections.get(edge, ())))
             for following in dict.fromkeys(link.end for link in links(self._network, edge)):
-                if following not in before:
-                    heappush(waiting, (length, following, edge, edges + 1))
+                if following not in done:
+                    heappush(waiting, (length, following, _Way(self, following, way)))
         return None
 
 
-def _traced(before: Mapping[str, str | None], end: str) -> list[str]:
-    way: list[str] = []
-    edge: str | None = end
-    while edge is not None:
-        way.append(edge)
-        edge = before[edge]
-    return way[::-1]
+class _Way:
+    """A way from the begin of a search. It holds its last edge and the way before it, which others share: a million whole ways would take
+    gigabytes."""
+
+    __slots__ = ("before", "edge", "search", "size")
+
+    def __init__(self, search: WaySearch, edge: str, before: "_Way | None") -> None:
+        self.search, self.edge, self.before = search, edge, before
+        self.size: int = 1 if before is None else before.size + 1
+
+    def traced(self) -> list[str]:
+        """Returns its edges."""
+        edges: list[str] = []
+        way: _Way | None = self
+        while way is not None:
+            edges.append(way.edge)
+            way = way.before
+        return edges[::-1]
+
+    def __lt__(self, other: "_Way") -> bool:
+        """Whether its edges come first by their names. Both lead to one edge; each edge before it has one way, so that what two ways share
+        is one object."""
+        one, two, steps = self, other, 0
+        while one is not two:
+            last = one.edge, two.edge
+            steps += 1
+            forward = one.size >= two.size, two.size >= one.size
+            if forward[0] and one.before is not None:
+                one = one.before
+            if forward[1] and two.before is not None:
+                two = two.before
+        self.search.count(steps)
+        return last[0] < last[1] if steps else False
 
 
 def along(network: Network, begin: str, length: float) -> list[str]:

@@ -267,6 +267,8 @@ def test_an_fmu_with_too_many_files_is_refused_before_they_are_listed(monkeypatc
             target.writestr(f"resources/{number}", b"")
         target.comment = b"made by a tool"
     assert read_fmu(whole, "acc.fmu").fmi == "2.0"
+    far = whole.getvalue()[:-16] + bytes(2) + bytes(1 << 16)  # as far from the end as zipfile looks
+    assert description_module._directory_size(BytesIO(far)) > 5_000
     monkeypatch.setattr(description_module, "LARGEST_DIRECTORY", 5_000)
     monkeypatch.setattr(zipfile, "ZipFile", lambda *_: pytest.fail("its files are listed"))
     with pytest.raises(InvalidInputError, match="directory"):

@@ -194,12 +194,14 @@ def test_a_catalog_is_read_once_however_many_refer_to_it() -> None:
         return content[name]
 
     files = Files(frozenset(content), contents)
-    reference = '<ScenarioObject name="v{}"><CatalogReference catalogName="d" entryName="long"/></ScenarioObject>'
+    reference = '<ScenarioObject name="v{}"><CatalogReference catalogName="{}" entryName="long"/></ScenarioObject>'
     locations = '<CatalogLocations><VehicleCatalog><Directory path="c"/></VehicleCatalog></CatalogLocations>'
-    entities = "".join(reference.format(number) for number in range(50))
+    entities = "".join(reference.format(number, "bd"[number % 2]) for number in range(50))
     root = read_tree(f"<a>{locations}<Entities>{entities}</Entities></a>".encode(), "s.xosc", "a")
-    assert len(entities_of(root, files, Notes("s.xosc"))) == 50
-    assert sorted(read) == sorted(content)
+    assert list(entities_of(root, files, Notes("s.xosc"))) == [f"v{number}" for number in range(50)]
+    assert read == [f"c/{name}.xosc" for name in "abcd"]
+    entities_of(root, files, Notes("s.xosc"))  # of another scenario
+    assert read[4:] == ["c/b.xosc", "c/d.xosc"]
     twice = locations.replace("</CatalogLocations>", "") + locations.removeprefix("<CatalogLocations>")
     with pytest.raises(InvalidInputError, match="several"):
         entities_of(read_tree(f"<a>{twice}<Entities>{entities}</Entities></a>".encode(), "s.xosc", "a"), files, Notes("s.xosc"))

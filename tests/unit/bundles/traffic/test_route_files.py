@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import random
-from itertools import pairwise
+from collections.abc import Iterator
+from itertools import pairwise, product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -333,6 +334,30 @@ def test_ways_are_the_shortest_of_the_network() -> None:
                 assert (way[0], way[-1]) == (begin, end)
                 assert all(after in followers[before] for before, after in pairwise(way))
                 assert sum(lengths[edge] for edge in way[:-1]) == pytest.approx(expected)
+
+
+def test_of_equally_long_ways_the_first_by_the_names_of_its_edges_is_taken() -> None:
+    """Compared with a search among all ways, in grids whose lengths are equal."""
+    chance = random.Random(3)
+    for _ in range(30):
+        cells = list(product(range(4), range(4)))
+        names = dict(zip(cells, chance.sample([f"e{number}" for number in range(100)], 16), strict=True))
+        followers = {
+            names[x, y]: [names[cell] for cell in ((x + 1, y), (x, y + 1), (x + 1, y + 1)) if cell in names] for x, y in cells
+        }
+        begin, end = names[0, 0], names[3, 3]
+        lengths = {name: float(chance.randint(1, 2)) for name in names.values()}
+        ways = list(every_way(followers, begin, end))
+        expected = min(ways, key=lambda way: (sum(lengths[edge] for edge in way[:-1]), way))
+        assert WaySearch(network_of(lengths, followers)).over([begin, end]) == expected
+
+
+def every_way(followers: dict[str, list[str]], begin: str, end: str) -> Iterator[list[str]]:
+    """All ways without a circle."""
+    if begin == end:
+        yield [end]
+    for following in followers[begin]:
+        yield from ([begin, *rest] for rest in every_way(followers, following, end))
 
 
 def network_of(lengths: dict[str, float], followers: dict[str, list[str]]) -> Any:

@@ -30,6 +30,10 @@ _DEVICES = ("null", "zero", "full", "random", "urandom", "tty", "ptmx", "dri", "
 disks. `tty` is a process's own terminal, which a simulator has not."""
 SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
 """Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
+AUDITS_SINCE = SCOPES_SINCE + 1
+"""Version that tells the audit log."""
+_QUIET = 1 << 0
+"""What this program is refused is not logged: a signal to all processes is refused for each that is no descendant."""
 MOST_RULES = 20_000
 """Limit of the rules of a session, each of which takes four microseconds at its start. A path that would need more is not hidden."""
 
@@ -96,10 +100,11 @@ def keep_signals() -> bool:
     rules = int(_library.syscall(_CREATE_RULESET, ctypes.byref(attributes), ctypes.c_size_t(ctypes.sizeof(attributes)), 0))
     if rules < 0:
         return False
-    _allow(rules, "/", _REFER)  # else forbidden by all rules
     try:
+        if not _allow(rules, "/", _REFER):  # else forbidden by all rules
+            return False
         _call(_library.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0))
-        _call(_library.syscall(_RESTRICT_SELF, rules, 0))
+        _call(_library.syscall(_RESTRICT_SELF, rules, _QUIET if version() >= AUDITS_SINCE else 0))
     except OSError:
         return False
     finally:
@@ -124,16 +129,17 @@ def _drop_capabilities() -> None:
     _call(_library.capset(header, sets))
 
 
-def _allow(rules: int, path: str, access: int) -> None:
-    """Adds a rule; a path that is gone, or that no rule can name, stays forbidden."""
+def _allow(rules: int, path: str, access: int) -> bool:
+    """Adds a rule; a path that is gone, or that no rule can name, stays forbidden. Returns whether it was added."""
     with contextlib.suppress(OSError):
         descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
         try:
             is_folder = os.path.isdir(path)  # noqa: PTH112  # many paths
             rule = _Beneath(access if is_folder else access & _OF_FILES, descriptor)
-            _library.syscall(_ADD_RULE, rules, _PATH_BENEATH, ctypes.byref(rule), 0)
+            return bool(_library.syscall(_ADD_RULE, rules, _PATH_BENEATH, ctypes.byref(rule), 0) == 0)
         finally:
             os.close(descriptor)
+    return False
 
 
 def _is_below(path: str, folders: Collection[str]) -> bool:

@@ -11,8 +11,8 @@ _IN_MEMORY = ("/memfd:", "/dev/shm/")  # noqa: S108  # only compared with
 _DEAD = (b"Z", b"X")
 
 
-MOST_LOOKS = 100_000
-"""Limit of the descriptors and threads at which a count of files without a name looks: half a second."""
+MOST_LOOKS = 200_000
+"""Limit of the descriptors at which a count of files without a name looks: a second."""
 MOST_MAPPINGS = 1_000_000
 """Limit of the mappings, as above."""
 
@@ -30,7 +30,7 @@ class Nameless:
     in_memory: dict[tuple[int, int], int] = field(default_factory=dict)
     """Bytes of memory by device and inode, of memfd_create and of files that were in /dev/shm."""
     is_complete: bool = True
-    """Whether all processes show their files."""
+    """Whether all processes show their files, and all threads were looked at."""
 
 
 def written(folder: str, most: int) -> tuple[int, int]:
@@ -66,12 +66,13 @@ def nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = Tru
     """Returns what processes keep open of files without a name, of a folder and in memory.
 
     `of_every_thread`: a thread can have descriptors of its own, and those of the first end with it. A look at one takes six microseconds.
-    Raises UncountableError if there are too many.
+    Raises UncountableError if the processes have too many; most threads share those of the first, so that too many of threads are left out.
     """
     kept, looks = Nameless(), 0
     for number in numbers:
         tasks = _listed(f"/proc/{number}/task") if of_every_thread else [str(number)]
         for path in (f"/proc/{number}/task/{task}" for task in tasks):
+            looks += 1
             try:
                 descriptors = os.listdir(f"{path}/fd")  # noqa: PTH208  # often
             except PermissionError:
@@ -79,9 +80,12 @@ def nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = Tru
                 continue
             except OSError:  # ended
                 continue
-            looks += 1 + len(descriptors)
+            looks += len(descriptors)
             if looks > MOST_LOOKS:
-                raise UncountableError(f"its threads have more than {MOST_LOOKS:,} files open")
+                if of_every_thread:
+                    kept.is_complete = False
+                    return kept
+                raise UncountableError(f"its processes have more than {MOST_LOOKS:,} files open")
             for descriptor in descriptors:
                 with contextlib.suppress(OSError):  # closed meanwhile
                     _add(kept, f"{path}/fd/{descriptor}", folder)
