@@ -56,11 +56,12 @@ def test_threads_start_that_a_library_places_and_placing_them_has_no_effect(tmp_
     source = tmp_path / "placed.c"
     source.write_text(PLACED)
     program = compiled("gcc", source, tmp_path / "placed", "-pthread")
-    confined = (
-        "import ctypes, os, sys; from drivecal.adapters.confinement import seccomp; ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)"
-    )
-    run = [sys.executable, "-c", f"{confined}; seccomp.hold_to_itself(); os.execv(sys.argv[1], sys.argv[1:])", str(program)]
-    ended = subprocess.run(run, capture_output=True, text=True, check=True)
+    held = "import ctypes, os, sys; from drivecal.adapters.confinement import seccomp; ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)"
+    run = [sys.executable, "-c", f"{held}; seccomp.hold_to_itself(); os.execvp(sys.argv[1], sys.argv[1:])"]
+    status = subprocess.run([*run, "cat", "/proc/self/status"], capture_output=True, text=True, check=True).stdout
+    if "Seccomp:\t2" not in status:
+        pytest.skip("this kernel has no filters of system calls")
+    ended = subprocess.run([*run, str(program)], capture_output=True, text=True, check=True)
     assert int(ended.stdout) == len(os.sched_getaffinity(0))
 
 
