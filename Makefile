@@ -29,7 +29,7 @@ test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: who
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
 
-test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (more than two hours)
+test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (one to two hours)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@failed=0; export DRIVECAL_LONG=1; \

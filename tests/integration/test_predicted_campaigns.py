@@ -162,7 +162,8 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
     assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     asked, batches = len(ends[0][1]), 2 * ITERATIONS  # in two scenarios; the first slice has none
-    assert asked == batches if milliseconds > 1 else asked < batches
+    fewest = batches - 2  # some secrets lead to a batch whose answers are known, or of which no prediction is sure
+    assert asked >= fewest if milliseconds > 1 else asked < fewest
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
 
 
