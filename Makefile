@@ -19,7 +19,7 @@ $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (13 minutes)
+test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (6 to 13 minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
