@@ -202,7 +202,7 @@ def unconfined(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("unconfined")
 def test_a_child_that_kills_its_keeper_costs_its_run_and_session_only(tmp_path: Path, mark: str) -> None:
-    """What outlives the keeper could change the session's folder."""
+    """A process that outlives the keeper could change the session's folder."""
     spawn = f"subprocess.Popen({SLEEPER.format(mark=mark)})"
     body = f"if x == 1.0:\n    {spawn}\n    os.kill(os.getppid(), 9)\n    time.sleep(600)"
     with served(tmp_path, body) as session:

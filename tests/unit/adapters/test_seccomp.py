@@ -21,7 +21,7 @@ X86_64, I386, AARCH64, ARM = seccomp._NUMBERS
 
 
 def answer(architecture: int, number: int, *arguments: int) -> int:
-    """What the filter of process OWN answers to a call."""
+    """The answer of the filter of process OWN to a call."""
     data = number.to_bytes(4, "little") + architecture.to_bytes(4, "little") + bytes(8)
     data += b"".join(argument.to_bytes(8, "little") for argument in arguments).ljust(48, b"\0")
     program, place, loaded = list(seccomp._program(OWN)), 0, 0

@@ -38,7 +38,7 @@ def test_an_exception_is_tried_once_more_alone_on_another_worker(
     [failed] = [entry for entry in drain(pool) if entry.result.breakdown is not None]
     assert (failed.result.id, failed.result.breakdown, failed.attempts) == (150, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
-    (first, _), (second, alone) = [one for one in sent if 150 in one[1]]
+    (first, _), (second, alone) = [(worker, ids) for worker, ids in sent if 150 in ids]
     assert first != second
     assert alone == [150]
     assert backend.replaced == []

@@ -107,7 +107,7 @@ def read_fmu(file: str | Path | IO[bytes], name: str | None = None) -> FmuDescri
     """
     name = str(file) if name is None else name
     try:
-        with open(file, "rb") if isinstance(file, str | Path) else nullcontext(file) as whole:  # noqa: PTH123  # a text or a path
+        with Path(file).open("rb") if isinstance(file, str | Path) else nullcontext(file) as whole:
             content = _content(whole)
     except _FAULTS as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
@@ -128,10 +128,8 @@ def _content(whole: IO[bytes]) -> bytes:
         raise zipfile.BadZipFile(f"its directory has more than {LARGEST_DIRECTORY >> 20} MB")
     with zipfile.ZipFile(whole) as archive:
         entry = archive.getinfo("modelDescription.xml")
-        if entry.compress_type not in {
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        }:  # zipfile expands others whole, gigabytes of 10 kB
+        # zipfile expands others whole, gigabytes of 10 kB
+        if entry.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
             raise zipfile.BadZipFile("it is compressed by a method that FMI does not know")
         with archive.open(entry) as stream:
             return stream.read(LARGEST_DESCRIPTION + 1)

@@ -22,8 +22,6 @@ CATEGORIES: Mapping[str, str] = {
 """SUMO's class of vehicles by OpenSCENARIO's category."""
 LONGEST = 50.0
 """Metres of a vehicle."""
-
-
 MOST_ENTITIES = 200
 
 
@@ -121,7 +119,7 @@ def _catalog(name: str, reference: Element, locations: Element | None, files: Fi
         directory = location.only("Directory")
         folders.append(directory.text("path"))
         folder = normpath(join(dirname(reference.file), directory.text("path")))
-        for file in sorted(name for name in files.names if dirname(name) == folder and name.endswith(".xosc")):
+        for file in sorted(path for path in files.names if dirname(path) == folder and path.endswith(".xosc")):
             content = files.catalog(file, name)
             if content is not None:
                 described = reversed(content.every("Vehicle", "MiscObject", "Pedestrian"))  # the first of a name stays

@@ -361,7 +361,7 @@ def every_way(followers: dict[str, list[str]], begin: str, end: str) -> Iterator
 
 
 def network_of(lengths: dict[str, float], followers: dict[str, list[str]]) -> Any:
-    """What a search needs of a network of these edges."""
+    """A network of these edges, as far as a search needs it."""
     edges = {name: SimpleNamespace(function="", lanes=[SimpleNamespace(length=length)]) for name, length in lengths.items()}
     links = {begin: [SimpleNamespace(end=end, for_cars=True) for end in ends] for begin, ends in followers.items()}
     return SimpleNamespace(edges=edges, connections=links)

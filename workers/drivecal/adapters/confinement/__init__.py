@@ -1,1 +1,1 @@
-"""What the system's kernel forbids a user's simulator. Standard library only: the keeper imports it."""
+"""Rules and filters by which the kernel confines a user's simulator. Standard library only: the keeper imports it."""

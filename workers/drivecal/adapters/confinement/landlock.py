@@ -33,7 +33,7 @@ SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
 AUDITS_SINCE = SCOPES_SINCE + 1
 """Version that tells the audit log."""
 _QUIET = 1 << 0
-"""What this program is refused is not logged: a signal to all processes is refused for each that is no descendant."""
+"""Flag: refusals of this program are not logged. A signal to all processes is refused for each that is no descendant."""
 MOST_RULES = 20_000
 """Limit of the rules of a session, each of which takes four microseconds at its start. A path that would need more is not hidden."""
 
