@@ -1,8 +1,6 @@
-"""How much of the machine a campaign turns into simulation: `run.py efficiency [--population N] [--iterations N] [--process]`.
+"""How much of the machine a campaign turns into simulation: `run.py efficiency [--population N] [--iterations N]`.
 
-`--process`: of a simulator of kind `process` that computes for 7 ms, and of `highway` beside it in the same run.
-
-A coordinator as a user starts it carries out a campaign with reduction off and without certificates. Efficiency = simulated cells x
+A coordinator as a user starts it carries out a campaign with reduction off. Efficiency = simulated cells x
 single-process cost of a cell / (wall x cores). The cost is measured in the same run, in one process on the otherwise idle machine, over a
 random sample of the campaign's own cells; a shared core or clock counts against the campaign. How much of that
 no coordinator could avoid is told by as many bare processes as there are cores, which simulate the same sample at the same time. The share
@@ -16,19 +14,14 @@ import json
 import os
 import random
 import sys
-import tempfile
 import threading
 import time
-from collections.abc import Callable
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import psutil
-from tests.benchmarks._spinning import NAME, write_problem
-from tests.benchmarks._spinning import cost as spinning_cost
 
 from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
 from drivecal.client.client import Client
@@ -87,14 +80,13 @@ def _role(command: list[str]) -> str:
     return "ray" if "ray" in line else "supervisor"
 
 
-def run_campaign(client: Client, population: int, iterations: int, problem: str = "highway") -> Campaign:
+def run_campaign(client: Client, population: int, iterations: int) -> Campaign:
     """A campaign with reduction off, from its start to its end."""
     specification = {
-        "problem": problem,
         "name": "efficiency",
         "sensitivity": None,
         "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": 1},
-        "reduction": {"mode": "off", "certified": False},
+        "reduction": {"mode": "off"},
     }
     campaign = client.submit(specification)
     while campaign.state not in {"succeeded", "failed", "cancelled"}:
@@ -131,21 +123,17 @@ def single_process_cost(cells: list[tuple[str, list[float]]]) -> float:
     return seconds / len(cells)
 
 
-Cost = Callable[[list[tuple[str, list[float]]]], float]
-"""Seconds per cell in one process."""
-
-
-def _beside_others(cost: Cost, cells: list[tuple[str, list[float]]], start: Any, costs: Any) -> None:
-    cost(cells[:: max(1, len(cells) // 50)])  # loads and compiles what it needs
+def _beside_others(cells: list[tuple[str, list[float]]], start: Any, costs: Any) -> None:
+    single_process_cost(cells[:: max(1, len(cells) // 50)])  # loads and compiles what it needs
     start.wait()
-    costs.put(cost(cells))
+    costs.put(single_process_cost(cells))
 
 
-def cost_beside_others(cost: Cost, cells: list[tuple[str, list[float]]], processes: int) -> float:
+def cost_beside_others(cells: list[tuple[str, list[float]]], processes: int) -> float:
     """Seconds per cell where so many processes simulate at a time."""
     context = get_context("spawn")
     start, costs = context.Barrier(processes), context.Queue()
-    started = [context.Process(target=_beside_others, args=(cost, cells, start, costs)) for _ in range(processes)]
+    started = [context.Process(target=_beside_others, args=(cells, start, costs)) for _ in range(processes)]
     for one in started:
         one.start()
     found = [costs.get(timeout=300) for _ in started]
@@ -163,51 +151,31 @@ def sample_of(client: Client, campaign: Campaign) -> list[tuple[str, list[float]
 
 
 def main() -> int:
-    """Measures one problem or two; 0 where the campaigns were efficient enough."""
+    """Measures, prints, writes; returns 0 if the campaign was efficient enough."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--population", type=int, default=1000)
     parser.add_argument("--iterations", type=int, default=6)
-    parser.add_argument("--process", action="store_true")
     chosen = parser.parse_args()
-    if not chosen.process:
-        return measure(chosen.population, chosen.iterations, "highway", single_process_cost, TARGET)
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made) / NAME
-        print(f"a run of the C++ program takes {write_problem(folder):.2f} ms", flush=True)
-        ends = [
-            measure(chosen.population, chosen.iterations, name, cost, TARGET.with_stem(f"efficiency-{name}"), folder)
-            for name, cost in (("highway", single_process_cost), (NAME, partial(spinning_cost, folder)))
-        ]
-    return max(ends)
-
-
-def measure(population: int, iterations: int, problem: str, single: Cost, target: Path, folder: Path | None = None) -> int:
-    """Measures a problem, prints, writes; 0 if the campaign was efficient enough. `folder`: of a problem to be pushed."""
     cores = os.cpu_count() or 1
-    print(f"\n{problem}", flush=True)
     memory = Memory()
     memory.start()
     with fresh_folder(HOME), coordinator(HOME) as client:
         wait_for_workers(client)
-        if problem != "highway" and folder is not None:
-            os.environ["DRIVECAL_HOME"] = str(HOME.resolve())  # whose secret signs the push
-            client.push_problem(folder)
         before = processor_seconds()
-        campaign = run_campaign(client, population, iterations, problem)
+        campaign = run_campaign(client, chosen.population, chosen.iterations)
         used = {role: seconds - before.get(role, 0.0) for role, seconds in processor_seconds().items()}
         cells = sample_of(client, campaign)
     memory.stop()
-    cost = single(cells)
-    beside_others = cost_beside_others(single, cells, cores)
+    cost = single_process_cost(cells)
+    beside_others = cost_beside_others(cells, cores)
     wall, simulated = campaign.seconds.wall, campaign.cells.simulated
     efficiency = simulated * cost / (wall * cores)
     simulating = campaign.seconds.simulating
-    share = simulating / (sum(used.values()) + (simulating if folder is not None and problem == NAME else 0.0))
+    share = simulating / sum(used.values())
     figures = {
         "cores": cores,
-        "problem": problem,
-        "population": population,
-        "iterations": iterations,
+        "population": chosen.population,
+        "iterations": chosen.iterations,
         "simulated": simulated,
         "wall_seconds": wall,
         "single_process_milliseconds_per_cell": 1000 * cost,
@@ -219,8 +187,8 @@ def measure(population: int, iterations: int, problem: str, single: Cost, target
         "processor_seconds": used,
         "peak_megabytes": memory.peaks,
     }
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(json.dumps(figures, indent=2) + "\n")
+    TARGET.parent.mkdir(parents=True, exist_ok=True)
+    TARGET.write_text(json.dumps(figures, indent=2) + "\n")
     print(f"{simulated:,} cells in {wall:.1f} s on {cores} cores: {simulated / wall:.0f} cells/s")
     print(
         f"one cell: {1000 * cost:.2f} ms in one process alone, {figures['worker_milliseconds_per_cell']:.2f} ms of CPU in a worker"
