@@ -10,7 +10,6 @@ from tests.support.tree import PROJECT, parsed
 GENERAL = ("shared/drivecal", "services/drivecal", "workers/drivecal")
 EXCEPT = {
     "workers/drivecal/highway": "the built-in problem",
-    "services/drivecal/storage/migrations": "databases of earlier releases",
     "services/drivecal/calibration_data": "points of curves, and numbers of a file format",
     "services/drivecal/campaigns/resolve/bench.py": "the bench of the built-in problem",
     "services/drivecal/cli/commands/demo": "shows the built-in problem",

@@ -2,7 +2,7 @@
 
 Fills databases with groups of four campaigns and a study of the built-in problem, half of the groups with the same setups, and stores
 500 problems beside them (`_years_rows.py`; 10,000,000 cells are 16,000 campaigns). Measures what users and operators do: questions over
-HTTP, look-ups of 6,000 cells, start of the API, check, backup, upgrade and pruning. A question's time is the shortest of some repeats.
+HTTP, look-ups of 6,000 cells, start of the API, check, backup and pruning. A question's time is the shortest of some repeats.
 What concerns one campaign or a page must not grow with the database: from the first size to the last it may grow by a factor of
 MOST_GROWTH. Work on the whole database has a limit for each million cells (`PER_MILLION`). Writes `.drivecal/bench/years.json`.
 """
@@ -63,7 +63,6 @@ PER_MILLION = dict.fromkeys(WHOLE, 2.0) | {
     "start of the API": 1.0,
     "backup": 20.0,
     "check": 60.0,
-    "upgrade from 0013": 30.0,
     "prune, plan": 20.0,
     "prune, longest slice": 2.0,
 }
@@ -114,7 +113,6 @@ def measure(url: str, cells: int, folder: Path) -> Figures:
     )
     if verdicts:
         raise SystemExit(f"the database is not whole: {verdicts}")
-    figures["upgrade from 0013"] = upgrade(database)
     plans: list[retention.RetentionPlan] = []
     figures["prune, plan"] = timed(lambda: plans.append(retention.plan(database, now() - timedelta(days=365), 10)))
     slices: list[float] = []
@@ -214,17 +212,6 @@ def asked(http: httpx.Client, address: str) -> None:
     answer = http.get(address)
     if answer.is_error:
         raise RuntimeError(f"{address}: {answer.status_code} {answer.text}")
-
-
-def upgrade(database: Database) -> float:
-    """Times the upgrade from the revision before the newest, whose changes are taken back first."""
-    with database.transaction() as connection:
-        for name in ("robustness_of", "validation_of", "influence_map_id"):
-            connection.execute(text(f"DROP INDEX ix_campaigns_{name}"))
-        for name in ("robustness_of", "validation_of"):
-            connection.execute(text(f"ALTER TABLE campaigns DROP COLUMN {name}"))
-        connection.execute(text("UPDATE drivecal_revision SET version_num = '0013'"))
-    return timed(database.upgrade)
 
 
 def timed(use: Callable[[], Any]) -> float:

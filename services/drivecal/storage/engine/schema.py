@@ -4,7 +4,7 @@ import os
 import sqlite3
 from contextlib import closing
 from functools import cache
-from importlib.resources import as_file, files
+from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
@@ -16,6 +16,8 @@ from drivecal.storage.engine.urls import sqlite_file
 
 REVISION_TABLE = "drivecal_revision"
 """Holds the revision. Its name tells drivecal's databases from those of other programs that use Alembic."""
+MIGRATIONS = Path(__file__).parents[1] / "migrations"
+"""Folder of the revisions."""
 UPGRADE_LOCK = 0x64726976
 """Key of the advisory lock that lets one process upgrade at a time on PostgreSQL."""
 
@@ -85,10 +87,9 @@ def upgrade(connection: Connection, database: str, to: str = "head") -> None:
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": UPGRADE_LOCK})
     refuse_foreign(connection, database)  # once more, under the lock
-    with as_file(files("drivecal.storage") / "migrations") as folder:
-        config = Config(attributes={"connection": connection})
-        config.set_main_option("script_location", str(folder).replace("%", "%%"))
-        command.upgrade(config, to)
+    config = Config(attributes={"connection": connection})
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    command.upgrade(config, to)
 
 
 def revision_of(connection: Connection) -> str | None:
@@ -101,5 +102,4 @@ def revision_of(connection: Connection) -> str | None:
 @cache
 def known_revisions() -> tuple[str, ...]:
     """All revisions that this drivecal knows, newest first. Read once: readiness asks for them every few seconds."""
-    with as_file(files("drivecal.storage") / "migrations") as folder:
-        return tuple(script.revision for script in ScriptDirectory(str(folder)).walk_revisions())
+    return tuple(script.revision for script in ScriptDirectory(str(MIGRATIONS)).walk_revisions())

@@ -1,4 +1,4 @@
-"""The tables. `migrations/versions` creates exactly these; a test compares both."""
+"""The tables, as the revisions in `migrations/versions` create them; a test compares both."""
 
 from sqlalchemy import (
     Boolean,

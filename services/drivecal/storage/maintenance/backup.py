@@ -248,7 +248,7 @@ def _refuse_rows(connection: Connection, name: str) -> None:
 
 
 def _is_own(table: Table) -> bool:
-    return table.name in metadata.tables  # which has the tables of every revision: none was ever renamed or given up
+    return table.name in metadata.tables  # which has the tables of every revision: a table is never renamed or removed
 
 
 def _make_anew(connection: Connection, name: str, revision: str) -> None:

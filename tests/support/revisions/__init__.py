@@ -1,1 +1,0 @@
-"""Rows of databases of earlier revisions, made by the code of their releases."""
