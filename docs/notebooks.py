@@ -14,7 +14,7 @@ from typing import Any
 import nbformat
 from nbclient import NotebookClient
 
-from drivecal.cli.commands.demo.coordinator import coordinator
+from drivecal.cli.commands.demo import coordinator
 
 NOTEBOOKS = sorted((Path(__file__).parent / "pages" / "notebooks").glob("*.ipynb"))
 SECONDS = 600

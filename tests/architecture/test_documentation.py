@@ -32,9 +32,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.planner.spaces import RANGES
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = sorted(
-    [*(ROOT / "deploy" / "examples").glob("*.yaml"), ROOT / "services/drivecal/cli/commands/demo/expert_map.yaml"]
-)
+EXAMPLES = sorted([*(ROOT / "deploy" / "examples").glob("*.yaml"), *(ROOT / "deploy" / "examples" / "maps").glob("*.yaml")])
 
 
 def shown_commands() -> Iterator[tuple[Path, list[str]]]:

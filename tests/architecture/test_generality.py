@@ -12,7 +12,7 @@ EXCEPT = {
     "workers/drivecal/highway": "the built-in problem",
     "services/drivecal/calibration_data": "points of curves, and numbers of a file format",
     "services/drivecal/campaigns/resolve/bench.py": "the bench of the built-in problem",
-    "services/drivecal/cli/commands/demo": "shows the built-in problem",
+    "services/drivecal/cli/commands/demo.py": "shows the built-in problem",
     "services/drivecal/execution/scheduling/batching.py": "remembers seven batches",
     "shared/drivecal/contracts/inventory.py": "`manoeuvre` is a field of the API, of scenarios of the built-in problem",
     "services/drivecal/api/routes/inventory.py": "fills in that field",

@@ -23,7 +23,7 @@ from typing import Any
 
 import psutil
 
-from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign
 from drivecal.highway.episode.runner import EpisodeRunner

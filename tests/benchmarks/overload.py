@@ -24,7 +24,7 @@ from typing import Any
 
 from tests.support.hostile import push
 
-from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.client import Client
 from drivecal.domain.errors import DrivecalError
 

@@ -31,7 +31,7 @@ from typing import Any
 from tests.benchmarks._objective import SCENARIOS, decoded, objective, scenarios_of, space, warm_up
 from tests.benchmarks.efficiency import SAMPLE, run_campaign, sample_of, single_process_cost, wait_for_workers
 
-from drivecal.cli.commands.demo.coordinator import coordinator, fresh_folder
+from drivecal.cli.commands.demo import coordinator, fresh_folder
 
 HOME = Path(".drivecal/bench/peers")
 TARGET = Path(".drivecal/bench/peers.json")

@@ -28,7 +28,7 @@ import psutil
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from drivecal.cli.commands.demo.coordinator import coordinator
+from drivecal.cli.commands.demo import coordinator
 from drivecal.client import Client
 from drivecal.domain.errors import DrivecalError
 

@@ -13,7 +13,7 @@ from tests.support.answered_campaigns import METRICS, carry_out, carry_out_evalu
 from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 
-from drivecal.api.live import response_cache
+from drivecal.api import responses
 from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns
 
@@ -81,7 +81,7 @@ def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
 def test_time_that_passes_does_not_change_the_etag_of_a_running_campaign(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(response_cache, "SECONDS", 0.0)
+    monkeypatch.setattr(responses, "REMEMBERED_SECONDS", 0.0)
     campaign = submit(api)
     carry_out(api.database, campaign["id"], end=False)
     first, second = (api.http.get(campaign["links"]["self"]) for _ in range(2))

@@ -12,7 +12,7 @@ from tests.support.storage import campaign
 
 from drivecal.api.live import streams
 from drivecal.api.live.streams import EventHub
-from drivecal.client.event_stream import EventParser
+from drivecal.client.following import EventParser
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.events import EventKind

@@ -20,7 +20,7 @@ from tests.support.server import RunningApi, free_port, new_database, serving
 from drivecal.api.live import dispatcher_health, streams
 from drivecal.api.routes import events as route
 from drivecal.client.client import Client
-from drivecal.client.event_stream import EventParser, ServerSentEvent
+from drivecal.client.following import EventParser, ServerSentEvent
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignProgress
 from drivecal.domain.campaigns import CampaignState

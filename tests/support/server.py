@@ -63,7 +63,7 @@ def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[Runni
     Problems can be pushed with a tokens file, or by the secret in a `home` of the test's own.
     """
     database = migrated(database_url)
-    listener = socket.create_server(("127.0.0.1", port))
+    listener = socket.socket(fileno=socket.create_server(("127.0.0.1", port)).detach())
     loaded = load_settings(database_url=database_url, **settings)
     pushing = Pushing.of(loaded, "127.0.0.1") if {"home", "tokens_file"} & settings.keys() else OFF
     server = Server(configuration(create_app(loaded, pushing)))

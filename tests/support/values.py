@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivecal.cli.commands.demo.command import BASELINE
+from drivecal.cli.commands.demo import BASELINE
 from drivecal.domain.parameter_sets import ParameterSet
 
 MIDDLE = BASELINE

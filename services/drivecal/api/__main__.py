@@ -5,18 +5,51 @@ import gc
 import logging
 import socket
 import sys
+import threading
+from collections.abc import Callable
 from importlib.metadata import version
 from threading import Timer
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
-from drivecal.api.http.startup_log import tell_of_database
 from drivecal.configuration import logs, memory
 from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
-from drivecal.domain.errors import DrivecalError, InvalidInputError
+from drivecal.domain.errors import DatabaseError, DrivecalError, InvalidInputError
 from drivecal.plugins import registry
+from drivecal.storage.engine.database import PROMPT, Database
+
+LOOK_SECONDS = 2.0
+
+
+def tell_of_database(url: str) -> None:
+    """Checks the database at `url` in another thread until it can be used. The API answers meanwhile."""
+    database = Database.open(url, PROMPT)
+
+    def run() -> None:
+        watch(database.check, threading.Event().wait)
+        database.dispose()
+
+    threading.Thread(target=run, name="await database", daemon=True).start()
+
+
+def watch(check: Callable[[], None], pause: Callable[[float], object]) -> None:
+    """Returns once `check` raises no DatabaseError any more. Logs each reason once, and the end of the trouble."""
+    logged = None
+    while True:
+        try:
+            check()
+        except DatabaseError as error:
+            if str(error) != logged:
+                logged = str(error)
+                log.error("campaigns wait: %s", logged)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
+            pause(LOOK_SECONDS)
+        else:
+            if logged is not None:
+                log.info("the database can be used now")
+            return
+
 
 LOADING_BEGINS = 1.0
 """Seconds after the start. Catalogues measure their roads with SciPy, which takes a second: longer than a page should wait."""
@@ -41,7 +74,8 @@ def main() -> int:
             listener = socket.socket(fileno=arguments.socket)
         else:
             family = socket.AF_INET6 if ":" in arguments.host else socket.AF_INET
-            listener = socket.create_server((arguments.host, arguments.port), family=family)
+            created = socket.create_server((arguments.host, arguments.port), family=family)
+            listener = socket.socket(fileno=created.detach())  # with its protocol, by which asyncio sends small answers at once
         check_exposure(listener.getsockname()[0], settings)
         server = Server(configuration(create_app(settings, _pushing(settings, listener.getsockname()[0]))))
     except (DrivecalError, OSError) as error:

@@ -10,12 +10,11 @@ from drivecal.api import document
 from drivecal.api.dependencies import Limits
 from drivecal.api.http import problems, queries
 from drivecal.api.http.authorisation import Authorisation
-from drivecal.api.http.limits import SECONDS_FOR_A_PROBLEM, Concurrency, Requests
+from drivecal.api.http.limits import BodyLimit, Concurrency
 from drivecal.api.http.requests import RequestRecords
-from drivecal.api.live.response_cache import ResponseCache
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
-from drivecal.api.responses import ROOT
+from drivecal.api.responses import ROOT, ResponseCache
 from drivecal.api.review import report
 from drivecal.api.review import route as review
 from drivecal.api.routes import (
@@ -24,7 +23,6 @@ from drivecal.api.routes import (
     comparisons,
     evaluations,
     events,
-    front,
     health,
     influence_maps,
     inventory,
@@ -33,7 +31,6 @@ from drivecal.api.routes import (
     page_places,
     page_session,
     tables,
-    traces,
     user_problems,
 )
 from drivecal.configuration.pushing import OFF, Pushing
@@ -77,7 +74,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
     )
     app.add_middleware(Concurrency)
     app.add_middleware(Authorisation, tokens=tokens)
-    app.add_middleware(Requests, others={user_problems.PATH: (settings.problem_mb * 2**20, SECONDS_FOR_A_PROBLEM)})
+    app.add_middleware(BodyLimit, others={user_problems.PATH: settings.problem_mb * 2**20})
     app.add_middleware(RequestRecords, meters=meters)  # the last one is the first that a request meets
     problems.install(app)
     for noun in (
@@ -85,12 +82,10 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         comparisons,
         events,
         tables,
-        front,
         review,
         report,
         background,
         evaluations,
-        traces,
         influence_maps,
         user_problems,
         inventory,

@@ -3,8 +3,7 @@
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.pace import pace
-from drivecal.api.submission import accepted_before, digests_of, named_map
+from drivecal.api.submission import accepted_before, digests_of, named_map, pace
 from drivecal.campaigns.comparisons.resolve import ComparisonProblem, queue, resolve_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison

@@ -1,10 +1,12 @@
 """Dependencies of the handlers."""
 
-from collections.abc import AsyncIterator
+import inspect
+from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass
-from typing import Annotated, Self
+from functools import partial, wraps
+from typing import Annotated, Any, Self, TypeVar
 
-from anyio import CapacityLimiter
+from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Header, Request
 
 from drivecal.api.http.limits import Places
@@ -128,3 +130,24 @@ IdempotencyKey = Annotated[
 ]
 Accept = Annotated[str, Header(description="text/csv and application/vnd.apache.parquet give the whole table.")]
 """The `Accept` header; declare it with the default `*/*`."""
+
+
+Answer = TypeVar("Answer")
+
+
+def computed(handler: Callable[..., Answer]) -> Callable[..., Awaitable[Answer]]:
+    """Returns a handler that computes in one of the threads for such answers. Use it below the decorator of the route.
+
+    A request waits for a thread without using one of the others. It raises OverloadError (429) if too many wait already. An answer
+    that is sent in pieces needs no thread of these: a client that reads slowly keeps no other from computing.
+    """
+
+    @wraps(handler)
+    async def limited(*, limits: Limits, **given: Any) -> Answer:
+        with limits.computed.take():
+            return await to_thread.run_sync(partial(handler, **given), limiter=limits.computing)
+
+    signature = inspect.signature(handler)
+    place = inspect.Parameter("limits", inspect.Parameter.KEYWORD_ONLY, annotation=LimitsDependency)
+    limited.__signature__ = signature.replace(parameters=[*signature.parameters.values(), place])  # type: ignore[attr-defined]  # FastAPI reads it
+    return limited

@@ -1,12 +1,74 @@
 """The OpenAPI document: FastAPI's own with additions."""
 
-from typing import Any
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 from fastapi import FastAPI
 
 from drivecal.api.http.authorisation import OPEN
-from drivecal.api.links import add_links
+from drivecal.api.responses import ROOT
 from drivecal.api.routes.page_live import PROTOCOL
+
+
+class IdSource(NamedTuple):
+    """A place of an answer that holds an id, and the paths for which the id is usable."""
+
+    method: str
+    path: str
+    status: str
+    pointer: str
+    """JSON pointer (RFC 6901) into the body."""
+    usable: str = ""
+    """Pattern of the rest of a path, behind the id; empty: any."""
+
+
+_NOT_OF_COMPARISONS = r"(?!/comparison)"
+_OF_COMPARISONS = r"(|/(events|pause|resume|cancel|comparison.*))$"
+"""A comparison has no search: other tables belong to its runs."""
+
+SOURCES: Mapping[str, tuple[IdSource, ...]] = {
+    "campaign_id": (
+        IdSource("post", "/campaigns", "202", "/id", _NOT_OF_COMPARISONS),
+        IdSource("get", "/campaigns", "200", "/items/0/id", _NOT_OF_COMPARISONS),
+        IdSource("post", "/campaigns/{campaign_id}/rerun", "202", "/id", _NOT_OF_COMPARISONS),
+        IdSource("post", "/comparisons", "202", "/id", _OF_COMPARISONS),
+        IdSource("get", "/campaigns/{campaign_id}/comparison", "200", "/items/0/run", _NOT_OF_COMPARISONS),
+    ),
+    "evaluation_id": (
+        IdSource("post", "/evaluations", "202", "/id"),
+        IdSource("get", "/campaigns/{campaign_id}/evaluations", "200", "/items/0/id"),
+    ),
+    "map_id": (IdSource("post", "/influence-maps", "201", "/id"), IdSource("get", "/influence-maps", "200", "/items/0/id")),
+    "problem": (
+        IdSource("post", "/problems", "201", "/digest"),
+        IdSource("post", "/problems", "200", "/digest"),
+        IdSource("get", "/problems", "200", "/items/0/digest"),
+    ),
+    "scenario_id": (IdSource("get", "/scenarios", "200", "/items/0/id"),),
+    "view_id": (IdSource("post", "/views", "201", "/id"), IdSource("get", "/views", "200", "/items/0/id")),
+}
+"""The answers with an id, by the name that paths have for it."""
+
+
+def add_links(paths: Mapping[str, Any]) -> None:
+    """Adds to each of these answers a link to every operation that its id is usable for, named after the operation."""
+    for name, sources in SOURCES.items():
+        for source in sources:
+            answer = paths[ROOT + source.path][source.method]["responses"][source.status]
+            answer["links"] = {
+                operation: {"operationId": operation, "parameters": {name: f"$response.body#{source.pointer}"}}
+                for operation in _taking(paths, name, source.usable)
+            }
+
+
+def _taking(paths: Mapping[str, Any], name: str, usable: str) -> Iterator[str]:
+    """Yields the operations with this parameter in their path whose rest begins with the pattern."""
+    for path, operations in paths.items():
+        _, parameter, rest = path.partition(f"{{{name}}}")
+        if parameter and re.match(usable, rest):
+            yield from (operation["operationId"] for operation in operations.values())
+
 
 EVENTS = "text/event-stream"
 

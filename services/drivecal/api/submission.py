@@ -1,13 +1,14 @@
 """Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.pace import pace
+from drivecal.api.live.dispatcher_health import judge
 from drivecal.api.responses import refuse_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
@@ -30,12 +31,40 @@ from drivecal.contracts.specification import (
 )
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
-from drivecal.storage import admission, campaigns
+from drivecal.storage import admission, campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.references import influence_maps
+from drivecal.storage.references import influence_maps, runs
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
+
+ASSUMED_MILLISECONDS = 8.0
+"""CPU time of one simulation in the built-in scenarios, on a machine of today."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """A simulation occupies a worker for so many `milliseconds`, `measured` in these setups or else assumed; `workers`: None if the
+    dispatcher is silent."""
+
+    milliseconds: float
+    measured: bool
+    workers: int | None
+
+    def seconds(self, simulations: int) -> float | None:
+        """Returns the time of so many simulations; None without workers."""
+        return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
+
+
+def pace(connection: Connection, fingerprints: Sequence[str]) -> Pace:
+    """Returns the pace of simulations in the setups with these fingerprints."""
+    measured = runs.recent_milliseconds(connection, fingerprints)
+    dispatcher = processes.read(connection, processes.DISPATCHER)
+    workers = None
+    if dispatcher is not None and not judge(dispatcher, now()).silent:
+        workers = len(dispatcher.detail.get("workers", [])) or None
+    return Pace(measured or ASSUMED_MILLISECONDS, measured is not None, workers)
+
 
 MAP = "sensitivity.map"
 

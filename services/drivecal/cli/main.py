@@ -9,23 +9,16 @@ import typer
 
 from drivecal.cli.application import app
 from drivecal.cli.commands import (  # noqa: F401  # importing a module registers its commands
-    calibration_data,
     campaigns,
-    compare_optimizers,
     db,
+    demo,
     evaluate,
-    explain,
     influence,
     problem,
-    report,
     results,
-    robustness,
     serve,
-    top,
-    validate,
-    workers,
+    studies,
 )
-from drivecal.cli.commands.demo import command as demo  # noqa: F401  # the same
 
 __all__ = ["app", "main"]
 

@@ -11,20 +11,14 @@ from typing import Any, Literal
 import httpx
 from pydantic import RootModel, ValidationError
 
-from drivecal.client.answers import harmless, raise_for, unreachable
-from drivecal.client.chosen_sets import ChosenSets
-from drivecal.client.documents import Document, plain, weights_text
-from drivecal.client.event_stream import EventParser, ServerSentEvent
-from drivecal.client.following import READ_SECONDS, Following, Sent, Told
+from drivecal.client.documents import Document, completed, ids_on, is_abbreviated, plain, weights_text, with_full_ids
+from drivecal.client.following import READ_SECONDS, EventParser, Following, Sent, ServerSentEvent, Told, displayed
 from drivecal.client.frames import DownloadedTable, RankedSets, Rows
-from drivecal.client.identifiers import completed, ids_on, is_abbreviated, with_full_ids
-from drivecal.client.notebooks import displayed
-from drivecal.client.organising import CampaignLists
 from drivecal.client.problems import Pushed, archive_of, push_headers
-from drivecal.client.transport import Answer, named, path_of
+from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, ExpectedRuns, StudyPage
+from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
 from drivecal.contracts.evaluation import CellAnswer, Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
@@ -37,6 +31,7 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
+from drivecal.contracts.organising import Archived, Deletion, SavedView, SavedViewList
 from drivecal.contracts.results import FrontSummary, TradeOff, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
@@ -54,7 +49,7 @@ Action = Literal["pause", "resume", "cancel"]
 Table = Literal[TableName, "front/evaluated"]
 
 
-class Client(CampaignLists, ChosenSets):
+class Client(Transport):
     """A client of the server at `url`.
 
     Every method raises UnavailableError if nothing answers, InvalidInputError if the server refuses the input, and NotAuthorisedError if
@@ -393,3 +388,88 @@ class Client(CampaignLists, ChosenSets):
     def workers(self) -> WorkerPage:
         """Returns the workers."""
         return self._get(WorkerPage, "workers")
+
+    def campaigns(
+        self,
+        state: str | None = None,
+        limit: int | None = None,
+        cursor: str | None = None,
+        *,
+        tags: Sequence[str] = (),
+        archived: Archived = "without",
+    ) -> CampaignPage:
+        """Returns a page of campaigns, newest first: those with all of the `tags`, by default without archived ones."""
+        query: dict[str, Any] = {"tag": list(tags) or None, "archived": None if archived == "without" else archived}
+        return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor, **query)
+
+    def label(
+        self,
+        identifier: str,
+        *,
+        name: str | None = None,
+        tags: Sequence[str] | None = None,
+        add_tags: Sequence[str] | None = None,
+        remove_tags: Sequence[str] | None = None,
+        comment: str | None = None,
+        archived: bool | None = None,
+    ) -> Campaign:
+        """Changes the given labels of a campaign; `tags` replaces all tags, `add_tags` and `remove_tags` leave others as they are.
+
+        Raises ConflictError if a campaign that runs is archived.
+        """
+        lists = {"tags": tags, "add_tags": add_tags, "remove_tags": remove_tags}
+        changes: dict[str, Any] = {label: list(value) for label, value in lists.items() if value is not None}
+        others = {"name": name, "comment": comment, "archived": archived}
+        document = changes | {label: value for label, value in others.items() if value is not None}
+        place = ("campaigns", identifier)
+        return self._answer(self._request("PATCH", place, document=document), Campaign, place)
+
+    def delete(self, identifier: str) -> Deletion:
+        """Deletes an ended campaign, or archives it if others refer to it; what it simulated stays in the reference table.
+
+        Raises ConflictError while it runs.
+        """
+        place = ("campaigns", identifier)
+        return self._answer(self._request("DELETE", place), Deletion, place)
+
+    def saved_views(self, campaign: str | None = None) -> list[SavedView]:
+        """Returns the saved views of the page for all campaigns, and those of a `campaign`."""
+        return self._get(SavedViewList, "views", campaign=campaign).items
+
+    def report(self, identifier: str, form: Literal["html", "zip"] = "html") -> bytes:
+        """Returns the report of a campaign or a comparison: one HTML page, or a ZIP archive of the page, its figures (SVG, PNG) and tables
+        (CSV)."""
+        return b"".join(self._pieces(("campaigns", identifier, "report"), {"format": form}))
+
+    def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
+        """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the
+        front if there are several objectives. `against`: another set beside it, a rank, a campaign's id, or `ID:RANK`."""
+        place = ("campaigns", identifier, "review")
+        if against is not None:
+            other, *other_rank = against.split(":", 1)
+            if not other.isdecimal() or other_rank:
+                against = ":".join([self._full_place(("campaigns", other))[-1], *other_rank])
+        response = self._request("GET", place, query={"set": rank, "front": front, "against": against})
+        raise_for(response, *named(place))
+        return response.text
+
+    def calibration_file(
+        self,
+        identifier: str,
+        form: Literal["dcm", "cdfx", "csv"],
+        rank: int | None = None,
+        front: int | None = None,
+        weights: str | None = None,
+        score: str | None = None,
+        labels: Mapping[str, str] | None = None,
+        *,
+        everything: bool = False,
+    ) -> bytes:
+        """Returns a set as a DCM, CDFX or CSV file: of a `rank` in the solutions or on the `front`, as for `review`, under these `weights`
+        or this `score`. `labels`: names in the file, by parameter; others keep their own."""
+        place = ("campaigns", identifier, "calibration-file")
+        listed = [f"{name}={label}" for name, label in (labels or {}).items()]
+        chosen_by = {"set": rank, "front": front, "weights": weights, "score": score, "everything": everything or None}
+        response = self._request("GET", place, query={"format": form, **chosen_by, "label": listed or None})
+        raise_for(response, *named(place))
+        return response.content

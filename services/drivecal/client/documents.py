@@ -8,9 +8,10 @@ fast reader in C offers no place to refuse anything before the whole document is
 import math
 import re
 import sys
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,10 @@ import yaml
 from pydantic import BaseModel
 
 from drivecal.contracts import strict_json
+from drivecal.contracts.campaign import CampaignPage
+from drivecal.contracts.inventory import InfluenceMapPage
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
 """A submitted document: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
@@ -221,3 +224,54 @@ def weights_text(weights: Mapping[str, float] | str | None) -> str | None:
     if isinstance(weights, Mapping):
         return ",".join(f"{name}={weight:.12g}" for name, weight in weights.items())
     return weights
+
+
+AT_A_TIME = 200
+"""Campaigns or maps in a request for ids."""
+_ABBREVIATION = re.compile(r"[0-9a-f]{4,31}")
+_TOO_SHORT = re.compile(r"[0-9a-f]{1,3}")
+
+Complete = Callable[[str], str]
+
+
+def is_abbreviated(identifier: str) -> bool:
+    """Returns whether an identifier can be the beginning of an id."""
+    return _ABBREVIATION.fullmatch(identifier) is not None
+
+
+def completed(kind: str, identifier: str, ids: Callable[[], Iterable[str]]) -> str:
+    """Returns the only one of the `ids` that begins with `identifier`, or an unknown `identifier` itself.
+
+    Raises NotFoundError if several begin so, or if it is too short to be meant.
+    """
+    if _TOO_SHORT.fullmatch(identifier):
+        raise NotFoundError(f"single {kind}", identifier, "give at least four characters of its id")
+    if not is_abbreviated(identifier):
+        return identifier
+    matching = list(islice((full for full in ids() if full.startswith(identifier)), 2))
+    if len(matching) > 1:
+        raise NotFoundError(f"single {kind}", identifier, "several ids begin so; give more characters")
+    return matching[0] if matching else identifier
+
+
+def with_full_ids(specification: Mapping[str, Any], campaign: Complete, influence_map: Complete) -> Mapping[str, Any]:
+    """Returns a specification with full ids of the influence map and the campaigns that it names."""
+    full = dict(specification)
+    for section, name, complete in (
+        ("sensitivity", "map", influence_map),
+        ("robustness", "of", campaign),
+        ("validation", "of", campaign),
+    ):
+        settings = full.get(section)
+        if isinstance(settings, Mapping) and isinstance(settings.get(name), str):
+            full[section] = {**settings, name: complete(settings[name])}
+    return full
+
+
+def ids_on(pages: Callable[..., CampaignPage | InfluenceMapPage]) -> Iterator[str]:
+    """Yields the ids on all pages, newest first."""
+    page = pages(limit=AT_A_TIME)
+    yield from (item.id for item in page.items)
+    while page.next_cursor is not None:
+        page = pages(limit=AT_A_TIME, cursor=page.next_cursor)
+        yield from (item.id for item in page.items)

@@ -1,8 +1,11 @@
 """Following a campaign by its event stream, which is resumed after a break, or by repeated requests without one."""
 
+import sys
 import time
-from collections.abc import Callable, Generator, Iterator
-from typing import Protocol
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Protocol
 
 from drivecal.contracts.campaign import Best, Campaign
 from drivecal.contracts.events import CampaignEvent, CampaignProgress
@@ -139,3 +142,75 @@ class Following:
             time.sleep(max(0.0, self._deadline - time.monotonic()))
             raise TimeoutError("the campaign has not ended within the time limit; it continues")
         time.sleep(self._wait)
+
+
+@dataclass(frozen=True, slots=True)
+class ServerSentEvent:
+    """An event. `id` is None if this event has none in the stream."""
+
+    event: str
+    data: str
+    id: str | None
+
+
+class EventParser:
+    """A parser of a stream that arrives in arbitrary pieces. It drops an event that is incomplete at the end, and ignores `retry`."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._begun = False
+        self._event = ""
+        self._data: list[str] = []
+        self._id: str | None = None
+
+    def feed(self, chunk: bytes) -> list[ServerSentEvent]:
+        """Returns the events that this chunk completes."""
+        self._rest += chunk
+        if not self._begun and len(self._rest) >= 3:
+            self._rest, self._begun = self._rest.removeprefix(b"\xef\xbb\xbf"), True
+        lines = self._rest.splitlines(keepends=True)  # of bytes: at \n, \r and \r\n, as the standard says
+        # What has no end yet waits for the rest, and so does a \r that may be the first half of a \r\n.
+        self._rest = lines.pop() if lines and not lines[-1].endswith(b"\n") else b""
+        taken = (self._take(line.rstrip(b"\r\n").decode("utf-8", errors="replace")) for line in lines)
+        return [field for field in taken if field is not None]
+
+    def _take(self, line: str) -> ServerSentEvent | None:
+        if not line:
+            return self._dispatch()
+        name, _, value = line.partition(":")
+        value = value.removeprefix(" ")
+        match name:
+            case "event":
+                self._event = value
+            case "data":
+                self._data.append(value)
+            case "id" if "\0" not in value:
+                self._id = value
+        return None
+
+    def _dispatch(self) -> ServerSentEvent | None:
+        event, data, number = self._event, self._data, self._id
+        self._event, self._data, self._id = "", [], None
+        return ServerSentEvent(event or "message", "\n".join(data), number) if data else None
+
+
+def displayed(states: Iterable[Campaign]) -> Iterator[Campaign]:
+    """Yields the states of a campaign; in a notebook it displays each in place of the state before."""
+    display = _display()
+    shown: Any = None
+    for campaign in states:
+        if shown is not None:
+            shown.update(campaign)
+        elif display is not None:
+            shown = display(campaign, display_id=True)
+        yield campaign
+
+
+def _display() -> Callable[..., Any] | None:
+    """Returns IPython's `display` if this process serves a notebook, else None."""
+    ipython = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    if getattr(shell, "kernel", None) is None:
+        return None
+    display: Callable[..., Any] = import_module("IPython.display").display
+    return display

@@ -1,6 +1,6 @@
 """Checks of the actions of a scenario of kind `highway`: triggers, conditions, and the vehicles and actions that they name."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Trigger
@@ -11,9 +11,19 @@ RELATIVE = frozenset({"gap", "headway", "ttc"})
 """Quantities between two vehicles."""
 
 
-def actions_problems(field: str, traffic: Sequence[TrafficEntry], *, is_whole: bool) -> Iterator[Problem]:
-    """Yields the faults of all actions. `is_whole`: every vehicle is among `traffic`, so that unknown names are faults."""
-    vehicles = [EGO, *(vehicle.id or f"vehicle{index}" for index, vehicle in enumerate(traffic))] if is_whole else None
+def actions_problems(
+    field: str, traffic: Sequence[TrafficEntry], *, is_whole: bool, others: Collection[str] = ()
+) -> Iterator[Problem]:
+    """Yields the faults of all actions.
+
+    Args:
+        field: The scenario's in the manifest.
+        traffic: The vehicles with their actions.
+        is_whole: Every vehicle is among `traffic` and `others`, so that unknown names are faults.
+        others: Ids of vehicles of a route file.
+    """
+    named_here = (vehicle.id or f"vehicle{index}" for index, vehicle in enumerate(traffic))
+    vehicles = [EGO, *named_here, *others] if is_whole else None
     ids: dict[str, str] = {}
     actions = [
         (f"{field}.traffic[{index}].actions[{number}]", vehicle, action)
@@ -28,9 +38,11 @@ def actions_problems(field: str, traffic: Sequence[TrafficEntry], *, is_whole: b
     for place, vehicle, action in actions:
         yield from _trigger(place, action)
         yield from _content(place, vehicle, action)
-        own = [other.id for other in vehicle.actions if other.id is not None and other is not action]
+        siblings = [other.id for other in vehicle.actions if other.id is not None and other is not action]
         yield from _unknown(
-            [(f"{place}.ends[{number}]", name) for number, name in enumerate(action.ends)], own, "other action of the vehicle"
+            [(f"{place}.ends[{number}]", name) for number, name in enumerate(action.ends)],
+            siblings,
+            "other action of the vehicle",
         )
         named = [(f"{place}.{key}", getattr(action, key, None)) for key in ("like", "beside")]
         for section in ("after", "when"):
@@ -39,8 +51,8 @@ def actions_problems(field: str, traffic: Sequence[TrafficEntry], *, is_whole: b
                 yield from _condition(inner, condition)
                 named += [(f"{inner}.{key}", getattr(condition, key)) for key in ("vehicle", "to")]
                 if is_whole:
-                    others = [(f"{inner}.{key}", getattr(condition, key)) for key in ("begun", "done")]
-                    yield from _unknown(others, list(ids), "action")
+                    parts = [(f"{inner}.{key}", getattr(condition, key)) for key in ("begun", "done")]
+                    yield from _unknown(parts, list(ids), "action")
         if vehicles is not None:
             yield from _unknown(named, vehicles, "vehicle of `traffic`")
 

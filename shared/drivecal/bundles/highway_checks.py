@@ -178,8 +178,18 @@ def _joined(prefix: str, field: str) -> str:
     return f"{prefix}.{field}" if field else prefix
 
 
-def scenario_problems(field: str, scenario: Declared, step: float, *, is_whole: bool = False) -> Iterator[Problem]:
-    """Yields the faults of a scenario. `is_whole`: its files have been read, so that every vehicle is known."""
+def scenario_problems(
+    field: str, scenario: Declared, step: float, *, is_whole: bool = False, others: Collection[str] = ()
+) -> Iterator[Problem]:
+    """Yields the faults of a scenario.
+
+    Args:
+        field: The scenario's in the manifest.
+        scenario: As it is declared, or with the entries of its files.
+        step: The simulator's (s).
+        is_whole: Its files have been read, so that every vehicle is known.
+        others: Ids of vehicles of its route file.
+    """
     yield from _files(field, scenario)
     duration = scenario.duration
     if duration is not None and _is_multiple(step, TICK) and not _is_multiple(duration, step):
@@ -198,7 +208,7 @@ def scenario_problems(field: str, scenario: Declared, step: float, *, is_whole: 
     drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
     yield from _drivers(field, drivers)
     is_whole = is_whole or (scenario.routes is None and isinstance(scenario, HighwayScenario))
-    yield from actions_problems(field, scenario.traffic, is_whole=is_whole)
+    yield from actions_problems(field, scenario.traffic, is_whole=is_whole, others=others)
     yield from _times(field, scenario, step, is_whole=is_whole)
     yield from _flows(field, scenario)
 
@@ -209,15 +219,17 @@ def _times(field: str, scenario: Declared, step: float, *, is_whole: bool) -> It
         message = "it is the time of a route file at which the run begins, but there are no `routes`"
         yield Problem(f"{field}.begin", message, "leave it out, or give `routes`")
     warm_up = scenario.warm_up
+    if scenario.routes is not None and scenario.begin < warm_up:
+        message = f"the warm-up of {warm_up:g} s begins before the route file's time 0"
+        yield Problem(f"{field}.begin", message, f"give at least {warm_up:g}, or a shorter warm_up")
     if not warm_up:
         return
     if _is_multiple(step, TICK) and not _is_multiple(warm_up, step):
         message = f"{warm_up:g} s is not a multiple of the simulator's step of {step:g} s"
         yield Problem(f"{field}.warm_up", message, f"give e.g. {max(1, round(warm_up / step)) * step:g}")
-    if is_whole and all(scenario.begin_of(flow) >= 0.0 for flow in scenario.flows):
+    if is_whole and scenario.routes is None and all(scenario.begin_of(flow) >= 0.0 for flow in scenario.flows):
         message = "no vehicle and no flow enters in the warm-up, before the run's time 0"
-        remedy = f"leave it out, give flows, or with `routes` a `begin` that is {warm_up:g} s later than the first of them"
-        yield Problem(f"{field}.warm_up", message, remedy)
+        yield Problem(f"{field}.warm_up", message, "leave it out, or give flows")
 
 
 def _flows(field: str, scenario: Declared) -> Iterator[Problem]:

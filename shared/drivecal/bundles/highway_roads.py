@@ -89,8 +89,8 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
         except InvalidInputError as error:
             problems[field] += _prefixed(error, field)
         else:
-            if description.scenario is not scenario:
-                problems[field] += _located(description, field, _again(description.scenario, field, manifest))
+            if description.scenario is not scenario or description.routes is not None:
+                problems[field] += _located(description, field, _again(description, field, manifest))
     _check_effort(descriptions.values())
     notes: dict[str, list[str]] = {field: [] for field in descriptions}
     for field, description in _by_road(descriptions):
@@ -121,9 +121,10 @@ def _notes(road: Corridor, field: str, scenario: HighwayScenario) -> Iterator[st
         )
 
 
-def _again(scenario: HighwayScenario, field: str, manifest: Manifest) -> Iterator[Problem]:
+def _again(description: Description, field: str, manifest: Manifest) -> Iterator[Problem]:
     """Yields the faults of a scenario whose files have been read."""
-    return scenario_problems(field, scenario, _step(manifest), is_whole=True)
+    others = frozenset[str]() if description.routes is None else description.routes.vehicles
+    return scenario_problems(field, description.scenario, _step(manifest), is_whole=True, others=others)
 
 
 def _located(description: Description, field: str, problems: Iterator[Problem]) -> Iterator[Problem]:

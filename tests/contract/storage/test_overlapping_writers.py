@@ -16,7 +16,7 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
 from drivecal.api import comparison_submission, submission
 from drivecal.api.dependencies import Limits
 from drivecal.api.http.authorisation import ANYBODY
-from drivecal.api.routes.traces import read_trace
+from drivecal.api.routes.evaluations import read_trace
 from drivecal.campaigns import retention
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification

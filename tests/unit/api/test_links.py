@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivecal.api.app import create_app
-from drivecal.api.links import SOURCES
+from drivecal.api.document import SOURCES
 from drivecal.configuration.settings import load_settings
 
 METHODS = {"get", "post", "put", "patch", "delete"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivecal.api.pace import Pace
+from drivecal.api.submission import Pace
 
 
 def test_workers_share_the_simulations() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from drivecal.api.live import response_cache
-from drivecal.api.live.response_cache import ResponseCache
+from drivecal.api import responses
+from drivecal.api.responses import ResponseCache
 
 
 def test_an_answer_is_given_again_for_a_moment_and_only_under_its_own_tag() -> None:
@@ -13,7 +13,7 @@ def test_an_answer_is_given_again_for_a_moment_and_only_under_its_own_tag() -> N
     assert answers.find("one", "a") == b"1"
     assert answers.find("one", "b") is None
     assert answers.find("other", "a") is None
-    time += response_cache.SECONDS
+    time += responses.REMEMBERED_SECONDS
     assert answers.find("one", "a") is None
     answers.keep("one", "b", b"2")
     assert (answers.find("one", "b"), answers.find("one", "a")) == (b"2", None)
@@ -21,9 +21,12 @@ def test_an_answer_is_given_again_for_a_moment_and_only_under_its_own_tag() -> N
 
 def test_what_is_remembered_is_bounded() -> None:
     answers = ResponseCache(clock=lambda: 0.0)
-    answers.keep("large", "a", b"x" * (response_cache.LARGEST + 1))
+    answers.keep("large", "a", b"x" * (responses.LARGEST_REMEMBERED + 1))
     assert answers.find("large", "a") is None
-    for number in range(10 * response_cache.MOST):
+    for number in range(10 * responses.MOST_REMEMBERED):
         answers.keep(str(number), "a", b"x")
         assert answers.find(str(number), "a") == b"x"
-    assert sum(answers.find(str(number), "a") is not None for number in range(10 * response_cache.MOST)) <= response_cache.MOST
+    assert (
+        sum(answers.find(str(number), "a") is not None for number in range(10 * responses.MOST_REMEMBERED))
+        <= responses.MOST_REMEMBERED
+    )

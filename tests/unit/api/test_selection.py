@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.api.tables.selection import selection
+from drivecal.api.tables.paging import selection
 from drivecal.contracts.tables import Column
 from drivecal.domain.errors import InvalidInputError
 

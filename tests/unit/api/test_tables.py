@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 
 from drivecal.api.http.queries import TableQuery
-from drivecal.api.tables.files import download
-from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, slices, table_answer
+from drivecal.api.tables.paging import ROWS_AT_A_TIME, ROWS_AT_FIRST, download, slices, table_answer
 from drivecal.contracts.tables import (
     Column,
     EvaluationRow,

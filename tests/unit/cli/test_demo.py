@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.cli.commands.demo.command import BASELINE, CAMPAIGN, OTHER_WEIGHTS
-from drivecal.cli.commands.demo.coordinator import ANNOUNCEMENT, LOG, coordinator, fresh_folder, url_when_ready
+from drivecal.cli.commands.demo import (
+    ANNOUNCEMENT,
+    BASELINE,
+    CAMPAIGN,
+    LOG,
+    OTHER_WEIGHTS,
+    coordinator,
+    fresh_folder,
+    url_when_ready,
+)
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import ConflictError, DatabaseError, DrivecalError
@@ -72,7 +80,7 @@ def test_a_coordinator_that_does_not_start_says_why(tmp_path: Path) -> None:
 
 
 def test_the_page_is_announced_before_the_workers_are_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.cli.commands.demo.coordinator.SECONDS_BETWEEN_SIGNS", 0.0)
+    monkeypatch.setattr("drivecal.cli.commands.demo.SECONDS_BETWEEN_SIGNS", 0.0)
     url, said = "http://127.0.0.1:4321", []
     (tmp_path / ANNOUNCEMENT).touch()
     (tmp_path / LOG).touch()

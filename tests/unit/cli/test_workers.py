@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from drivecal.cli.commands.workers import doing, remarks, remembering
+from drivecal.cli.commands.serve import doing, remarks, remembering
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -10,7 +10,7 @@ from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.client.event_stream import EventParser
+from drivecal.client.following import EventParser
 
 EXAMPLES: list[tuple[bytes, list[tuple[str, str, str | None]]]] = [
     (b"data: YHOO\ndata: +2\ndata: 10\n\n", [("message", "YHOO\n+2\n10", None)]),

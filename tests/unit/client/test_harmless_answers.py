@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.scripted import problem, server
 
-from drivecal.client.answers import harmless
+from drivecal.client.transport import harmless
 from drivecal.domain.errors import ConflictError
 
 STEERING = ["\x1b]0;owned\x07", "\x9b31m", "\u202egnp.exe", "\u2066", "\x7f", "\r", "\x00", "\u200f"]

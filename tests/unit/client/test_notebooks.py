@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from drivecal.client.following import displayed
 from drivecal.client.frames import Rows
-from drivecal.client.notebooks import displayed
 from drivecal.contracts.campaign import Campaign, Progress
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow, JudgedSet, Solution

@@ -1,6 +1,6 @@
 """Strict reading of request bodies before FastAPI sees them, so that nothing odd reaches a handler or an error message."""
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from email.message import Message
 from typing import Any
 
@@ -11,17 +11,25 @@ from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from drivecal.api import faults
 from drivecal.api.dependencies import Limits
+from drivecal.api.submission import resolved
+from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.configuration.memory import give_back
-from drivecal.domain.errors import DrivecalError
+from drivecal.contracts import strict_json
+from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.input_errors import fitting, validated
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
+from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
+from drivecal.storage.engine.database import Database
 
 LARGE = 16_384
 """Size in bytes from which bodies are read in turn: a hostile megabyte takes up to a second."""
 
 
 class StrictRoute(APIRoute):
-    """A route whose JSON body is read and checked by `drivecal.api.faults`, beside the event loop."""
+    """A route whose JSON body is read and checked beside the event loop."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Returns FastAPI's handler behind the strict reader."""
@@ -33,7 +41,7 @@ class StrictRoute(APIRoute):
             raise TypeError(f"{self.path} takes a body that is not a model")
 
         def read(request: Request, content: bytes) -> BaseModel:
-            return faults.read(model, content, request.app.state.database)
+            return read_body(model, content, request.app.state.database)
 
         async def strictly(request: Request) -> Response:
             _check_declaration(request)
@@ -100,3 +108,71 @@ def _is_json(content_type: str) -> bool:
     message["content-type"] = content_type
     main, _, sub = message.get_content_type().partition("/")
     return main == "application" and (sub == "json" or sub.endswith("+json"))
+
+
+Check = Callable[[Database, Any], object]
+
+CHECKS: Mapping[type[BaseModel], Check] = {
+    CampaignSpecification: resolved,
+    ComparisonSpecification: lambda database, document: resolve_comparison(document, stored_bundles(database)),
+    EvaluationSpecification: lambda database, document: resolve_evaluation(document, stored_bundles(database)),
+}
+"""Raise InvalidInputError for a document whose fields fit."""
+
+_SPACE = ("problem", "driving_function", "parameters", "fixed")
+_GOALS = ("problem", "evaluator", "catalogue", "weights", "objectives", "constraints")
+JUDGED_BY: Mapping[str, Sequence[str]] = {
+    "problem": (),
+    "optimizer": (),
+    "optimizers": (),
+    "catalogue": ("problem",),
+    "driving_function": ("problem",),
+    "evaluator": ("problem",),
+    "vehicle": ("problem",),
+    "weights": ("problem", "catalogue"),
+    "scenario": ("problem", "catalogue"),
+    "parameters": ("problem", "driving_function"),
+    "fixed": _SPACE,
+    "baseline": _SPACE,
+    "optimizer.start_sets": _SPACE,
+    "objectives": _GOALS,
+    "constraints": _GOALS,
+    "sensitivity.map": (),
+}
+"""Sections that a field is judged by. A fault of another field may come from any section that was left out."""
+
+
+def read_body(model: type[BaseModel], content: bytes, database: Database) -> BaseModel:
+    """Returns a JSON body as a `model`. Raises InvalidInputError with every fault."""
+    document = strict_json.loads(content)
+    try:
+        return validated(model, document, from_outside=True)
+    except InvalidInputError as error:
+        own = error.problems
+    raise InvalidInputError(*own, *_further(model, document, database))
+
+
+def _further(model: type[BaseModel], document: object, database: Database) -> list[Problem]:
+    """Returns the faults of the fields that fit, without those that may come from a missing one."""
+    part = fitting(model, document) if model in CHECKS else None
+    if part is None:
+        return []
+    specification, left_out = part
+    try:
+        CHECKS[model](database, specification)
+    except InvalidInputError as error:
+        return [problem for problem in error.problems if _stands(problem.field, left_out)]
+    except UnavailableError:  # the document's own faults are known without a database
+        pass
+    return []
+
+
+def _stands(field: str, left_out: Sequence[str]) -> bool:
+    if any(_within(field, missing) or _within(missing, field) for missing in left_out):
+        return False
+    bases = next((JUDGED_BY[name] for name in sorted(JUDGED_BY, key=len, reverse=True) if _within(field, name)), None)
+    return bases is not None and not any(_within(missing, base) for missing in left_out for base in bases)
+
+
+def _within(field: str, outer: str) -> bool:
+    return field == outer or field.startswith((f"{outer}.", f"{outer}["))

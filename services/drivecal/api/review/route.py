@@ -5,8 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, StringConstraints
 
-from drivecal.api.computed import computed
-from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.dependencies import DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters, SummaryOf
 from drivecal.api.review.calibration_file import RankedOtherwise, written

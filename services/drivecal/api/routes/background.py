@@ -11,14 +11,13 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.chosen import Chosen
 from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trust
-from drivecal.api.computed import computed
-from drivecal.api.dependencies import DatabaseDependency
+from drivecal.api.dependencies import DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery, PlaceQuery
 from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
 from drivecal.api.tables.chosen import set_at
 from drivecal.api.tables.front import bound_text
-from drivecal.api.tables.importance import importance
+from drivecal.api.tables.influence import importance
 from drivecal.api.tables.ranking import earlier_best, later_best
 from drivecal.campaigns.resolve.maps import measure
 from drivecal.campaigns.resolve.meanings import Meanings, meanings

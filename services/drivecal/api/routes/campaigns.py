@@ -13,8 +13,16 @@ from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, Limits
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
-from drivecal.api.live.response_cache import ResponseCache
-from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, calibration, campaign_answer, etag, list_etag, matches
+from drivecal.api.responses import (
+    ROOT,
+    SECONDS_BETWEEN_POLLS,
+    ResponseCache,
+    calibration,
+    campaign_answer,
+    etag,
+    list_etag,
+    matches,
+)
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns

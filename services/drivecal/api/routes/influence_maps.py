@@ -7,9 +7,8 @@ from drivecal.api.dependencies import Accept, DatabaseDependency, LimitsDependen
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import FormQuery, PageQuery, form_of
 from drivecal.api.responses import ROOT
-from drivecal.api.tables.files import download
 from drivecal.api.tables.influence import map_rows
-from drivecal.api.tables.paging import FILES
+from drivecal.api.tables.paging import FILES, download
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage

@@ -1,18 +1,170 @@
 """Tables as pages of JSON, or as a whole in CSV and Parquet."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Literal
 
 from fastapi import Response
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, StreamingResponse
 from pydantic import BaseModel
 
-from drivecal.api.http.queries import TableOf, form_of
-from drivecal.api.tables.files import Row, download
-from drivecal.api.tables.selection import Keeps, selection
+from drivecal.api.http.queries import PARQUET, TableOf, form_of
+from drivecal.client.frames import arrow_schema, arrow_table
 from drivecal.contracts.campaign import Page
-from drivecal.contracts.tables import Column, columns_of, file_row
+from drivecal.contracts.tables import Column, columns_of, file_row, spreadsheet_text
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage.engine import cursors
+
+Row = Mapping[str, Any]
+_AS_THEY_ARE = frozenset({int, float, type(None)})
+"""Types whose values CSV holds as Python writes them; truth has a type of its own."""
+_text = lru_cache(maxsize=1024)(spreadsheet_text)
+
+
+def download(
+    name: str, form: Literal["csv", "parquet"], columns: Sequence[Column], pieces: Iterable[Sequence[Row]]
+) -> StreamingResponse:
+    """Returns the answer with a whole table as a file called `name`."""
+    content = _csv(columns, pieces) if form == "csv" else _parquet(columns, pieces)
+    media_type = "text/csv; charset=utf-8; header=present" if form == "csv" else PARQUET
+    headers = {"Content-Disposition": f'attachment; filename="{name}.{form}"', "Vary": "Accept"}
+    return StreamingResponse(content, media_type=media_type, headers=headers)
+
+
+def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
+    """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip.
+
+    Texts that a spreadsheet would carry out as a formula begin with an apostrophe.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text)
+    names = [column.name for column in columns]
+    writer.writerow(names)
+    for piece in pieces:
+        for row in piece:
+            values = [row[name] for name in names]
+            # Most are numbers or missing: calls for them would take half of the time.
+            writer.writerow([value if type(value) in _AS_THEY_ARE else _plain(value) for value in values])
+        yield text.getvalue().encode()
+        text.seek(0)
+        text.truncate()
+    yield text.getvalue().encode()
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list):
+        return json.dumps(value)
+    return _text(value) if isinstance(value, str) else value
+
+
+def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
+    from pyarrow import parquet  # takes a while and memory; most servers never write Parquet
+
+    schema = arrow_schema(columns)
+    sink = _Sink()
+    with parquet.ParquetWriter(sink, schema) as writer:
+        for piece in pieces:
+            writer.write_table(arrow_table(schema, piece))
+            yield sink.take()
+    yield sink.take()
+
+
+class _Sink(io.RawIOBase):
+    """A file that collects written bytes until they are taken."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pieces: list[bytes] = []
+        self._position = 0
+
+    def writable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._position
+
+    def write(self, content: Any) -> int:
+        piece = bytes(content)
+        self._pieces.append(piece)
+        self._position += len(piece)
+        return len(piece)
+
+    def take(self) -> bytes:
+        content, self._pieces = b"".join(self._pieces), []
+        return content
+
+
+_CONDITION = re.compile(r"(?P<column>.+?)(?P<sign>>=|<=|=)(?P<value>.*)", re.DOTALL)
+_REMEDY = "write COLUMN=VALUE, COLUMN>=NUMBER or COLUMN<=NUMBER"
+_TRUTH = {"true": True, "false": False}
+
+Keeps = Callable[[Row], bool]
+
+
+def selection(conditions: Sequence[str], columns: Sequence[Column]) -> Keeps:
+    """Returns whether a row is wanted: several values of a column are alternatives, everything else has to hold.
+
+    A row without a value is not wanted. Raises InvalidInputError with every faulty condition.
+    """
+    known = {column.name: column for column in columns}
+    problems: list[Problem] = []
+    values: dict[str, set[object]] = {}
+    ranges: list[tuple[str, str, float]] = []
+    for place, condition in enumerate(conditions):
+        try:
+            name, sign, value = _read(condition, known)
+        except ValueError as error:
+            problems.append(Problem(f"where[{place}]", *error.args))
+            continue
+        if sign == "=":
+            values.setdefault(name, set()).add(value)
+        else:
+            ranges.append((name, sign, value))  # type: ignore[arg-type]  # a number, as `_read` has seen to
+    if problems:
+        raise InvalidInputError(*problems)
+
+    def keeps(row: Row) -> bool:
+        return all(row[name] in wanted for name, wanted in values.items()) and all(
+            row[name] is not None and (row[name] >= bound if sign == ">=" else row[name] <= bound)
+            for name, sign, bound in ranges
+        )
+
+    return keeps
+
+
+def _read(condition: str, known: Mapping[str, Column]) -> tuple[str, str, object]:
+    """Returns column, sign and value. Raises ValueError with message and remedy."""
+    parts = _CONDITION.fullmatch(condition)
+    if parts is None:
+        raise ValueError(f"{condition[:100]!r} is not a condition", _REMEDY)
+    name, sign, text = (parts[part].strip() for part in ("column", "sign", "value"))
+    column = known.get(name)
+    if column is None or column.kind == "numbers":
+        columns = ", ".join(other.name for other in known.values() if other.kind != "numbers")
+        raise ValueError(f"there is no column {name[:100]!r} to select by", f"one of {columns}")
+    if column.kind == "text":
+        if sign != "=":
+            raise ValueError(f"{name} holds words", f"write {name}=WORD")
+        return name, sign, text
+    if column.kind == "truth":
+        if sign != "=" or text not in _TRUTH:
+            raise ValueError(f"{name} is true or false", f"write {name}=true or {name}=false")
+        return name, sign, _TRUTH[text]
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{text[:100]!r} is not a number", f"write {name}{sign}NUMBER")
+    return name, sign, number
+
 
 ROWS_AT_A_TIME = 2000
 ROWS_AT_FIRST = 250

@@ -1,18 +1,29 @@
 """Studies of a campaign's results: existing studies, by itself or another campaign, and new ones."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import typer
 
-from drivecal.cli.application import code_of_state, tell
+from drivecal.analysis.robustness import vehicles_text
+from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
+from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
+from drivecal.cli.views import robustness_differences
+from drivecal.cli.views.comparisons import print_expected
+from drivecal.cli.views.output import dumped, parameters_text, print_answer, print_columns, print_json
 from drivecal.cli.views.progress import follow
+from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
+from drivecal.client.documents import opened_document
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.specification import HIGHWAY
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.errors import ConflictError
+from drivecal.domain.scales import COMFORT, Scale
+from drivecal.report.rows import PREDICTIONS, errors_text, fixed, interval_text, objective_number, percent, predictions, totals
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
@@ -81,3 +92,222 @@ def _followed(client: Client, made: Campaign) -> Campaign:
         tell(f"campaign {made.id} {ended.state}{f': {ended.error}' if ended.error else ''}")
         raise typer.Exit(code_of_state(ended.state))
     return ended
+
+
+ALL = 1_000_000
+"""More than a scenario's released predictions."""
+
+
+@app.command()
+def validate(
+    identifier: CampaignArgument,
+    predicted: Annotated[bool, typer.Option("--predicted", help="Simulate released predictions instead.")] = False,
+    samples: Annotated[
+        int | None, typer.Option(min=1, help="Sets of the first Latin hypercube, else 200; predictions by scenario, else all.")
+    ] = None,
+    references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
+    largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter.
+
+    With `--predicted`: whether the predictions that the campaign released are right.
+    """
+    with connect(url) as client:
+        campaign = client.campaign(client.full_id(identifier))
+        given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references, "largest": largest}
+        wanted = wanted_of(campaign, "validation", given)
+        wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
+        maker = None if again else known(client, campaign, wanted)
+        if maker is None:
+            stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
+            maker = make(client, campaign, "validation", stages)
+        rows = client.validation(maker.id)
+    if as_json:
+        print_json(dumped(rows))
+    elif predicted:
+        print_released(rows, campaign.scale)
+    else:
+        print_validation(rows, campaign.scale)
+
+
+def _map_of(campaign: Campaign) -> dict[str, str]:
+    link = campaign.links.get("influence_map")
+    if link is None:
+        raise ConflictError(f"campaign {campaign.id} has no influence map to validate; `--predicted` checks its predictions")
+    return {"map": link.rpartition("/")[2]}
+
+
+def print_released(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
+    """Prints how many released predictions are right."""
+    print_columns(PREDICTIONS, predictions(rows))
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
+    if compared:
+        typer.echo(errors_text("predictions", compared, different, wrong, scale))
+
+
+def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
+    """Prints Tables 1 and 2 of the paper for this map."""
+    print_columns(
+        ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
+        [
+            [
+                *(row.scenario, row.reducible, row.bases, row.references, row.compared, row.different, row.wrong),
+                percent(row.error_rate, 3),
+                None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
+                f"{row.covered} of {row.effects}",
+            ]
+            for row in rows
+        ],
+    )
+    compared, different, wrong = totals(rows, "compared", "different", "wrong")
+    if compared:
+        typer.echo(errors_text("variants", compared, different, wrong, scale))
+        typer.echo(interval_text(rows))
+    nothing = [row.scenario for row in rows if not row.compared]
+    if nothing:
+        typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")
+
+
+@app.command()
+def robustness(
+    identifier: CampaignArgument,
+    solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(min=0, help="Examine sets whose objective is worse by no more than this, too; else 0."),
+    ] = None,
+    delta: Annotated[
+        float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")
+    ] = None,
+    steps: Annotated[int | None, typer.Option(min=1, max=100, help="Boxes; else 10.")] = None,
+    samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
+    eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
+    condition: Annotated[str | None, typer.Option(help="max, mean or per_factor; else max.")] = None,
+    refinements: Annotated[int | None, typer.Option(min=0, max=30, help="Halvings of the last step; else none.")] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
+    ] = None,
+    compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
+    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
+    if vehicle is not None and compare is not None:
+        raise typer.BadParameter("name a vehicle model or another campaign, not both")
+    given = {
+        "solutions": solutions,
+        "within": within,
+        "delta": delta,
+        "steps": steps,
+        "samples": samples,
+        "eta": eta,
+        "condition": condition,
+        "refinements": refinements,
+    }
+    with connect(url) as client:
+        campaign = client.campaign(client.full_id(identifier))
+        wanted = wanted_of(campaign, "robustness", given)
+        other = None if compare is None else _study_of(client, client.campaign(client.full_id(compare)))
+        maker = None if again else known(client, campaign, wanted)
+        if maker is None:
+            stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
+            if vehicle is not None:  # a name that is none is refused before anything is driven
+                there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
+                client.expected_runs(specification(campaign, "robustness", stages | there))
+            maker = make(client, campaign, "robustness", stages)
+        here = _study(client, maker)
+        if vehicle is not None:
+            other = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+        beside = None if other is None else _study(client, other)
+    if as_json:
+        print_json(dumped(here.rows) if beside is None else robustness_differences.document(here, beside))
+        return
+    if beside is None:
+        print_robustness(here.rows, here.maker.spec["robustness"])
+    else:
+        robustness_differences.print_difference(here, beside)
+    if hint := few_text(here):
+        typer.echo(hint)
+
+
+def _source(campaign: Campaign) -> str:
+    """Returns the id of the campaign whose best sets are examined, also for a study of another campaign's sets."""
+    return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
+
+
+def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
+    """Returns the campaign of the same study, with all its settings and sets, in another vehicle model. The sets are named, for what the
+    study has simulated may have changed which are the best."""
+    examined = [row.parameters for row in client.robustness(maker.id)]
+    settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker), "sets": examined, "solutions": 0}
+    bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
+    source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
+    made = None if again else known(client, source, Wanted("robustness", settings, bench))
+    stages = {"robustness": settings, "vehicle": bench["vehicle"]}
+    return made or make(client, maker, f"robustness in {model}", stages)
+
+
+def _study_of(client: Client, campaign: Campaign) -> Campaign:
+    maker = known(client, campaign, wanted_of(campaign, "robustness", {}))
+    if maker is None:
+        raise ConflictError(f"campaign {campaign.id} has no robustness study; `drivecal robustness {campaign.id}` makes one")
+    return maker
+
+
+def _study(client: Client, maker: Campaign) -> MadeStudy:
+    return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
+
+
+def few_text(study: MadeStudy) -> str:
+    """Returns why fewer sets were examined than wanted, and which option adds more; empty otherwise."""
+    wanted = study.maker.spec.get("robustness") or {}
+    count, within = len(study.rows), wanted.get("within") or 0
+    if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):
+        return ""
+    sets = "only 1 set has" if count == 1 else f"only {count} sets have"
+    if within:
+        return f"{sets} an objective within {within:g} of the best; a larger --within takes more"
+    return f"{sets} the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
+
+
+def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
+    """Prints the examined sets of a study with these `settings`, most robust first."""
+    if not rows:
+        typer.echo("no set was examined: the campaign found none with a result in every scenario")
+        return
+    print_columns(
+        ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
+        [
+            [
+                *(row.rank, degree_text(row), f"{row.radius:.4g}", objective_number(row.objective)),
+                " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
+                *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
+            ]
+            for row in rows
+        ],
+    )
+    typer.echo(vehicles_text(settings))
+    for row in rows:
+        if row.recommended:
+            typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
+
+
+@app.command("compare-optimizers")
+def compare_optimizers(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")],
+    wait: WaitOption = False,
+    timeout: TimeoutOption = None,
+    dry_run: DryRunOption = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
+    with connect(url) as client, opened_document(file) as specification:
+        if dry_run:
+            print_answer(client.expected_comparison(specification), as_json, print_expected)
+        else:
+            submitted(client, client.compare(specification), wait, timeout, as_json)

@@ -1,4 +1,7 @@
-"""The description of a scenario of kind `highway` that its files complete: route files and OpenSCENARIO files become entries of YAML."""
+"""The description of a scenario of kind `highway` that its files complete.
+
+OpenSCENARIO files become entries of YAML; what a route file says is checked, and SUMO reads it.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -8,13 +11,11 @@ from typing import Any
 
 from drivecal.bundles.highway import Declared, HighwayScenario, OpenScenario
 from drivecal.bundles.highway_checks import declared_scenario
-from drivecal.bundles.traffic.departures import Clock
 from drivecal.bundles.traffic.elements import refusal
 from drivecal.bundles.traffic.entities import Files
-from drivecal.bundles.traffic.entries import Entry, VehicleNames
-from drivecal.bundles.traffic.openscenario import ScenarioFile
+from drivecal.bundles.traffic.openscenario import ScenarioFile, VehicleNames
 from drivecal.bundles.traffic.places import Map
-from drivecal.bundles.traffic.route_files import RouteFile
+from drivecal.bundles.traffic.route_files import RouteTraffic, read_routes
 from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import corridor
@@ -29,11 +30,19 @@ Maps = Callable[[str], Map]
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A scenario with everything that its files say. `notes`: what they say and is ignored; `origins`: their entries by field."""
+    """A scenario with everything that its files say.
+
+    Attributes:
+        scenario: The scenario, with the entries of an OpenSCENARIO file.
+        notes: What the files say and is ignored.
+        origins: Places in the OpenSCENARIO file by the fields of its entries.
+        routes: The traffic of a route file.
+    """
 
     scenario: HighwayScenario
     notes: tuple[str, ...] = ()
     origins: Mapping[str, Problem] = field(default_factory=dict)
+    routes: RouteTraffic | None = None
 
     def located(self, problem: Problem) -> Problem:
         """Returns a problem of an entry of a file with the file's field, and line and element in the message."""
@@ -55,57 +64,54 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
 
     Raises InvalidInputError with the fields of the scenario; the messages have file, line and element.
     """
-    if isinstance(scenario, HighwayScenario) and scenario.routes is None:
-        return Description(scenario)
+    description = Description(scenario) if isinstance(scenario, HighwayScenario) else _complete(scenario, files, maps, step)
+    complete = description.scenario
+    if complete.routes is None:
+        return description
+    network = maps(complete.network).network
+    try:
+        content = files.read(complete.routes)
+        routes = read_routes(content, complete.routes, network, complete, complete.duration)
+    except InvalidInputError as error:
+        raise refusal(error, "routes") from error
+    return replace(description, notes=description.notes + routes.notes, routes=routes)
+
+
+def _complete(scenario: OpenScenario, files: Files, maps: Maps, step: float) -> Description:
+    """Returns a scenario with the entries of its OpenSCENARIO file."""
     names = VehicleNames([*(vehicle.id for vehicle in scenario.traffic), *(flow.id for flow in scenario.flows)])
-    document = scenario.model_dump(exclude_none=True, exclude={"routes", "begin", "openscenario", "parameters", "ego"})
-    entries: list[tuple[str, Entry]] = []
-    notes: tuple[str, ...] = ()
-    network = network_of(scenario, files)
+    document = scenario.model_dump(exclude_none=True, exclude={"openscenario", "parameters", "ego"})
+    network, limit = network_of(scenario, files), scenario.default_limit
     roads = maps(network)
-    document |= {"network": network}
-    if isinstance(scenario, OpenScenario):
-        limit = scenario.default_limit
-        try:
-            file = ScenarioFile(scenario, files)
-            content, vehicles = file.described(roads, lambda route: corridor(roads.network, route, network, limit), step, names)
-        except InvalidInputError as error:
-            raise _located(error, scenario) from error
-        document, notes = document | content, file.notes
-        entries += [("openscenario", entry) for entry in vehicles]
-    else:
-        document["ego"] = scenario.ego.model_dump(exclude_none=True)
-    if scenario.routes is not None:
-        clock = Clock(scenario.begin, scenario.warm_up, document["duration"])
-        try:
-            opened = files.read(scenario.routes)
-            routes = RouteFile(opened, scenario.routes, roads.network, clock, names, scenario.seed)
-        except InvalidInputError as error:
-            raise refusal(error, "routes") from error
-        notes += routes.notes
-        entries += [("routes", entry) for entry in routes.entries]
+    try:
+        file = ScenarioFile(scenario, files)
+        content, entries = file.described(roads, lambda route: corridor(roads.network, route, network, limit), step, names)
+    except InvalidInputError as error:
+        raise _located(error, scenario) from error
+    document |= {"network": network} | content
     origins: dict[str, Problem] = {}
-    for key, entry in entries:
+    for entry in entries:
         section = document.setdefault(entry.section, [])
         element = entry.element
         place = element.fault("", "").problems[0]
-        origins[f"{entry.section}[{len(section)}]"] = Problem(key, f"{element.file}: {place.message.removesuffix(': ')}")
+        message = f"{element.file}: {place.message.removesuffix(': ')}"
+        origins[f"{entry.section}[{len(section)}]"] = Problem("openscenario", message)
         section.append({key: value for key, value in entry.document.items() if value is not None})
     try:
         complete = validated(HighwayScenario, document)
     except InvalidInputError as error:
         raise InvalidInputError(*(_with_origin(problem, origins) for problem in error.problems)) from error
-    return Description(complete, notes, origins)
+    return Description(complete, file.notes, origins)
 
 
-def described_in(folder: Path, data: Mapping[str, Any], step: float) -> HighwayScenario:
-    """Returns the scenario of an unpacked bundle. Raises InvalidInputError."""
+def described_in(folder: Path, data: Mapping[str, Any], step: float) -> Description:
+    """Returns the description of a scenario of an unpacked bundle. Raises InvalidInputError."""
 
     def read(name: str) -> bytes:
         return (folder / name).read_bytes()
 
     names = frozenset(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return described(declared_scenario(data), Files(names, read), lambda name: map_of(read, name), step).scenario
+    return described(declared_scenario(data), Files(names, read), lambda name: map_of(read, name), step)
 
 
 def map_of(read: Callable[[str], bytes], name: str) -> Map:

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from posixpath import dirname, join, normpath
 
-from drivecal.bundles.traffic.elements import Element, Notes, read_tree
-from drivecal.bundles.traffic.parameters import declare, substituted
+from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError

@@ -3,26 +3,55 @@
 A declared subset is read. What has no effect on the drive is noted with its line; what would change it and is not supported is refused.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 from drivecal.bundles.highway import OpenScenario
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import ABOVE, LARGEST
-from drivecal.bundles.traffic.coordinates import FilePlace
-from drivecal.bundles.traffic.elements import Element, Notes, read_tree
+from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
 from drivecal.bundles.traffic.entities import Entity, Files, bundle_path, entities_of
-from drivecal.bundles.traffic.entries import Entry, VehicleNames
-from drivecal.bundles.traffic.parameters import declare, substituted
-from drivecal.bundles.traffic.places import Map
-from drivecal.bundles.traffic.routes import along
+from drivecal.bundles.traffic.places import FilePlace, Map, along
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import Corridor
+
+_OTHER = re.compile(r"[^A-Za-z0-9_-]")
+LONGEST = 64
+
+
+class Entry(NamedTuple):
+    """An entry of a scenario's section, as a document."""
+
+    section: Literal["traffic", "flows"]
+    document: dict[str, Any]
+    element: Element
+
+
+class VehicleNames:
+    """Ids of vehicles: names of files as they are, if they are ids, each only once."""
+
+    def __init__(self, taken: Iterable[str | None]) -> None:
+        self._taken = {EGO, *(name for name in taken if name is not None)}
+        self._given: set[str] = set()
+
+    def new(self, name: str, element: Element) -> str:
+        """Returns the id of a vehicle of a file. Raises InvalidInputError if the file has another of this name."""
+        if name in self._given:
+            raise element.fault("another vehicle has the same name", "rename one")
+        self._given.add(name)
+        base = _OTHER.sub("_", name)[: LONGEST - 4] or "_"
+        free, number = base, 1
+        while free in self._taken:
+            free, number = f"{base}-{number}", number + 1
+        self._taken.add(free)
+        return free
+
 
 BEHIND = 2_000.0
 """Metres behind the ego vehicle's start from which a route that the file does not give begins, if vehicles start there; also the length of

@@ -4,10 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from drivecal.bundles.highway_actions import EGO
-from drivecal.bundles.traffic.conditions import LARGEST, Reached, Triggers
-from drivecal.bundles.traffic.elements import Element, Notes
-from drivecal.bundles.traffic.parameters import declare
-from drivecal.bundles.traffic.parts import Part, Parts
+from drivecal.bundles.traffic.conditions import LARGEST, Part, Parts, Reached, Triggers
+from drivecal.bundles.traffic.elements import Element, Notes, declare
 from drivecal.bundles.traffic.places import Map
 
 MOST_ACTIONS = 2_000

@@ -8,9 +8,8 @@ from math import pi
 import pytest
 from tests.support.networks import built, edge, node
 
-from drivecal.bundles.traffic.coordinates import FilePlace
 from drivecal.bundles.traffic.elements import read_tree
-from drivecal.bundles.traffic.places import Map
+from drivecal.bundles.traffic.places import FilePlace, Map
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.network import read_network
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivecal.bundles.highway import HighwayScenario
 from drivecal.domain.errors import InvalidInputError
-from drivecal.highway.drive.routes import drivers, is_exact, options, routes_file, strays
+from drivecal.highway.drive.routes import drivers, is_exact, options, routes_file
 
 
 def scenario(**changes: Any) -> HighwayScenario:
@@ -36,21 +36,6 @@ def test_drivers_with_a_route_of_their_own_begin_at_their_edge_on_it() -> None:
     with pytest.raises(InvalidInputError) as refused:
         routes_file(scenario(flows=[{"per_hour": 60}, {"per_hour": 60, "edge": "a"} | own]))
     assert [problem.field for problem in refused.value.problems] == ["flows[1].edge"]
-
-
-def test_vehicles_that_leave_the_route_are_known() -> None:
-    at = {"s": 1, "speed": 20}
-    given = scenario(
-        traffic=[
-            at,
-            at | {"edge": "b"},
-            at | {"edge": "-b"},
-            at | {"route": ["r", "b"]},
-            at | {"route": ["r", "b"], "edge": "b"},
-        ],
-        flows=[{"per_hour": 60}, {"per_hour": 60, "route": ["b", "x"]}],
-    )
-    assert strays(given) == {"vehicle2", "vehicle3", "flow1"}
 
 
 def test_ids_are_the_user_s_or_the_next_free_one() -> None:

@@ -56,7 +56,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]
-    scenario = described_in(folder, settings["data"], simulator.step)
+    description = described_in(folder, settings["data"], simulator.step)
+    scenario = description.scenario
     network = folder / network_file(scenario.network)
     roads = read_network(network.read_bytes(), scenario.network)
     route = corridor(roads, scenario.route, scenario.network, scenario.default_limit)
@@ -66,7 +67,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     parameters = SingleTrackParameters.of({entry.name: entry.nominal for entry in TABLE_8} | changes)
     # The last message before a crash names its cause: SUMO can die of a damaged network.
     print(f"SUMO loads {scenario.network}", file=sys.stderr, flush=True)  # noqa: T201  # the last message
-    traffic = Traffic(name, scenario, network, road, simulator.step, scratch)
+    traffic = Traffic(name, scenario, network, road, simulator.step, scratch, description.routes)
     vehicle = SingleTrackModel(parameters, parameters)
     if not isinstance(simulator.controller, PlannerController) or isinstance(simulator.vehicle, UserVehicleEntry):
         rehearse(name, simulator, scenario, road, traffic, vehicle)

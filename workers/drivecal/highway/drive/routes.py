@@ -4,6 +4,8 @@ from math import ceil
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 from drivecal.bundles.highway import Driver, FlowEntry, HighwayScenario, TrafficEntry
+from drivecal.bundles.traffic.route_files import SUBLANE as SUBLANE_MODEL
+from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.highway import sumo
 from drivecal.highway.sumo import EGO
@@ -35,24 +37,18 @@ def drivers(scenario: HighwayScenario) -> tuple[dict[str, TrafficEntry], dict[st
 
 def is_exact(scenario: HighwayScenario) -> bool:
     """Returns whether nothing in a scenario is random and no vehicle enters later, so that vehicles can be added again for each run."""
-    return not scenario.flows and all(
-        vehicle.sigma == 0.0
-        and vehicle.speed_deviation == 0.0
-        and vehicle.lane_change == "none"
-        and vehicle.model not in RANDOM
-        and not vehicle.parameters
-        for vehicle in scenario.traffic
+    return (
+        not scenario.flows
+        and scenario.routes is None
+        and all(
+            vehicle.sigma == 0.0
+            and vehicle.speed_deviation == 0.0
+            and vehicle.lane_change == "none"
+            and vehicle.model not in RANDOM
+            and not vehicle.parameters
+            for vehicle in scenario.traffic
+        )
     )
-
-
-def strays(scenario: HighwayScenario) -> frozenset[str]:
-    """Returns the ids of vehicles and flows that also drive on edges beside the scenario's route, e.g. against it.
-
-    Raises InvalidInputError as `routes_file` does.
-    """
-    vehicles, flows = drivers(scenario)
-    own = set(scenario.route)
-    return frozenset(name for name, entry in (vehicles | flows).items() if not own.issuperset(_route(scenario, entry, name)))
 
 
 def route_id(name: str) -> str:
@@ -60,15 +56,20 @@ def route_id(name: str) -> str:
     return f"route-{name}"
 
 
-def routes_file(scenario: HighwayScenario) -> bytes:
-    """Returns the route file: a type and a route per vehicle, and the flows. Each run adds the vehicles itself.
+def start_time(scenario: HighwayScenario) -> float:
+    """Returns SUMO's time (s) at the run's time 0: that of the route file; without one, SUMO's time 0 is the begin of the warm-up."""
+    return scenario.warm_up if scenario.routes is None else scenario.begin
 
-    SUMO's time 0 is the begin of the warm-up.
+
+def routes_file(scenario: HighwayScenario, routes: RouteTraffic | None = None) -> bytes:
+    """Returns SUMO's file of the scenario's own vehicles and flows: a type and a route each, and the flows. Each run adds the vehicles.
+
+    `routes`: the traffic of the scenario's route file.
 
     Raises InvalidInputError with fields `traffic[i].edge` or `flows[i].edge`.
     """
     vehicles, flows = drivers(scenario)
-    unmoved = "SL2015" if _is_sublane(scenario) else "LC2013"
+    unmoved = SUBLANE_MODEL if _is_sublane(scenario, routes) else "LC2013"
     root = Element("routes")
     ego = scenario.ego
     SubElement(
@@ -102,9 +103,14 @@ def _route(scenario: HighwayScenario, driver: TrafficEntry | FlowEntry, field: s
     return [edge]
 
 
-def _is_sublane(scenario: HighwayScenario) -> bool:
+def _is_sublane(scenario: HighwayScenario, routes: RouteTraffic | None) -> bool:
     """Returns whether vehicles move in strips: then SUMO takes no other model of lane changes."""
-    return any(entry.lane_change == "SL2015" for entry in (*scenario.traffic, *scenario.flows))
+    return SUBLANE_MODEL in _lane_changes(scenario, routes)
+
+
+def _lane_changes(scenario: HighwayScenario, routes: RouteTraffic | None) -> frozenset[str]:
+    own = frozenset(entry.lane_change for entry in (*scenario.traffic, *scenario.flows))
+    return own if routes is None else own | routes.lane_changes
 
 
 def _model(driver: Driver, unmoved: str) -> dict[str, str]:
@@ -134,10 +140,10 @@ def _type(driver: Driver, unmoved: str) -> dict[str, str]:
 
 
 def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, str]:
-    mean, begin = 3600.0 / flow.per_hour, scenario.begin_of(flow)
+    mean, begin, start = 3600.0 / flow.per_hour, scenario.begin_of(flow), start_time(scenario)
     speed = "max" if flow.speed is None else flow.speed
     end = min(scenario.duration, scenario.duration if flow.end is None else flow.end)
-    amount = {"end": repr(scenario.warm_up + end)}
+    amount = {"end": repr(start + end)}
     if flow.number is not None:  # SUMO takes either of them
         fitting = max(1, ceil((end - begin) / mean - 1e-9))
         amount = {"number": str(flow.number if flow.random else min(flow.number, fitting))}
@@ -145,7 +151,7 @@ def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, st
         "id": name,
         "type": name,
         "route": route_id(name),
-        "begin": repr(scenario.warm_up + begin),
+        "begin": repr(start + begin),
         "departLane": str(flow.lane),
         "departPos": flow.s if isinstance(flow.s, str) else repr(flow.s + 0.5 * flow.length),
         "departSpeed": speed if isinstance(speed, str) else repr(speed),
@@ -153,12 +159,14 @@ def _flow(name: str, flow: FlowEntry, scenario: HighwayScenario) -> dict[str, st
     } | amount
 
 
-def options(scenario: HighwayScenario, network: str, route_file: str, step: float) -> list[str]:
-    """Returns SUMO's command line options."""
+def options(
+    scenario: HighwayScenario, network: str, route_file: str, step: float, routes: RouteTraffic | None = None
+) -> list[str]:
+    """Returns SUMO's command line options, without the time at which it begins. `route_file`: one, or several with commas between."""
     sideways = {}
-    if _is_sublane(scenario):
+    if _is_sublane(scenario, routes):
         sideways = {"lateral-resolution": repr(SUBLANE)}
-    elif any(entry.lane_change == "LC2013" for entry in (*scenario.traffic, *scenario.flows)):
+    elif "LC2013" in _lane_changes(scenario, routes):
         sideways = {"lanechange.duration": repr(LANE_CHANGE_SECONDS)}
     shared = sumo.options(network, route_file, step, scenario.seed)
     return shared + [text for name, value in sideways.items() for text in (f"--{name}", value)]

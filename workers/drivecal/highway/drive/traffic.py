@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from drivecal.bundles.highway import Driver, Ego, HighwayScenario, Placed, TrafficEntry
+from drivecal.bundles.traffic.route_files import RouteTraffic
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, strays
+from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, start_time
 from drivecal.highway.drive.warm_up import drive_alone, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
@@ -43,6 +44,8 @@ from drivecal.roads.corridor import LanePiece
 
 CHECKED_STEPS = 50
 """Number of steps after which the ego vehicle is put into its lane again, whatever SUMO has made of its speeds."""
+SPLITTING = str.maketrans(",$", "__")
+"""Characters of a path that SUMO takes for a list of files and for variables of the environment."""
 LARGEST_BEYOND = 0.1
 """Metres by which a vehicle may start behind its place, so that its front is on a lane."""
 
@@ -58,30 +61,60 @@ class Traffic:
     """
 
     def __init__(
-        self, name: str, scenario: HighwayScenario, network: Path, road: HighwayRoad, step: float, folder: Path
+        self,
+        name: str,
+        scenario: HighwayScenario,
+        network: Path,
+        road: HighwayRoad,
+        step: float,
+        folder: Path,
+        routes: RouteTraffic | None = None,
     ) -> None:
-        """Starts SUMO. `name`: the scenario's; `folder`: for its route file. Raises TrafficError and InvalidInputError."""
+        """Starts SUMO.
+
+        Args:
+            name: The scenario's.
+            scenario: With its own vehicles and flows.
+            network: SUMO's file.
+            road: The road of the drive.
+            step: Seconds of a step.
+            folder: Where SUMO's route files are written.
+            routes: The traffic of the scenario's route file.
+
+        Raises:
+            TrafficError: SUMO refuses the network or the traffic.
+            InvalidInputError: A vehicle's place is not on the road.
+        """
         self._name, self._scenario, self._road, self._step = name, scenario, road, step
         vehicles, flows = drivers(scenario)
         self._vehicles = list(vehicles)
         self.starting = len(vehicles)
         """Number of the first rows, those of vehicles that exist from time 0; the others have come in the warm-up."""
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
+        self._routes = routes
         field = f"scenarios.{name}"
         ego = scenario.ego
         self.start_s, start_d = _centre(road, ego, f"{field}.ego")
         self.start_d = start_d + ego.offset
-        route_file = folder / "traffic.rou.xml"
+        self._strays: dict[str, bool] = {}
+        """Whether a vehicle also drives on edges beside the scenario's route, e.g. against it."""
+        self._own = frozenset(scenario.route)
         try:
-            route_file.unlink(missing_ok=True)
-            with route_file.open("xb") as file:  # an earlier child may have left a link to a file that this process may change
-                file.write(routes_file(scenario))
-            self._strays = strays(scenario)
+            contents = [("traffic.rou.xml", routes_file(scenario, routes))]
         except InvalidInputError as error:
             raise _prefixed(error, field) from error
-        self._options = options(scenario, str(network), str(route_file), step)
+        if routes is not None:
+            contents.append((f"routes-{Path(scenario.routes or '').name.translate(SPLITTING)}", routes.content))
+        for route_file, content in contents:
+            (folder / route_file).unlink(missing_ok=True)
+            with (folder / route_file).open(
+                "xb"
+            ) as file:  # an earlier child may have left a link to a file that this process may change
+                file.write(content)
+        paths = ",".join(str(folder / route_file) for route_file, _ in contents)
+        self._options = options(scenario, str(network), paths, step, routes)
         self._is_exact = is_exact(scenario)
-        self._steps_before = round(scenario.warm_up / step) if flows else 0
+        self._steps_before = round(scenario.warm_up / step) if flows or routes is not None else 0
         """Steps of the warm-up."""
         try:
             self._load()
@@ -95,7 +128,8 @@ class Traffic:
                 for part, key, entry, length, speed, offset in placed
             ]
         except SUMO_ERRORS as error:
-            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with the traffic: {error}") from error
+            traffic = "its traffic" if scenario.routes is None else scenario.routes
+            raise TrafficError(f"{field}: SUMO cannot load the network {scenario.network} with {traffic}: {error}") from error
         self._actions = Actions(vehicles, road.lateral, road.stretch)
         curvature = point(road.line, self.start_s)[3]
         self._ego = self._ego_start = EgoPlace(self.start_s, 1.0 - curvature * self.start_d, ego.speed, self.start_d)
@@ -111,10 +145,14 @@ class Traffic:
         self.outlines: Floats = np.zeros((0, 6))
         self._cells: Any = self.raw.reshape(-1).data
 
-    def _load(self) -> None:
-        """Starts SUMO, and gives lanes without a limit that of the scenario, as they have it in the corridor."""
-        sumo.load(self._options)
-        if all(driver.lane_change == "none" for driver in self._drivers.values()):
+    def _load(self, *, is_warm: bool = True) -> None:
+        """Starts SUMO at the begin of the warm-up, or without it at time 0 of the run.
+
+        Lanes without a limit get that of the scenario, as they have it in the corridor.
+        """
+        begin = start_time(self._scenario) - (self._scenario.warm_up if is_warm or self._routes is None else 0.0)
+        sumo.load([*self._options, "--begin", repr(begin)])
+        if self._routes is None and all(driver.lane_change == "none" for driver in self._drivers.values()):
             sumo.forbid_lane_changes()
         limit = self._scenario.default_limit
         for lane in self._road.unlimited if limit is not None else ():
@@ -129,15 +167,19 @@ class Traffic:
         try:
             if not self._loaded or not self._is_exact:
                 self._loaded = False
-                self._load()
-                if is_warm:
-                    drive_alone(self._steps_before, self._instruct)
+                self._load(is_warm=is_warm)
+                steps = self._steps_before if is_warm else 0
+                # A vehicle of a route file enters in the step that begins at its time: one step more, and those of time 0 are there.
+                drive_alone(steps + (self._routes is not None), self._instruct)
             else:
                 sumo.clear()
-            driving = sorted(sumo.vehicle.getIDList()) if self._steps_before and is_warm else []
+            present = sorted(sumo.vehicle.getIDList()) if not self._is_exact else []
+            entering = [name for name in present if self._routes is not None and name in self._routes.starting]
+            driving = [name for name in present if name not in entering]
             missing = sumo.place(self._starts)
             self.names = []
-            self._enlist(self._vehicles + driving)
+            self.starting = len(self._vehicles) + len(entering)
+            self._enlist(self._vehicles + entering + driving)
         except SUMO_ERRORS as error:
             self._loaded = False
             raise TrafficError(f"scenarios.{self._name}: SUMO cannot place the vehicles: {error}") from error
@@ -233,32 +275,34 @@ class Traffic:
             np.zeros((len(names), 6)),
             np.zeros((len(names), 6)),
         )
-        self._turned = [(row, name) for row, name in enumerate(names) if self._driver(name) in self._strays]
         rows = {name: row for row, name in enumerate(self.names)}
         for row, name in enumerate(names):
             if name in rows:
                 others[row], outlines[row] = self.others[rows[name]], self.outlines[rows[name]]
                 continue
-            driver = self._drivers[self._driver(name)]
-            others[row, 4:] = driver.length, driver.width
+            driver = self._driver(name)
+            size = (driver.length, driver.width) if driver else (sumo.vehicle.getLength(name), sumo.vehicle.getWidth(name))
+            others[row, 4:] = size
+            self._strays[name] = not self._own.issuperset(sumo.vehicle.getRoute(name))
             others[row, 0] = geometry.nearest(self._road.line, *GET_POSITION(name)) - 0.5 * others[row, 4]
             outlines[row, :2], outlines[row, 5] = np.nan, GET_SPEED(name)
             self._instruct(name, outlines.item(row, 5))
+        self._turned = [(row, name) for row, name in enumerate(names) if self._strays[name]]
         self.names, self.raw, self.others, self.outlines = names, raw, others, outlines
         self._cells = raw.reshape(-1).data
 
     def _instruct(self, name: str, speed: float) -> None:
         """Tells a vehicle that has this speed (m/s) what it may do."""
-        driver = self._drivers[self._driver(name)]
-        if driver.lane_change == "none":
+        driver = self._driver(name)
+        if driver is not None and driver.lane_change == "none":
             sumo.vehicle.setLaneChangeMode(name, NO_LANE_CHANGES)
-        if driver.model == "constant":
+        if driver is not None and driver.model == "constant":
             sumo.vehicle.setSpeedMode(name, FREE)
             sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else speed)
 
-    def _driver(self, name: str) -> str:
-        """Returns the id of a vehicle's driver: its own, or its flow's."""
-        return name if name in self._drivers else name.rpartition(".")[0]
+    def _driver(self, name: str) -> Driver | None:
+        """Returns the driver of a vehicle or of its flow, None for those of a route file, whom SUMO drives."""
+        return self._drivers.get(name) or self._drivers.get(name.rpartition(".")[0])
 
     def _read(self) -> None:
         sumo.read(self.names, self._cells)
