@@ -141,14 +141,11 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
         ranked_by = results.number_at(connection, campaign.sequence, copy.iteration, copy.individual, copy.scenario)
         other = next(row for row in rows if row.iteration == 0)
         assert results.number_at(connection, campaign.sequence, 0, other.individual, other.scenario) == other.id
-    assert found.reason == "confirmation"
+    assert found.reason == "checked"
     assert found.reference is not None
     assert found.reference.evaluation == copy.reference
-    assert found.audit is not None
-    assert (found.audit.score, found.audit.reference_score) == (own.score, by_number[copy.reference or 0].score)
-    assert found.sentence.startswith(
-        "Simulated after the search, to confirm it: the best set's score here was that of evaluation "
-    )
+    assert found.check is not None
+    assert (found.score, found.check.expected) == (own.score, by_number[copy.reference or 0].score)
     assert ranked_by == own.id
 
 

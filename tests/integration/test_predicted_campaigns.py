@@ -221,7 +221,7 @@ def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Da
     unasked = next(row for row in rows if row.iteration == 0 and row.individual == 0)
     with database.read() as connection:
         told = [explain(connection, row.id) for row in (released, drawn, refused, unasked)]
-    assert [explanation.reason for explanation in told] == ["predicted", "sampled", "not_accepted", "not_predicted"]
+    assert [explanation.reason for explanation in told] == ["predicted", "checked", "simulated", "simulated"]
     for explanation, row in zip(told[:3], (released, drawn, refused), strict=True):
         prediction = explanation.prediction
         assert prediction is not None
@@ -255,7 +255,7 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
         (confirming,) = evaluations.insert(connection, campaign.sequence, [NewEvaluation(*place, Outcome.SIMULATED)])
         explanation = explain(connection, confirming)
         connection.rollback()
-    assert (explanation.reason, explanation.reference) == ("confirmation", None)
+    assert (explanation.reason, explanation.reference) == ("checked", None)
     assert explanation.prediction is not None
     assert (explanation.prediction.score, explanation.prediction.confidence) == (believed.predicted_score, believed.confidence)
     assert explanation.prediction.lot is not None

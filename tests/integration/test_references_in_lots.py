@@ -254,7 +254,7 @@ def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign])
     ]
     with database.read() as connection:
         told = [explain(connection, row.id) for row in chosen]
-    assert [explanation.reason for explanation in told] == ["reused", "audited", "lot_rejected", "unanswered"]
+    assert [explanation.reason for explanation in told] == ["reused", "checked", "simulated", "simulated"]
     for explanation, row in zip(told, chosen, strict=True):
         lot = stored[row.lot or 0]
         assert explanation.lot is not None

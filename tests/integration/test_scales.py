@@ -86,9 +86,9 @@ def test_audits_of_reuse_are_wrong_beyond_the_tolerance(database: Database) -> N
     assert sum(rate.contradictions for rate in rates) > 0
     with database.read() as connection:
         for row, change in zip(audited, changes, strict=True):
-            audit = explain(connection, row.id).audit
-            assert audit is not None
-            assert (audit.wrong, audit.agrees) == (change > 2 + 1e-6, change <= 1e-6)
+            check = explain(connection, row.id).check
+            assert check is not None
+            assert (check.wrong, check.agrees) == (change > 2 + 1e-6, change <= 1e-6)
 
 
 def test_an_analysis_of_scores_beyond_the_comfort_scale_ends(database: Database) -> None:

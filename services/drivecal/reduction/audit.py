@@ -73,16 +73,3 @@ def error_rates(
             rate = rate.model_copy(update=counted)
         rates[scenario] = rate
     return rates
-
-
-def stopped_after(counts: Iterable[tuple[int, AuditCount]], max_error: float) -> tuple[int, AuditCount] | None:
-    """The iteration at whose end reuse in a scenario was stopped, and the audits until then; None if it never was.
-
-    `counts`: of each iteration alone, in order.
-    """
-    audited = different = wrong = 0
-    for iteration, count in counts:
-        audited, different, wrong = audited + count.audited, different + count.different, wrong + count.wrong
-        if audited and clopper_pearson(wrong, audited)[0] > max_error:
-            return iteration, AuditCount(count.scenario, audited, different, wrong)
-    return None

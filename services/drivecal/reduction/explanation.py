@@ -1,6 +1,7 @@
 """Reasons why a stored set may, or may not, answer a cell: the parameters in which they differ, and the regions in which their values lie.
 
-Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not. Pure.
+Reference keys say whether two sets are of one class (`drivecal.reduction.keys`); this says by which parameters they are not, and puts the
+reason into a sentence. Pure.
 """
 
 from collections.abc import Sequence
@@ -9,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.contracts.explanation import Region
+from drivecal.contracts.assignments import value_text
+from drivecal.contracts.explanation import Difference, Explanation, InspectedLot, Prediction, Reference, Region
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import billionths, code
+from drivecal.domain.scales import told
 from drivecal.domain.values import TEXTS
 
 Integers = npt.NDArray[np.int64]
@@ -145,3 +148,77 @@ class CellComparison:
         if value < self._lower[column]:
             return "below"
         return "above" if value > self._upper[column] else "influential"
+
+
+def sentence(explanation: Explanation) -> str:
+    """Returns an explanation in a few sentences; only its other fields are read."""
+    text = _sentence(explanation)
+    return text if explanation.outcome is not None else f"{text} Its answer is awaited."
+
+
+def _sentence(explanation: Explanation) -> str:
+    reference = explanation.reference
+    stored = "an evaluation that was deleted" if reference is None else _place(reference, explanation.campaign)
+    match explanation.reason:
+        case "repeated":
+            return f"Repeated: {stored} has the same parameter set in the same setup."
+        case "reused":
+            return f"Reused: {stored} differs only where {explanation.scenario} is not influenced: {_values(explanation.differences)}."
+        case "predicted":
+            return f"Predicted: {_prediction(explanation.prediction)}."
+        case "checked":
+            checked = _prediction(explanation.prediction) if reference is None else f"{stored} was to answer it"
+            return f"Simulated as a check: {checked}. {_verdict(explanation)}"
+        case "failed":
+            return f"Failed: none of {explanation.attempts} attempts gave a result."
+        case "simulated":
+            return f"Simulated: {_nearest(explanation, stored)}."
+
+
+def _nearest(explanation: Explanation, nearest: str) -> str:
+    if explanation.lot is not None and explanation.lot.verdict == "rejected":
+        return f"its lot was rejected, {_inspection(explanation.lot)}"
+    prediction = explanation.prediction
+    doubt = "" if prediction is None else f"; its prediction was not accepted (confidence {prediction.confidence:.0%})"
+    if explanation.reference is None:
+        return f"nothing was stored for this setup when the campaign asked{doubt}"
+    blocking = [difference for difference in explanation.differences if difference.blocks]
+    if not blocking:
+        return f"{nearest} would fit, but had no result when the campaign asked, or reuse was off or stopped{doubt}"
+    return f"none of {explanation.stored:,} stored sets is near enough; the nearest, {nearest}, differs in {_values(blocking)}{doubt}"
+
+
+def _prediction(prediction: Prediction | None) -> str:
+    if prediction is None:
+        return "it was predicted"
+    text = f"the prediction is {told(prediction.score)} with a confidence of {prediction.confidence:.0%}"
+    return text if prediction.lot is None else f"{text}; of its lot, {_inspection(prediction.lot)}"
+
+
+def _inspection(lot: InspectedLot) -> str:
+    if lot.errors is None:
+        return f"{lot.sample} of {lot.size} are still to be simulated"
+    return f"{lot.sample} of {lot.size} were simulated and {lot.errors} were wrong (at most {lot.acceptance} may be)"
+
+
+def _verdict(explanation: Explanation) -> str:
+    check = explanation.check
+    if check is None or check.agrees is None or explanation.score is None:
+        return "The two cannot be compared: one has no result."
+    scores = f"the simulation gave {told(explanation.score)}, the answer was {told(check.expected)}"
+    if check.agrees:
+        return f"They agree: {scores}."
+    return f"The answer is wrong: {scores}." if check.wrong else f"They differ by no more than the tolerance: {scores}."
+
+
+def _place(reference: Reference, campaign: str) -> str:
+    place = f"{reference.stage} iteration {reference.iteration + 1}, individual {reference.individual}"
+    owner = "" if reference.campaign == campaign else f" of campaign {reference.campaign}"
+    return f"evaluation {reference.evaluation} ({place}{owner})"
+
+
+def _values(differences: Sequence[Difference]) -> str:
+    return "; ".join(
+        f"{difference.parameter} ({value_text(difference.value)} here, {value_text(difference.reference_value)} there)"
+        for difference in differences
+    )

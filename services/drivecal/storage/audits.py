@@ -88,20 +88,6 @@ def proofs(connection: Connection, campaign_sequence: int, evaluator: str, scale
     return _by_scenario(connection, scale, proving, mine, reused, _TRUSTED.is_not(None))
 
 
-def by_iteration(
-    connection: Connection, campaign_sequence: int, scenario: str, evaluator: str, scale: Scale = COMFORT
-) -> list[tuple[int, AuditCount]]:
-    """The same of each iteration alone, of one scenario, in order."""
-    query = (
-        select(evaluations.c.iteration, evaluations.c.scenario, *_changes(scale))
-        .select_from(_audited(evaluator))
-        .where(evaluations.c.campaign_sequence == campaign_sequence, *_COMPARED, evaluations.c.scenario == scenario)
-        .group_by(evaluations.c.iteration, evaluations.c.scenario)
-        .order_by(evaluations.c.iteration)
-    )
-    return [(iteration, AuditCount(*rest)) for iteration, *rest in connection.execute(query)]
-
-
 def contradictions(
     connection: Connection,
     campaign_sequence: int,

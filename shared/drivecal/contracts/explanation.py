@@ -10,35 +10,16 @@ Region = Literal["below", "influential", "above", "anywhere", "outside"]
 """Region of a value under the influence map: beyond the influential bounds, between them, `anywhere` if none exist, or `outside` of
 the space that the map speaks of."""
 
-Reason = Literal[
-    "repeated",
-    "reused",
-    "certified",
-    "audited",
-    "confirmation",
-    "blocked",
-    "nothing_stored",
-    "unanswered",
-    "stopped",
-    "no_map",
-    "exact_only",
-    "off",
-    "given",
-    "analysis",
-    "study",
-    "predicted",
-    "sampled",
-    "lot_rejected",
-    "not_accepted",
-    "not_predicted",
-]
-"""`confirmation`: simulated after the search, for a set whose score there was a reference's or a `prediction`. `blocked`: something is
-stored, but every set differs where it matters. `unanswered`: the cell that was to answer it has no result, or the sample of its lot holds
-the very set. `stopped`: the self-check stopped reuse in this scenario. `no_map`, `exact_only`, `off`: the campaign allows no reuse.
-`given`: the baseline or a given start set. `analysis`: a cell of the sensitivity stage, which only repeats. `predicted`: released with its
-lot. `sampled`, `lot_rejected`: simulated to inspect its lot, or because of the lot's verdict; the sample of a lot of references is
-`audited`. `not_accepted`: predicted, but simulated, for the prediction was too uncertain or the set too good. `not_predicted`: the
-predictor was not asked."""
+Reason = Literal["repeated", "reused", "predicted", "simulated", "checked", "failed"]
+"""Why a cell has its answer.
+
+- `repeated`: a stored result of the same set.
+- `reused`: a stored result of a set that differs only where it does not matter.
+- `predicted`: released with its lot.
+- `simulated`: nothing stored was near enough.
+- `checked`: simulated to check an answer: an audit, a part of a lot's sample, or a confirmation of the best set.
+- `failed`: no attempt gave a result.
+"""
 
 
 class Difference(Answer):
@@ -67,25 +48,16 @@ class Reference(Answer):
     failure: str | None
 
 
-class Audit(Answer):
-    """Comparison with the reference that would have answered the cell (audited), or had (confirmation). `agrees`: equal scores;
-    `wrong`: they differ by more than the tolerance. Null if one of the two has no result."""
+class Check(Answer):
+    """Comparison of a simulation with the answer that it checks.
 
-    score: Score | None
-    reference_score: Score | None
-    agrees: bool | None
-    wrong: bool | None
-
-
-class Proof(Answer):
-    """Certificate of a cell with another answer: its run would repeat that of evaluation `reference`, bit for bit.
-
-    Of a reused cell: `score` is what a simulation would have given, `agrees` whether the reference's is the same, `wrong`: they differ by
-    more than the tolerance. Of a cell that was simulated to check the certificate: `agrees` says whether both runs are the same.
+    Attributes:
+        expected: The score of the reference or the prediction.
+        agrees: The scores are equal; null if one of the two has no result.
+        wrong: They differ by more than the tolerance; null as above.
     """
 
-    reference: Reference
-    score: Score | None
+    expected: Score | None
     agrees: bool | None
     wrong: bool | None
 
@@ -136,10 +108,9 @@ class Prediction(Answer):
 class Explanation(Answer):
     """Reason for the answer of a cell.
 
-    `reference` is the donor (repeated, reused), the donor that was not trusted (audited, confirmation), or the nearest stored set
-    (blocked): fewest blocking parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of
-    their ranges (Euclidean), and `stored` counts the results of the same setup that the campaign saw; both null if nothing was
-    searched for.
+    `reference` is the donor (repeated, reused), the donor that is checked (checked), or the nearest stored set (simulated): fewest blocking
+    parameters first, then the smallest distance. `distance` is that of the blocking parameters, in units of their ranges (Euclidean), and
+    `stored` counts the results of the same setup that the campaign saw; both null if nothing was searched for.
     """
 
     evaluation: int
@@ -160,8 +131,7 @@ class Explanation(Answer):
     sentence: str
     reference: Reference | None = None
     differences: list[Difference] = Field(default_factory=list)
-    audit: Audit | None = None
-    proof: Proof | None = None
+    check: Check | None = None
     prediction: Prediction | None = None
     lot: InspectedLot | None = None
     """The lot of an answer by a reference; that of a predicted one is in `prediction`."""

@@ -30,15 +30,10 @@ def audited(connection: Connection) -> tuple[int, list[int]]:
     return sequence, ids
 
 
-def test_audits_are_counted_for_the_campaign_and_by_iteration(database: Database) -> None:
+def test_audits_are_counted_for_the_campaign(database: Database) -> None:
     with database.transaction() as connection:
         sequence, _ = audited(connection)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=3, different=2, wrong=1)]
-        assert audits.by_iteration(connection, sequence, "S1", EVALUATOR) == [
-            (1, AuditCount("S1", audited=2, different=1, wrong=0)),
-            (2, AuditCount("S1", audited=1, different=1, wrong=1)),
-        ]
-        assert audits.by_iteration(connection, sequence, "S2", EVALUATOR) == []
 
 
 def test_an_audit_of_a_donor_without_a_result_counts_for_nothing(database: Database) -> None:
@@ -51,7 +46,6 @@ def test_an_audit_of_a_donor_without_a_result_counts_for_nothing(database: Datab
         simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=5)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         assert audits.count(connection, sequence, "learned 1") == []
-        assert audits.by_iteration(connection, sequence, "S1", "learned 1") == []
 
 
 def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:

@@ -253,7 +253,6 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
     checks: dict[str, Callable[[Connection], Any]] = {
         "contradictions": lambda connection: audits.contradictions(connection, sequence, 1, EVALUATOR, 10**6),
         "counted audits": lambda connection: audits.count(connection, sequence, EVALUATOR),
-        "audits by iteration": lambda connection: audits.by_iteration(connection, sequence, "S1", EVALUATOR),
         "settled audits": lambda connection: audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR),
     }
     with filled.transaction() as connection:

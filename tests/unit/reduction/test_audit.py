@@ -9,7 +9,7 @@ from scipy import stats
 
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
-from drivecal.reduction.audit import clopper_pearson, error_rates, expected_error_rate, stopped_after
+from drivecal.reduction.audit import clopper_pearson, error_rates, expected_error_rate
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -55,16 +55,3 @@ def test_lots_have_the_limit_of_what_they_released_and_no_interval_over_unlike_s
     rates = error_rates(counts, {}, lots, lots=lots, released={"S1": 0.08})
     assert (rates["S1"].upper_95, rates["S2"].upper_95) == (0.08, None)
     assert rates["S3"].upper_95 == clopper_pearson(2, 278)[1]
-
-
-@given(st.lists(st.integers(0, 12).flatmap(lambda n: st.tuples(st.just(n), st.integers(0, n))), max_size=8))
-def test_when_an_earlier_release_stopped_reuse_is_found_again_from_the_audits_of_each_iteration(
-    audits: list[tuple[int, int]],
-) -> None:
-    listed = [(iteration, AuditCount("S1", audited, wrong, wrong)) for iteration, (audited, wrong) in enumerate(audits)]
-    expected = None
-    for iteration, _ in listed:
-        audited, wrong = (sum(one[part] for one in audits[: iteration + 1]) for part in (0, 1))
-        if expected is None and audited and clopper_pearson(wrong, audited)[0] > 0.05:
-            expected = iteration, AuditCount("S1", audited, wrong, wrong)
-    assert stopped_after(listed, 0.05) == expected

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from decimal import Decimal
 from math import sqrt
+from typing import get_args
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivecal.contracts.explanation import Explanation, Reason, Reference
 from drivecal.domain.influence import EVERYWHERE, Influence, InfluenceMap
 from drivecal.domain.parameters import BILLION
-from drivecal.reduction.explanation import CellComparison, Nearest
+from drivecal.reduction.explanation import CellComparison, Nearest, sentence
 from drivecal.reduction.keys import ReferenceKeys
 
 NAMES = ("P1", "P2", "P3")
@@ -126,3 +129,27 @@ def test_of_values_outside_its_space_the_map_says_nothing() -> None:
     influence_map = InfluenceMap({"S1": {"P1": Influence(influential=False)}}, {"P1": (Decimal(1), Decimal(3))})
     [difference] = _compare(influence_map, (2, 0, 0)).differences(_stored([(4, 0, 0)])[0])
     assert (difference.region, difference.reference_region, difference.blocks) == ("anywhere", "outside", True)
+
+
+@pytest.mark.parametrize("reason", get_args(Reason))
+@pytest.mark.parametrize("deleted", [False, True])
+def test_each_reason_is_a_sentence_that_names_the_stored_evaluation(reason: Reason, deleted: bool) -> None:
+    donor = Reference(evaluation=17, campaign="c", stage="calibration", iteration=2, individual=5, score=4, failure=None)
+    explanation = Explanation(
+        evaluation=99,
+        campaign="c",
+        stage="calibration",
+        iteration=3,
+        individual=0,
+        scenario="S1",
+        outcome="simulated",
+        score=4,
+        failure=None,
+        reason=reason,
+        sentence="",
+        reference=None if deleted else donor,
+        stored=3,
+    )
+    text = sentence(explanation)
+    assert text.endswith(".")
+    assert ("evaluation 17" in text) == (not deleted and reason in {"repeated", "reused", "checked", "simulated"})

@@ -185,8 +185,6 @@ def print_explanation(explanation: Explanation) -> None:
         typer.echo("")
         header = ["parameter", "this cell", "stored set", "influential", "this lies", "that lies", "in the way"]
         rows = [_line(difference) for difference in explanation.differences]
-        if explanation.reason == "certified":  # a map would not have allowed it, and was not asked
-            header, rows = header[:3], [row[:3] for row in rows]
         print_columns(header, rows)
     if explanation.distance is not None:
         typer.echo(f"\ndistance {explanation.distance:.4f} of the parameters' ranges")

@@ -77,15 +77,6 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   return "Running.";
 }
 
-/** How the evaluation beside a cell relates to it, by the reason of its explanation. */
-export function referenceWords(reason: string): string {
-  if (reason === "blocked") return "Nearest stored:";
-  if (reason === "audited") return "Simulated to check the reduction, which would have taken";
-  if (reason === "confirmation") return "Simulated to confirm the best set, for which the search took";
-  if (reason === "unanswered") return "Would fit by now:";
-  return "Answered by";
-}
-
 /** The lights of a result; `open` while its search goes on. */
 export const LIGHTS: Record<"green" | "amber" | "red" | "neutral" | "open", { sign: string; title: string; meaning: string }> = {
   green: { sign: "✓", title: "Trustworthy", meaning: "Nothing that is known speaks against the result." },
