@@ -22,13 +22,10 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.campaigns.stages.population import PopulationAnswers
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import audits, evaluations, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.organising.deletion import delete_campaign, remove_cells
 from drivecal.storage.references import runs
 from drivecal.storage.references.withdrawal import WITHDRAWN, withdraw_certified
 
@@ -78,29 +75,6 @@ def test_cells_that_provably_repeat_a_run_are_certified_and_name_it(database: Da
         assert row.parameter_set_id != proof.parameter_set_id
 
 
-def test_a_certificate_outlives_the_campaign_of_the_cell_that_it_names(database: Database) -> None:
-    searches = simple(reduction={"mode": "off"}, optimizer={"kind": "random", "population": 4, "iterations": 1, "seed": 1})
-    ended = [run(database, submit(database, **searches), certifying()) for _ in range(3)]
-    with database.transaction() as connection:
-        named, unnamed = [row.id for row in results.stream(connection, ended[1].sequence)][:2]
-        [naming, orphaned] = [row.id for row in results.stream(connection, ended[2].sequence)][:2]
-        for cell, proof in ((naming, named), (orphaned, 10**6)):
-            connection.execute(
-                tables.evaluations.update().where(tables.evaluations.c.id == cell).values(proven_by=proof, proof_agrees=True)
-            )
-        connection.execute(
-            tables.evaluations.update().where(tables.evaluations.c.id == unnamed).values(outcome=Outcome.REPEATED)
-        )
-        numbers = delete_campaign(connection, ended[1].id)
-    remove_cells(database, numbers)
-    with database.read() as connection:
-        known, unknown = explain(connection, naming).proof, explain(connection, orphaned).proof
-        with pytest.raises(NotFoundError):
-            results.by_id(connection, unnamed)
-    assert known is not None
-    assert (known.reference.evaluation, unknown) == (named, None)
-
-
 def test_what_certificates_take_is_no_part_of_the_price_and_is_summed_apart(database: Database) -> None:
     backend = certifying()
 
@@ -139,7 +113,7 @@ def test_a_certified_cell_is_explained_by_the_run_that_it_repeats(database: Data
         rows = list(results.stream(connection, ended.sequence))
         certified = next(row for row in rows if row.outcome is Outcome.CERTIFIED)
         explained = explain(connection, certified.id)
-    assert explained.reason == "certified"
+    assert explained.reason == "reused"
     assert explained.reference is not None
     assert explained.reference.evaluation == certified.reference
     assert {one.parameter for one in explained.differences} <= {f"P{i}" for i in range(1, 12)}

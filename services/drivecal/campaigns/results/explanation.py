@@ -100,7 +100,7 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
         return _explanation(case, "checked")
     if cell.plan is Outcome.PREDICTED:
         return _explanation(case, "predicted")
-    if (reason := _HITS.get(cell.plan)) is not None:
+    if (reason := "reused" if cell.outcome is Outcome.CERTIFIED else _HITS.get(cell.plan)) is not None:
         return _explanation(case, reason, *_reference(case, cell.reference))
     if (confirmed := _trusted(case)) is not None:
         prediction = replace(case, cell=confirmed).prediction if confirmed.outcome is Outcome.PREDICTED else None
