@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drivecal.cli.commands.demo import coordinator, fresh_folder
 from scipy.stats import t as student
 from tests.benchmarks.efficiency import wait_for_workers
 
+from drivecal.cli.commands.demo import coordinator, fresh_folder
 from drivecal.contracts.campaign import Campaign
 
 HOME = Path(".drivecal/bench/reuse").absolute()
