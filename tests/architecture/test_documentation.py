@@ -18,7 +18,7 @@ from drivecal.bundles.archives import content_digest, files_digest
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_checks import scenarios_problems
 from drivecal.bundles.manifest import AnySimulator
-from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.resolve.bundle_bench import Bundle
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve

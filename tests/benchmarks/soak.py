@@ -151,7 +151,7 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
         optimizers = [{"kind": "genetic"}, {"kind": "swarm"}]
         chosen = {"optimizers": optimizers, "populations": [6], "seeds": [seed, seed + 1, seed + 2], "iterations": 2}
         document = {"name": "soak", **chosen, **common}
-        ended = client.wait(client.compare(document).id, progress=False)
+        ended = [client.wait(run.campaign, progress=False) for run in client.compare(document).runs][-1]
         course.done["comparisons"] += 1
     else:
         ended = client.wait(client.submit({"name": "soak", "optimizer": search, **common}).id, progress=False)

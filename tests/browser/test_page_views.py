@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, barriers_everywhere
-from tests.support.comparisons import submit_comparison
+from tests.support.comparisons import finish_comparison, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
 from tests.support.server import RunningApi, serving
@@ -33,7 +33,7 @@ class Shown:
     api: RunningApi
     campaign: StoredCampaign
     study: StoredCampaign
-    comparison: StoredCampaign
+    tag: str
 
     def at(self, *path: str) -> str:
         return f"{self.api.url}/#/campaigns/{'/'.join([self.campaign.id, *path])}"
@@ -46,9 +46,9 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
         alone: dict[str, Any] = {"optimizer": None, "sensitivity": None, "validation": None}
         alone["robustness"] = STUDIED["robustness"] | {"of": campaign.id}
         study = run(api.database, submit(api.database, **STUDIED | alone), ComputedBackend(answer=influenced))
-        yield Shown(
-            api, campaign, study, run(api.database, submit_comparison(api.database, populations=[6], reductions=REDUCTIONS))
-        )
+        compared = submit_comparison(api.database, populations=[6], reductions=REDUCTIONS)
+        finish_comparison(api.database, compared)
+        yield Shown(api, campaign, study, compared)
 
 
 def rows_shown(page: Page) -> tuple[int, int]:
@@ -61,11 +61,11 @@ def rows_shown(page: Page) -> tuple[int, int]:
 def views(shown: Shown) -> list[str]:
     """The addresses of all views of these campaigns."""
     both = f"compare?a={shown.campaign.id}&b={shown.campaign.id}"
-    compared, study = f"campaigns/{shown.comparison.id}", f"campaigns/{shown.study.id}"
+    study = f"campaigns/{shown.study.id}"
     beside = f"compare?a={shown.study.id}&b={shown.campaign.id}"
     three = f"compare?ids={shown.campaign.id},{shown.study.id},{shown.campaign.id}"
     alone = ("", "submit", "submit?kind=comparison", "workers", "problems", "compare")
-    paths = (*alone, both, three, beside, compared, f"{compared}/runs", study, "evaluations/1")
+    paths = (*alone, both, three, beside, f"comparisons/{shown.tag}", study, "evaluations/1")
     return [*(f"{shown.api.url}/#/{path}" for path in paths), *(shown.at(tab) for tab in TABS)]
 
 
@@ -111,7 +111,7 @@ def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, o
     page = opening(f"{shown.api.url}/")
     table, search = page.get_by_role("table"), page.get_by_label("Search campaigns")
     expect(table.get_by_role("checkbox", name=f"Compare test {shown.study.id[:8]}")).to_be_visible()
-    search.fill(shown.comparison.id[:12])
+    search.fill(shown.study.id[:12])
     expect(table.get_by_role("checkbox")).to_have_count(1)
     search.fill("no such campaign")
     expect(page.get_by_text("fits “no such campaign”")).to_be_visible()
@@ -119,7 +119,7 @@ def test_campaigns_are_searched_sorted_and_ticked_to_be_compared(shown: Shown, o
     page.get_by_role("columnheader", name="campaign").get_by_role("button").click()
     expect(page.get_by_role("columnheader", name="campaign")).to_have_attribute("aria-sort", "ascending")
     expect(page.get_by_role("button", name="Compare")).to_be_disabled()
-    for campaign in (shown.campaign, shown.study, shown.comparison):
+    for campaign in (shown.campaign, shown.study):
         table.get_by_role("checkbox", name=campaign.id[:8]).check()
     page.get_by_role("button", name="Compare 3").click()
     expect(page.get_by_role("heading", name="Compare campaigns")).to_be_visible()
@@ -245,10 +245,7 @@ def test_a_study_leads_with_what_it_examines_and_what_it_found(shown: Shown, ope
 
 
 def test_an_overview_says_what_was_asked_for_and_leads_to_the_replay(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/campaigns/{shown.comparison.id}")
-    expect(page.get_by_role("table", name="Groups of runs")).to_be_visible()
-    expect(page.get_by_text("genetic: mutation 0.2; swarm")).to_be_visible()
-    page.goto(shown.at())
+    page = opening(shown.at())
     expect(page.get_by_text("genetic: population 40, iterations 5")).to_be_visible()
     page.get_by_role("table", name="Scores by scenario").get_by_role("button").first.click()
     expect(page.get_by_role("heading", level=1)).to_contain_text("S1 · evaluation")
@@ -368,13 +365,16 @@ def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, openi
     page.get_by_role("button", name="Take optimizer 3 away").click()
     expect(page.get_by_text(re.compile(r"at most [\d,]+ for 3,600 proposed cells"))).to_be_visible()
     page.get_by_role("button", name="Start it").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("comparison")
-    stored = shown.api.http.get(f"/api/v1/campaigns/{page.url.rpartition('/')[2]}").json()["spec"]
-    optimizers = [(one["kind"], one.get("mutation")) for one in stored["optimizers"]]
-    assert (stored["populations"], optimizers) == ([10, 20], [("genetic", 0.2), ("swarm", None)])
-    page.goto(f"{shown.api.url}/#/campaigns/{shown.comparison.id}/runs")
-    expect(page.get_by_text("Showing 12 of 12 runs")).to_be_visible()
-    expect(page.get_by_role("img", name="genetic, by simulations").locator("path")).to_have_count(6)
+    expect(page.get_by_role("heading", level=1)).to_contain_text("comparison-")
+    made = shown.api.http.get(f"/api/v1/comparisons/{page.url.rpartition('/')[2]}").json()["runs"]
+    assert [(run["optimizer"], run["population"]) for run in made[::3]] == [
+        *(("genetic", 10), ("genetic", 20), ("swarm", 10), ("swarm", 20)),
+    ]
+    page.goto(f"{shown.api.url}/#/campaigns?tag={shown.tag}")
+    page.get_by_role("link", name="Compare all with this tag").click()
+    expect(page.get_by_text("12 of 12 campaigns have ended")).to_be_visible()
+    expect(page.get_by_role("table", name="Groups of runs")).to_be_visible()
+    expect(page.get_by_role("img", name="genetic").locator("path")).to_have_count(6)
     expect(page.get_by_role("table", name="Effects of the reduction").get_by_role("row")).to_have_count(4)
     page.get_by_role("link", name="swarm, 6 individuals, exact").first.click()
     expect(page.get_by_role("link", name="Ranking")).to_be_visible()

@@ -14,7 +14,7 @@ from tests.support.answered_campaigns import carry_out
 from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import MIDDLE
 
-from drivecal.api import comparison_submission, submission
+from drivecal.api import submission
 from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
@@ -72,10 +72,10 @@ def test_a_retry_is_known_again_if_what_it_names_is_gone(
 
     headers = {"Idempotency-Key": uuid.uuid4().hex}
     first = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
-    for module, name in ((submission, "_checked"), (submission, "resolve_evaluation"), (comparison_submission, "_checked")):
+    for module, name in ((submission, "_checked"), (submission, "resolve_evaluation"), (submission, "_checked_comparison")):
         monkeypatch.setattr(module, name, refuse)
     again = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
-    assert (first.status_code, again.status_code, again.json()["id"]) == (202, 202, first.json()["id"])
+    assert (first.status_code, again.status_code, again.json()) == (202, 202, first.json())
     assert api.http.post(f"/api/v1/{path}", json=body).status_code == 422
     other = body | ({"scenario": "S2"} if path == "evaluations" else {"name": "another"})
     assert api.http.post(f"/api/v1/{path}", json=other, headers=headers).status_code == 409

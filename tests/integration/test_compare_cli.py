@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from tests.support.command import Run
+from tests.support.command import Run, command
 from tests.support.comparisons import TWO_OPTIMIZERS
 from tests.support.computed import ComputedBackend
 from tests.support.runs import nothing_matters, post_map, working
@@ -37,105 +36,104 @@ def ended(api: RunningApi) -> dict[str, Any]:
     }
     environment = pytest.MonkeyPatch()
     environment.setenv("DRIVECAL_URL", api.url)
-    from tests.support.command import command
-
     result = command("compare-optimizers", "-", "--wait", "--json", stdin=json.dumps(document))
     environment.undo()
     assert result.exit_code == 0, result.output
     assert "12 of 12" in result.stderr
-    found: dict[str, Any] = json.loads(result.stdout)
-    return found
+    answer: dict[str, Any] = json.loads(result.stdout)
+    return answer
 
 
-def test_a_comparison_gives_table_5_and_what_the_reduction_changed(ended: dict[str, Any]) -> None:
-    assert (ended["kind"], ended["state"], len(ended["runs"])) == ("comparison", "succeeded", 12)
-    conditions = [(one["optimizer"], one["seed"], one["reduction"]) for one in ended["runs"][:3]]
-    assert conditions == [("genetic", 1, "exact"), ("genetic", 1, "influence audit=0.0 max_error=1.0"), ("genetic", 2, "exact")]
+def test_a_comparison_gives_table_5_and_the_effects_of_a_reduction(ended: dict[str, Any]) -> None:
+    conditions = [(run["optimizer"], run["seed"], run["reduction"], run["state"]) for run in ended["runs"][:3]]
+    assert conditions == [
+        ("genetic", 1, "exact", "succeeded"),
+        ("genetic", 1, "influence", "succeeded"),
+        ("genetic", 2, "exact", "succeeded"),
+    ]
     for group in ended["groups"]:
         runs = [
-            one for one in ended["runs"] if (one["optimizer"], one["reduction"]) == (group["optimizer"], group["reduction"])
+            run for run in ended["runs"] if (run["optimizer"], run["reduction"]) == (group["optimizer"], group["reduction"])
         ]
-        optima = [one["simulated_best"] for one in runs]
+        optima = [run["simulated_best"] for run in runs]
         assert (group["best"], group["minimum"]) == (max(optima), min(optima))
         assert group["mean"] == pytest.approx(sum(optima) / 3)
-        assert group["simulations"] == pytest.approx(sum(one["simulations"] for one in runs) / 3)
-        assert group["converged"] == sum(one["converged_at"] is not None for one in runs)
-        assert group["successes"] == sum(one["success"] for one in runs)
-    assert max(one["best"] for one in ended["runs"]) == ended["best"]["objective"]
-    assert all(one["simulated_best"] == one["best"] for one in ended["runs"] if one["reduction"] == "exact")
-    assert [(one["optimizer"], one["pairs"]) for one in ended["effects"]] == [("genetic", 3), ("swarm", 3), (None, 6)]
+        assert group["simulations"] == pytest.approx(sum(run["simulations"] for run in runs) / 3)
+        assert group["converged"] == sum(run["converged_at"] is not None for run in runs)
+        assert group["successes"] == sum(run["success"] for run in runs)
+    assert all(run["simulated_best"] == run["best"] for run in ended["runs"] if run["reduction"] == "exact")
+    assert [(effect["optimizer"], effect["pairs"]) for effect in ended["effects"]] == [("genetic", 3), ("swarm", 3), (None, 6)]
     assert ended["effects"][2]["saved_share"] > 0.5, "a map that denies everything saves nearly everything"
-    assert sum(one["difference"] for one in ended["pairs"]) == pytest.approx(6 * ended["effects"][2]["mean_difference"])
+    assert sum(pair["difference"] for pair in ended["pairs"]) == pytest.approx(6 * ended["effects"][2]["mean_difference"])
 
 
-def test_every_run_is_a_campaign_that_can_be_read_but_not_steered(run: Run, api: RunningApi, ended: dict[str, Any]) -> None:
+def test_the_campaigns_are_listed_and_compared_by_their_tag(run: Run, api: RunningApi, ended: dict[str, Any]) -> None:
     first = ended["runs"][0]
-    campaign = api.http.get(f"/api/v1/campaigns/{first['run']}").json()
-    assert campaign["name"] == "genetic, population 6, seed 1, exact"
-    assert campaign["links"]["run_of"] == f"/api/v1/campaigns/{ended['id']}"
+    campaign = api.http.get(f"/api/v1/campaigns/{first['campaign']}").json()
+    assert (campaign["name"], campaign["tags"]) == (first["name"], [ended["tag"]])
     assert campaign["cells"]["simulated"] == first["simulations"]
-    assert len(api.http.get(campaign["links"]["generations"]).json()["items"]) == 3
-    refused = api.http.post(f"/api/v1/campaigns/{first['run']}/cancel")
-    assert (refused.status_code, ended["id"] in refused.text) == (409, True)
-    for table in ("solutions", "accounting", "setup"):
-        answer = api.http.get(f"/api/v1/campaigns/{ended['id']}/{table}")
-        assert answer.status_code == 409
-    assert api.http.get(f"/api/v1/campaigns/{first['run']}/comparison").status_code == 409
-    assert run("rerun", ended["id"], "--weights", "S1=2").exit_code == 1
-
-
-def test_it_is_shown_listed_and_exported(run: Run, ended: dict[str, Any]) -> None:
-    shown = run("show", ended["id"][:12])
-    assert shown.exit_code == 0
+    listed = json.loads(run("list", "--tag", ended["tag"], "--json").stdout)["items"]
+    assert [each["id"] for each in listed[::-1]] == [each["campaign"] for each in ended["runs"]]
+    shown = run("compare-optimizers", "--tag", ended["tag"])
     lines = shown.stdout.splitlines()
     table = next(index for index, line in enumerate(lines) if line.startswith("optimizer"))
     assert lines[table].split()[:6] == ["optimizer", "population", "reduction", "best", "mean", "worst"]
     assert [line.split()[0] for line in lines[table + 1 : table + 5]] == ["genetic", "genetic", "swarm", "swarm"]
-    assert "influence audit=0.0 max_error=1.0 - exact" in shown.stdout
-    assert [line.split()[0] for line in run("list").stdout.splitlines()[1:]] == [ended["id"]]
-    for name, rows in (("comparison", "runs"), ("comparison-groups", "groups"), ("comparison-effects", "effects")):
-        exported = list(csv.DictReader(io.StringIO(run("export", ended["id"], "--table", name).stdout)))
-        assert [row["optimizer"] for row in exported] == [one["optimizer"] or "" for one in ended[rows]]
+    assert "influence - exact" in shown.stdout
+    assert run("compare-optimizers", "--tag", "nothing").exit_code == 5
+    assert run("compare-optimizers").exit_code == 2
 
 
-def test_a_dry_run_says_how_long_it_takes_at_most(run: Run, ended: dict[str, Any]) -> None:
-    del ended  # its runs tell what one takes
-    result = run("compare-optimizers", "-", "--dry-run", stdin=json.dumps(SMALL))
-    assert result.exit_code == 0, result.output
-    assert "216 cells" in result.stdout
+def test_campaigns_of_a_tag_are_paused_cancelled_and_deleted_together(run: Run, api: RunningApi) -> None:
+    large = SMALL | {"name": "large", "populations": [500], "iterations": 500}
+    tag = json.loads(run("compare-optimizers", "-", "--json", stdin=json.dumps(large)).stdout)["tag"]
+    for action in ("pause", "cancel"):
+        asked = json.loads(run(action, "--tag", tag, "--json").stdout)
+        assert len(asked) == 6
+    for each in asked:
+        wait_for(api, each["id"])
+    assert {row["state"] for row in json.loads(run("compare-optimizers", "--tag", tag, "--json").stdout)["runs"]} == {
+        "cancelled"
+    }
+    assert run("compare-optimizers", "--tag", tag, "--wait").exit_code == 3
+    assert len(json.loads(run("delete", "--tag", tag, "--json").stdout)) == 6
+    assert run("delete", "--tag", tag).exit_code == 5
+
+
+def wait_for(api: RunningApi, campaign: str) -> None:
+    """Returns when a campaign has ended."""
+    while api.http.get(f"/api/v1/campaigns/{campaign}").json()["state"] not in {"cancelled", "failed", "succeeded"}:
+        time.sleep(0.1)
+
+
+def test_a_dry_run_counts_cells_and_estimates_the_time(run: Run, ended: dict[str, Any]) -> None:
+    assert ended["runs"], "whose simulations are the measure"
     expected = json.loads(run("compare-optimizers", "-", "--dry-run", "--json", stdin=json.dumps(SMALL)).stdout)
+    assert (expected["runs"], expected["proposed"]) == (6, 216)
     assert expected["at_most"] == 3 * 2 * ((6 + 2 * 1) + 3 * 6)
     assert expected["milliseconds"] == 7.0
+    assert run("compare-optimizers", "-", "--dry-run", stdin=json.dumps(SMALL)).exit_code == 0
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "field"),
     [
-        ({"optimizers": [{"kind": "swarm", "c1": 1.5}]}, "optimizers[0].c1: 1.5 is too large; give at most 1"),
-        ({"optimizers": [{"kind": "genetic"}, {"kind": "annealing"}]}, "optimizers[1].kind: there is no optimizer 'annealing'"),
-        (
-            {"optimizers": [{"kind": "random"}, {"kind": "random"}]},
-            "optimizers[1].label: it is called 'random' as optimizers[0]",
-        ),
-        (
-            {"optimizers": [{"kind": "random", "seed": 3}]},
-            "optimizers[0].seed: all optimizers have the same here; give it in `seeds`",
-        ),
-        ({"optimizers": []}, "optimizers: a list has too few entries; give at least 1"),
-        ({"populations": []}, "populations: a list has too few entries; give at least 1"),
-        ({"seeds": [1, 2]}, "seeds: a list has too few entries; give at least 3"),
-        ({"seeds": [1, 2, 1]}, "seeds[2]: 1 is listed twice; list each once"),
-        ({"reductions": ["exact", "influence"]}, "standard input: sensitivity: "),
-        ({"reductions": ["exact", {"mode": "exact"}]}, "reductions[1]: exact is listed twice"),
-        (
-            {"populations": [100_000], "iterations": 10_000},
-            "populations: the 6 runs of the comparison may propose 12,000,000,000",
-        ),
-        ({"seeds": list(range(600))}, "optimizers x populations x seeds x reductions are 1,200 runs"),
-        ({"catalogue": ["S9"]}, "catalogue[0]: there is no scenario 'S9'"),
+        ({"optimizers": [{"kind": "swarm", "c1": 1.5}]}, "optimizers[0].c1"),
+        ({"optimizers": [{"kind": "genetic"}, {"kind": "annealing"}]}, "optimizers[1].kind"),
+        ({"optimizers": [{"kind": "random"}, {"kind": "random"}]}, "optimizers[1]"),
+        ({"optimizers": [{"kind": "random", "seed": 3}]}, "optimizers[0].seed"),
+        ({"optimizers": []}, "optimizers"),
+        ({"populations": []}, "populations"),
+        ({"seeds": [1, 2]}, "seeds"),
+        ({"seeds": [1, 2, 1]}, "seeds[2]"),
+        ({"reductions": ["exact", "influence"]}, "sensitivity"),
+        ({"reductions": ["exact", {"mode": "exact"}]}, "reductions[1]"),
+        ({"populations": [100_000], "iterations": 10_000}, "populations"),
+        ({"seeds": list(range(600))}, "1,200 campaigns"),
+        ({"catalogue": ["S9"]}, "catalogue[0]"),
     ],
 )
-def test_what_cannot_be_compared_is_refused_at_its_field(run: Run, changes: dict[str, Any], words: str) -> None:
+def test_what_cannot_be_compared_is_refused_at_its_field(run: Run, changes: dict[str, Any], field: str) -> None:
     result = run("compare-optimizers", "-", stdin=json.dumps(SMALL | changes))
     assert result.exit_code == 2
-    assert words in result.stderr
+    assert field in result.stderr

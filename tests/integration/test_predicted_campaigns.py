@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from tests.integration.test_certified_campaigns import alike
-from tests.support.comparisons import submit_comparison
+from tests.support.comparisons import finish_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
@@ -21,7 +21,6 @@ from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.api.routes.campaigns import accounting
 from drivecal.campaigns.cells.predicting import slice_size
-from drivecal.campaigns.comparisons.results import compared
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results import prediction
 from drivecal.campaigns.results.explanation import explain
@@ -342,17 +341,15 @@ def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(databas
         seeds=[1, 2, 3],
         reductions=["off", {"mode": "predicted", "certified": False}],
     )
-    ended = run(database, comparison, ComputedBackend(answer=slowly))
-    with database.read() as connection:
-        found = compared(connection, ended)
-    plain, predicting = found.campaigns[0::2], found.campaigns[1::2]
-    assert all(one.cells.predicted == 0 for one in plain)
-    assert all(one.cells.predicted > 0 for one in predicting)
-    for one, campaign in zip(found.runs(), found.campaigns, strict=True):
+    answer = finish_comparison(database, comparison, ComputedBackend(answer=slowly))
+    campaigns = runs_of(database, comparison)
+    assert all(campaign.cells.predicted == 0 for campaign in campaigns[0::2])
+    assert all(campaign.cells.predicted > 0 for campaign in campaigns[1::2])
+    for compared_run, campaign in zip(answer.runs, campaigns, strict=True):
         rows = rows_of(database, campaign)
-        assert one.simulations == sum(row.outcome is Outcome.SIMULATED for row in rows)
+        assert compared_run.simulations == sum(row.outcome is Outcome.SIMULATED for row in rows)
         assert campaign.best is not None
         best = Cell(1, campaign.best.parameters)
         assert campaign.best.scores == {name: slowly(name, best).score for name in ("S1", "S2")}
-    assert all(pair.saved > 0 for pair in found.pairs())
+    assert all(pair.saved > 0 for pair in answer.pairs)
     assert [check for check in verify(database, full=True) if check.problems] == []

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from tests.support.comparisons import runs_of
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import LIMITS, store, submit_checked
 from tests.support.runs import finish, get, request
 
 from drivecal.api import submission
-from drivecal.api.comparison_submission import submit as submit_comparison
 from drivecal.campaigns.cells.tracing import request_trace
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import EvaluationSpecification, RerunSpecification
@@ -135,11 +135,9 @@ def test_evaluations_comparisons_and_reruns_are_asked_too(database: Database) ->
         "reductions": ["exact"],
         "sensitivity": None,
     }
-    comparison = submit_comparison(database, LIMITS, ComparisonSpecification.model_validate(compared), None)
-    assert ended(database, comparison, on("4.0")).state is CampaignState.SUCCEEDED
-    with database.read() as connection:
-        runs = campaigns.runs_of(connection, comparison.sequence)
-    assert {(run.resolution or {}).get("tools") for run in runs} == {"4.0"}
+    tag = submission.compare(database, LIMITS, ComparisonSpecification.model_validate(compared), "key")
+    runs = [ended(database, run, on("4.0")) for run in runs_of(database, tag)]
+    assert {(run.state, (run.resolution or {}).get("tools")) for run in runs} == {(CampaignState.SUCCEEDED, "4.0")}
 
 
 def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> None:

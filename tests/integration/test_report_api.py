@@ -1,4 +1,4 @@
-"""The report that the API writes: the page alone and all files, for campaigns and comparisons, with the rights of the request."""
+"""The report that the API writes: the page alone and all files, with the rights of the request."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import httpx
 import pytest
 from tests.support.answered_campaigns import carry_out
 from tests.support.command import Run
-from tests.support.comparisons import TWO_OPTIMIZERS
 from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
 
@@ -61,11 +60,7 @@ def test_the_archive_holds_what_the_command_writes(api: RunningApi, run: Run, en
 
 
 @pytest.mark.slow
-def test_a_comparison_has_a_report_and_a_single_evaluation_has_none(api: RunningApi) -> None:
-    comparison = api.http.post("/api/v1/comparisons", json=TWO_OPTIMIZERS | {"name": "compared"}).json()
-    page = api.http.get(comparison["links"]["report"])
-    assert page.status_code == 200, page.text
-    assert "compared" in page.text
+def test_a_single_evaluation_has_no_report(api: RunningApi) -> None:
     evaluation = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE, "scenario": "S1"}).json()
     assert api.http.get(f"/api/v1/campaigns/{evaluation['id']}/report").status_code == 409
     assert api.http.get(f"/api/v1/campaigns/{'0' * 32}/report").status_code == 404

@@ -6,18 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.support.comparisons import submit_comparison
+from tests.support.comparisons import finish_comparison, submit_comparison
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, rows_of, run, submit
 from tests.support.scales import COST
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.responses import campaign_answer
-from drivecal.campaigns.comparisons.results import compared as read_compared
 from drivecal.campaigns.resolve.bench import DrivingBench
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.campaigns.results.explanation import explain
-from drivecal.campaigns.results.verification import verify
 from drivecal.campaigns.stages.validation import compared
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
@@ -160,13 +158,7 @@ def test_costs_without_steps_are_predicted_within_the_tolerance(database: Databa
 
 def test_a_comparison_prefers_the_lowest_optimum(database: Database) -> None:
     given: dict[str, Any] = {"optimizers": [{"kind": "random"}, {"kind": "genetic"}], "populations": [6], "seeds": [1, 2, 3]}
-    ended = run(database, submit_comparison(database, **given), ComputedBackend(answer=costly))
-    with database.read() as connection:
-        found = read_compared(connection, ended)
-    optima = [each.simulated_best for each in found.runs() if each.simulated_best is not None]
-    assert len(optima) == 6
-    assert ended.best is not None
-    assert ended.best.objective == pytest.approx(min(optima))
-    assert [each.success for each in found.runs()] == [value <= min(optima) + 1e-9 for value in optima]
-    assert campaign_answer(ended, now(), None).scale == COST
-    assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
+    answer = finish_comparison(database, submit_comparison(database, **given), ComputedBackend(answer=costly))
+    optima = [run.simulated_best for run in answer.runs if run.simulated_best is not None]
+    assert (len(optima), answer.direction) == (6, "minimise")
+    assert [run.success for run in answer.runs] == [value <= min(optima) + 1e-9 for value in optima]

@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.comparisons import TWO_OPTIMIZERS, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.plant import setup
 from tests.support.runs import dispatcher, everything, finish, get, request, run, step_until, submit
 
-from drivecal.campaigns.comparisons.resolve import resolve_comparison
-from drivecal.campaigns.comparisons.runs import ComparisonJob
-from drivecal.campaigns.job import Job
-from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.work import Cell
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.random_search import RandomSearch
 from drivecal.plugins.ports import Proposal
 from drivecal.storage.campaigns import StoredCampaign
@@ -111,35 +102,3 @@ def test_a_campaign_that_stops_while_its_optimizer_computes_ends_as_if_nothing_h
     undisturbed = run(other, submit(other, optimizer=SLOW), ComputedBackend())
     assert everything(database, ended) == everything(other, undisturbed)
     other.dispose()
-
-
-class Run(Job):
-    """Has a cell to simulate once its optimizer is restored."""
-
-    def __init__(self, cell: int) -> None:
-        self._cell, self._is_sent, self.goes_on = cell, False, False
-
-    def work(self) -> list[Work]:
-        if self.goes_on or self._is_sent:
-            return []
-        self._is_sent = True
-        return [Work(setup(), [Cell(self._cell, {})])]
-
-    def record(self, completed: Sequence[Completed]) -> list[Work]:
-        del completed
-        return []
-
-
-def test_a_comparison_begins_with_the_cells_of_all_its_runs(database: Database) -> None:
-    """After a lost transaction cells of all of them are at workers: the dispatcher compares what it gets at first with these."""
-    document = TWO_OPTIMIZERS | {"populations": [6], "at_a_time": 2}
-    comparison = submit_comparison(database, **document)
-    problem = resolve_comparison(ComparisonSpecification.model_validate(document))
-    runs = [Run(1), Run(2)]
-    runs[1].goes_on = True
-    begun = iter(runs)
-    job = ComparisonJob(database, comparison, problem, lambda _: next(begun))
-    assert (job.work(), job.goes_on) == ([], True)
-    runs[1].goes_on = False
-    assert sorted(cell.id for work in job.work() for cell in work.cells) == [1, 2]
-    assert not job.goes_on

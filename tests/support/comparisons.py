@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from typing import Any
+from uuid import uuid4
 
-from tests.support.runs import EXPERT_SPACE
+from tests.support.computed import ComputedBackend
+from tests.support.problems import LIMITS
+from tests.support.runs import EXPERT_SPACE, dispatcher
 
-from drivecal.campaigns.comparisons.resolve import queue, resolve_comparison
-from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.api import submission
+from drivecal.campaigns.comparison import compared
+from drivecal.contracts.comparison import Comparison, ComparisonSpecification
+from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
+from drivecal.storage.organising import labels
 
 TWO_OPTIMIZERS: dict[str, Any] = {
     "parameters": EXPERT_SPACE,
@@ -22,17 +28,36 @@ TWO_OPTIMIZERS: dict[str, Any] = {
 }
 
 
-def submit_comparison(database: Database, stored_map: str | None = None, **changes: Any) -> StoredCampaign:
-    """Queues `TWO_OPTIMIZERS` with changes, on a stored map where one is given."""
+def submit_comparison(database: Database, stored_map: str | None = None, **changes: Any) -> str:
+    """Queues `TWO_OPTIMIZERS` with changes, on a stored map if one is given; returns the tag."""
     document = TWO_OPTIMIZERS | changes
     if stored_map is not None:
         document["sensitivity"] = {"map": stored_map}
-    problem = resolve_comparison(ComparisonSpecification.model_validate(document))
-    with database.transaction() as connection:
-        return queue(connection, problem, stored_map)
+    return submission.compare(database, LIMITS, ComparisonSpecification.model_validate(document), uuid4().hex)
 
 
-def runs_of(database: Database, comparison: StoredCampaign) -> list[StoredCampaign]:
-    """The runs of a comparison as they are now."""
+def runs_of(database: Database, tag: str) -> list[StoredCampaign]:
+    """The campaigns of a comparison as they are now, in order."""
     with database.read() as connection:
-        return campaigns.runs_of(connection, comparison.sequence)
+        return campaigns.page(connection, limit=1000, conditions=labels.listing("with", [tag]))[0][::-1]
+
+
+def read_comparison(database: Database, tag: str) -> Comparison:
+    """The analysis of the campaigns as they are now."""
+    with database.read() as connection:
+        return compared(connection, tag)
+
+
+def have_ended(database: Database, tag: str) -> bool:
+    """Whether all campaigns of a comparison have ended."""
+    return all(campaign.state.ended for campaign in runs_of(database, tag))
+
+
+def finish_comparison(
+    database: Database, tag: str, backend: ComputedBackend | None = None, working: Dispatcher | None = None
+) -> Comparison:
+    """Works until all campaigns of a comparison have ended, successfully or not."""
+    working = working or dispatcher(database, backend or ComputedBackend())
+    while not have_ended(database, tag):
+        working.step()
+    return read_comparison(database, tag)

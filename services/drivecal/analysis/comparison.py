@@ -1,15 +1,27 @@
-"""Comparison of runs with several optimizers, population sizes, seeds and reductions (Section IV-B, Table 5). Pure."""
+"""Comparison of campaigns with several optimizers, population sizes, seeds and reductions (Section IV-B, Table 5). Pure."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from statistics import fmean, stdev
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from drivecal.analysis.convergence import alternatives_at, best_at
 from drivecal.analysis.goals import EQUAL
-from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
+from drivecal.contracts.comparison import ComparedGroup, ComparedPair, Improvement, ReductionEffect
 
 CONFIDENCE = 0.95
+
+
+def labels(settings: Sequence[Mapping[str, Any]], by: str) -> list[str]:
+    """Returns a label for each optimizer or reduction: its value of `by`, with the settings in which others of that value differ."""
+    fixed: dict[object, dict[str, Any]] = {}
+    varied: dict[object, dict[str, None]] = {}
+    for each in settings:
+        first = fixed.setdefault(each[by], dict(each))
+        differing = [name for name in (*first, *each) if first.get(name) != each.get(name)]
+        varied.setdefault(each[by], {}).update(dict.fromkeys(differing))
+    return [" ".join([each[by], *(f"{name}={each[name]}" for name in varied[each[by]] if name in each)]) for each in settings]
 
 
 class Conditions(NamedTuple):
@@ -26,6 +38,8 @@ class Course:
     """Course of a run by finished iteration: the best objective by then, the rating of the best set, how many sets shared the objective,
     the population's mean, and cells that had to be simulated, for they had no answer among the run's own. `ended`: it went to its end."""
 
+    campaign: str
+    """The id of the run's campaign."""
     conditions: Conditions
     best: Sequence[float | None]
     ratings: Sequence[float | None]
@@ -55,6 +69,17 @@ class Course:
     def simulated(self) -> int:
         """Simulations of the whole run."""
         return sum(self.simulations) + self.confirmations
+
+    @property
+    def improvements(self) -> list[Improvement]:
+        """The first iteration with a result, those that improved on it, and the last one."""
+        listed: list[Improvement] = []
+        taken = accumulate(self.simulations)
+        for iteration, (simulations, best, rating) in enumerate(zip(taken, self.best, self.ratings, strict=True), start=1):
+            changed = not listed or (best, rating) != (listed[-1].best, listed[-1].rating)
+            if best is not None and (changed or iteration == len(self.best)):
+                listed.append(Improvement(iteration=iteration, simulations=simulations, best=best, rating=rating))
+        return listed
 
     @property
     def converged_at(self) -> int | None:
@@ -157,6 +182,23 @@ def pairs(courses: Sequence[Course]) -> list[Pair]:
         for conditions, course in whole.items()
         if conditions.reduction != first and (base := conditions._replace(reduction=first)) in whole
     ]
+
+
+def pair_row(pair: Pair) -> ComparedPair:
+    """Returns a pair's row in the response."""
+    conditions = pair.run.conditions
+    return ComparedPair(
+        **conditions._asdict(),
+        base=pair.base.conditions.reduction,
+        campaign=pair.run.campaign,
+        base_campaign=pair.base.campaign,
+        best=pair.run.optimum or 0.0,
+        base_best=pair.base.optimum or 0.0,
+        difference=pair.difference,
+        simulations=pair.run.simulated,
+        base_simulations=pair.base.simulated,
+        saved=pair.saved,
+    )
 
 
 def effects(pairs: Sequence[Pair], sign: int = 1) -> list[ReductionEffect]:

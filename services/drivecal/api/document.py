@@ -23,18 +23,14 @@ class IdSource(NamedTuple):
     """Pattern of the rest of a path, behind the id; empty: any."""
 
 
-_NOT_OF_COMPARISONS = r"(?!/comparison)"
-_OF_COMPARISONS = r"(|/(events|pause|resume|cancel|comparison.*))$"
-"""A comparison has no search: other tables belong to its runs."""
-
 SOURCES: Mapping[str, tuple[IdSource, ...]] = {
     "campaign_id": (
-        IdSource("post", "/campaigns", "202", "/id", _NOT_OF_COMPARISONS),
-        IdSource("get", "/campaigns", "200", "/items/0/id", _NOT_OF_COMPARISONS),
-        IdSource("post", "/campaigns/{campaign_id}/rerun", "202", "/id", _NOT_OF_COMPARISONS),
-        IdSource("post", "/comparisons", "202", "/id", _OF_COMPARISONS),
-        IdSource("get", "/campaigns/{campaign_id}/comparison", "200", "/items/0/run", _NOT_OF_COMPARISONS),
+        IdSource("post", "/campaigns", "202", "/id"),
+        IdSource("get", "/campaigns", "200", "/items/0/id"),
+        IdSource("post", "/campaigns/{campaign_id}/rerun", "202", "/id"),
+        IdSource("post", "/comparisons", "202", "/runs/0/campaign"),
     ),
+    "tag": (IdSource("post", "/comparisons", "202", "/tag"),),
     "evaluation_id": (
         IdSource("post", "/evaluations", "202", "/id"),
         IdSource("get", "/campaigns/{campaign_id}/evaluations", "200", "/items/0/id"),

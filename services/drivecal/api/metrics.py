@@ -94,7 +94,7 @@ _UP = "1 if the database answers; else 0, and metrics read from it are left out"
 def _of_database(totals: Statistics) -> Iterator[Any]:
     sums = totals.sums
     campaigns = GaugeMetricFamily("drivecal_campaigns", "Campaigns and single evaluations by state", labels=["kind", "state"])
-    for kind in ("calibration", "comparison", "evaluation"):
+    for kind in ("calibration", "evaluation"):
         for state in CampaignState:
             campaigns.add_metric([kind, state.value], sums.campaigns[CampaignKey(kind, state)])
     yield campaigns

@@ -13,7 +13,7 @@ from drivecal.api.live.dispatcher_health import degraded
 from drivecal.campaigns.resolve.resolved_spec import stored_goals, stored_scale
 from drivecal.contracts.campaign import Campaign, CellCounts, FirstObjective, Seconds
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
-from drivecal.contracts.tables import PLACE, CampaignTable, ComparisonTable, EvaluationRow, parameter_column
+from drivecal.contracts.tables import PLACE, CampaignTable, EvaluationRow, parameter_column
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.setups import digest
@@ -25,17 +25,14 @@ ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
 TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust", "review", "calibration-file")
-"""Links of a campaign besides `events`; a comparison has its own tables instead."""
+"""Links of a campaign besides `events`."""
 _FIELDS = tuple(EvaluationRow.model_fields)
 _column = lru_cache(maxsize=4096)(parameter_column)
 _place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])
 
 
-def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, comparison: str | None = None) -> Campaign:
-    """Returns a campaign as clients see it at the moment `now`.
-
-    `silent`: a message about a silent dispatcher. `comparison`: the id of the comparison that it is a run of.
-    """
+def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -> Campaign:
+    """Returns a campaign as clients see it at the moment `now`; `silent` is a message about a silent dispatcher."""
     as_it_is = {name: getattr(stored, name) for name in Campaign.model_fields if hasattr(stored, name)}
     changing = {
         "state": state_of(stored),
@@ -44,7 +41,7 @@ def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None, c
         "seconds": seconds_of(stored, now),
         "scale": stored_scale(stored.resolution),
         "objective": _first_objective(stored),
-        "links": _links(stored) | ({} if comparison is None else {"run_of": f"{ROOT}/campaigns/{comparison}"}),
+        "links": _links(stored),
     }
     return Campaign(**as_it_is | changing)
 
@@ -70,18 +67,10 @@ def seconds_of(stored: StoredCampaign | ProgressSnapshot, now: datetime) -> Seco
 
 
 def calibration(stored: StoredCampaign, lacks: str = "") -> StoredCampaign:
-    """Returns the campaign. Raises ConflictError for a comparison or a single evaluation. `lacks`: what the latter lacks."""
-    refuse_comparison(stored)
+    """Returns the campaign. Raises ConflictError for a single evaluation; `lacks` says what it lacks."""
     if stored.kind != "calibration":
         raise ConflictError(f"{stored.id} is a single evaluation{lacks}; GET {ROOT}/evaluations/{stored.id}")
     return stored
-
-
-def refuse_comparison(stored: StoredCampaign) -> None:
-    """Raises ConflictError for a comparison, whose results belong to its runs."""
-    if stored.kind == "comparison":
-        where = f"GET {ROOT}/campaigns/{stored.id}/comparison lists them"
-        raise ConflictError(f"{stored.id} is a comparison, whose runs are campaigns of their own: {where}")
 
 
 def etag(seen: CampaignRevision, silent: str | None) -> str:
@@ -120,9 +109,8 @@ def _links(stored: StoredCampaign) -> dict[str, str]:
     if stored.kind == "evaluation":
         return {"self": f"{ROOT}/evaluations/{stored.id}"}
     here = f"{ROOT}/campaigns/{stored.id}"
-    tables = get_args(ComparisonTable) if stored.kind == "comparison" else TABLES
     links = {"self": here, "events": f"{here}/events", "report": f"{here}/report"} | {
-        table: f"{here}/{table}" for table in tables
+        table: f"{here}/{table}" for table in TABLES
     }
     if stored.influence_map_id is not None:
         links["influence_map"] = f"{ROOT}/influence-maps/{stored.influence_map_id}"

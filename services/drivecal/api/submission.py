@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.api.responses import refuse_comparison
+from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison, tag_of
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
@@ -18,7 +18,7 @@ from drivecal.campaigns.resolve.resolved_spec import specification_of, stored_do
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
-from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
     HIGHWAY,
@@ -152,7 +152,6 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
     with database.read() as connection:
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
-    refuse_comparison(first)
     if first.kind != "calibration":
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
@@ -165,6 +164,69 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
         return _queue(connection, limits, problem, key, digests, rerun_of=first_id)
+
+
+def compare(database: Database, limits: Limits, specification: ComparisonSpecification, key: str) -> str:
+    """Queues the campaigns of a comparison, all or none, and returns their tag. The first has the Idempotency-Key `key`.
+
+    Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
+    """
+    digests, tag = digests_of("comparisons", specification), tag_of(specification.name, key)
+    if accepted_before(database, key, digests) is not None:
+        return tag
+    problem = _checked_comparison(database, limits, specification)
+    with database.transaction() as connection:
+        admission.admit(connection, limits.queued_campaigns, key, len(problem.runs))
+        if admission.earlier(connection, key, digests) is not None:
+            return tag
+        map_id = _compared_map(connection, problem)
+        for place, run in enumerate(problem.runs):
+            stored = campaigns.insert(
+                connection,
+                name=run.name,
+                spec=run.model_dump(mode="json"),
+                tags=[tag],
+                influence_map_id=None if run.sensitivity is None else map_id,
+                idempotency_key=key if place == 0 else None,
+                body_digests=digests if place == 0 else (),
+                priority=run.priority,
+            )
+            _pinned(connection, stored, problem.problems[0])
+    return tag
+
+
+def expected_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ExpectedComparison:
+    """Returns the expected cost of a comparison. Raises InvalidInputError and TooLargeError as `compare` does."""
+    problem = _checked_comparison(database, limits, specification)
+    with database.read() as connection:
+        _compared_map(connection, problem)
+        known = pace(connection, [setup.fingerprint for setup in problem.problems[0].bench.setups.values()])
+    return ExpectedComparison(
+        runs=len(problem.runs),
+        proposed=problem.proposed,
+        at_most=problem.at_most,
+        milliseconds=known.milliseconds,
+        measured=known.measured,
+        workers=known.workers,
+        seconds=known.seconds(problem.at_most),
+        notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
+    )
+
+
+def _checked_comparison(database: Database, limits: Limits, specification: ComparisonSpecification) -> ComparisonProblem:
+    problem = resolve_comparison(specification, stored_bundles(database))
+    if problem.proposed > limits.largest_campaign:
+        message = f"the {len(problem.runs):,} campaigns of the comparison may propose {problem.proposed:,} cells"
+        remedy = (
+            f"this server takes {limits.largest_campaign:,}; reduce populations, iterations, seeds, optimizers or scenarios"
+        )
+        raise TooLargeError(Problem("populations", message, remedy))
+    return problem
+
+
+def _compared_map(connection: Connection, problem: ComparisonProblem) -> str | None:
+    """Returns the id of the influence map that the comparison names. Raises InvalidInputError if it does not fit the campaigns."""
+    return next((named_map(connection, row) for row in problem.problems if row.specification.sensitivity is not None), None)
 
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
@@ -316,8 +378,6 @@ def _before_predictions(body: BaseModel) -> BaseModel:
         changes["sensitivity"] = SensitivitySpecification()
     if isinstance(body, CampaignSpecification | RerunSpecification) and body.reduction is not None:
         changes["reduction"] = _by_influence(body.reduction)
-    if isinstance(body, ComparisonSpecification):
-        changes["reductions"] = [each if isinstance(each, str) else _by_influence(each) for each in body.reductions]
     return body.model_copy(update=changes)
 
 

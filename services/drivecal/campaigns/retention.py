@@ -50,14 +50,12 @@ Told = Callable[[str, int, int], None]
 @dataclass(frozen=True, slots=True)
 class RetentionPlan:
     """A planned pruning: `doomed` cells go from the campaigns in `selection`, whose `best` sets stay, by campaign. `bytes`: about what that
-    frees. `fingerprints`: of the setups whose runs go. `simulated_best`: by run of a comparison, whose tables need it and its cells tell no
-    more."""
+    frees. `fingerprints`: of the setups whose runs go."""
 
     selection: Selection
     doomed: Doomed
     fingerprints: frozenset[str]
     best: Mapping[int, Sequence[int]]
-    simulated_best: Mapping[int, float | None]
     bytes: int
     open: tuple[Sequence[int], int]
 
@@ -73,8 +71,7 @@ def plan(database: Database, before: datetime, keep_best: int, problem: str | No
         doomed = mark(connection, list(best), best)
         freed = bytes_of(connection, doomed)
         fingerprints = fingerprints_of(connection, doomed.setups)
-        optima = _simulated_best(connection, selection)
-        return RetentionPlan(selection, doomed, fingerprints, best, optima, freed, open_campaigns(connection))
+        return RetentionPlan(selection, doomed, fingerprints, best, freed, open_campaigns(connection))
 
 
 def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> None:
@@ -88,8 +85,6 @@ def carry_out(database: Database, planned: RetentionPlan, progress: Told) -> Non
                 sets = planned.best[campaign.sequence]
                 note = f"pruned on {moment:%Y-%m-%d}: its {len(sets):,} best sets are left, and cells that other campaigns refer to"
                 pruned: dict[str, Any] = {"at": moment.isoformat(), "sets": list(sets)}
-                if campaign.sequence in planned.simulated_best:
-                    pruned["simulated_best"] = planned.simulated_best[campaign.sequence]
                 removal.begin(connection, campaign.sequence, pruned, note)
     with _guarded(database, planned) as connection:
         retired = removal.retire_indexes(connection, planned.doomed.setups)
@@ -150,21 +145,6 @@ def _best(connection: Connection, campaign: Prunable, count: int) -> Sequence[in
     front = [member.solution for member in standing.front()] if goals is not None and goals.is_vector else []
     ranked = [solution.parameter_set for solution in (*front, *standing.ranking())]
     return list(dict.fromkeys(ranked))[:count]
-
-
-def _simulated_best(connection: Connection, selection: Selection) -> dict[int, float | None]:
-    """Returns the best simulated objective of each run of a comparison, None for a run that has no such set."""
-    optima: dict[int, float | None] = {}
-    for campaign in selection.prunable:
-        if campaign.kind != "calibration" or campaign.whole:
-            continue
-        stored = campaigns.by_sequence(connection, campaign.sequence)
-        if stored.parent_sequence is not None and stored.resolution is not None:
-            resolved = resolved_spec(stored)
-            optima[campaign.sequence] = results.best_simulated(
-                connection, campaign.sequence, resolved.weights, resolved.scale.sign
-            )
-    return optima
 
 
 def _pushes(connection: Connection, problem: str) -> Collection[str]:

@@ -19,7 +19,7 @@ from drivecal.client.transport import Answer, Transport, harmless, named, path_o
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
-from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ExpectedComparison, ReductionEffect
+from drivecal.contracts.comparison import Comparison, ExpectedComparison
 from drivecal.contracts.evaluation import CellAnswer, Evaluation, FailurePage, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
@@ -109,13 +109,17 @@ class Client(Transport):
         """Checks a campaign without queueing it and returns its expected cost."""
         return self._post(ExpectedRuns, "campaigns", document=self._specified(specification), validate_only="true")
 
-    def compare(self, specification: Document, key: str | None = None) -> Campaign:
-        """Queues a comparison of optimizers or reductions: a campaign whose runs are campaigns of their own."""
-        return self._post(Campaign, "comparisons", document=self._specified(specification), key=key or uuid.uuid4().hex)
+    def compare(self, specification: Document, key: str | None = None) -> Comparison:
+        """Queues the campaigns of a comparison of optimizers or reductions, which have its tag; with the same `key` only once."""
+        return self._post(Comparison, "comparisons", document=self._specified(specification), key=key or uuid.uuid4().hex)
 
     def expected_comparison(self, specification: Document) -> ExpectedComparison:
         """Checks a comparison without queueing it and returns its expected cost."""
         return self._post(ExpectedComparison, "comparisons", document=self._specified(specification), validate_only="true")
+
+    def comparison(self, tag: str) -> Comparison:
+        """Compares the campaigns with a tag, as far as they are."""
+        return self._get(Comparison, "comparisons", tag)
 
     def campaign(self, identifier: str) -> Campaign:
         """Returns a campaign."""
@@ -289,22 +293,6 @@ class Client(Transport):
     def validation(self, identifier: str) -> Rows[ValidationRow]:
         """Returns the validation of a campaign's map by scenario; empty before that stage."""
         return self._rows_of(identifier, "validation", ValidationRow)
-
-    def compared_runs(self, identifier: str) -> Rows[ComparedRun]:
-        """Returns the runs of a comparison."""
-        return self._rows_of(identifier, "comparison", ComparedRun)
-
-    def compared_groups(self, identifier: str) -> Rows[ComparedGroup]:
-        """Returns the runs of a comparison by optimizer, population and reduction."""
-        return self._rows_of(identifier, "comparison-groups", ComparedGroup)
-
-    def compared_pairs(self, identifier: str) -> Rows[ComparedPair]:
-        """Returns the runs of a comparison that differ in the reduction alone, side by side."""
-        return self._rows_of(identifier, "comparison-pairs", ComparedPair)
-
-    def reduction_effects(self, identifier: str) -> Rows[ReductionEffect]:
-        """Returns the effects over all pairs."""
-        return self._rows_of(identifier, "comparison-effects", ReductionEffect)
 
     def _rows_of(self, identifier: str, table: Table, model: type[Answer], **query: Any) -> Rows[Answer]:
         try:

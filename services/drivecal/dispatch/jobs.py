@@ -5,18 +5,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.comparisons.resolve import ComparisonProblem, resolve_comparison
-from drivecal.campaigns.comparisons.runs import ComparisonJob
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.bundle_source import stored_bundles, with_tools
-from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of, stored_scale
 from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.campaigns.stages.evaluation import SingleEvaluation
-from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.input_errors import validated
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError
@@ -73,18 +67,14 @@ def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
     with database.read() as connection:
         campaign = campaigns.by_sequence(connection, sequence)
     tools: str | None = (campaign.resolution or {}).get("tools")
-    find = _compared if campaign.kind == "comparison" else problem_of
-    problem = find(campaign, with_tools(stored_bundles(database), tools))
-    request = _bench(problem).to_probe
+    problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
+    request = problem.bench.to_probe
     if isinstance(request, BundleRequest):
         tools = probe(request)
         if tools is None:
             return None
-        problem = find(campaign, with_tools(stored_bundles(database), tools))
+        problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
     known = {} if tools is None else {"tools": tools}
-    if isinstance(problem, ComparisonProblem):
-        _pin(database, campaign, {"scale": problem.problems[0].bench.scale.to_json()} | known)  # its runs pin the rest
-        return ComparisonJob(database, campaign, problem, lambda number: _run_of(database, number, tools))
     _pin(database, campaign, problem.resolution() | known)
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(database, campaign, problem)
@@ -92,22 +82,6 @@ def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
         traced = traces.is_made_by(connection, campaign.sequence)
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
     return SingleEvaluation(database, campaign, problem, view)
-
-
-def _compared(campaign: StoredCampaign, bundles: BundleSource) -> ComparisonProblem:
-    return resolve_comparison(validated(ComparisonSpecification, campaign.spec), bundles)
-
-
-def _bench(problem: CalibrationProblem | EvaluationProblem | ComparisonProblem) -> Bench:
-    return problem.problems[0].bench if isinstance(problem, ComparisonProblem) else problem.bench
-
-
-def _run_of(database: Database, number: int, tools: str | None) -> Job:
-    """Returns the job of a comparison's run, which has the tools of the comparison."""
-    job = take_up(database, number, lambda _: tools)
-    if job is None:
-        raise ConflictError("the run has a probe and the comparison has none; submit it again")
-    return job
 
 
 def _pin(database: Database, campaign: StoredCampaign, resolution: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""The data of a report on a campaign or a comparison, from the server."""
+"""The data of a report on a campaign, from the server."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,6 @@ from typing import Any, Generic, TypeVar
 from drivecal.client.client import Client
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, Study, StudyName
-from drivecal.contracts.comparison import ComparedGroup, ComparedPair, ComparedRun, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontSummary, TrustAnswer
 from drivecal.contracts.setup import CampaignSetup
@@ -98,28 +97,3 @@ def _studied(studies: Sequence[Study], stage: StudyName, rows: Callable[[str], l
     wanted = (study for study in studies if study.stage == stage and study.state == CampaignState.SUCCEEDED)
     studied = [Studied(study, rows(study.campaign)) for study in islice(wanted, MOST_STUDIES)]
     return [study_rows for study_rows in studied if study_rows.rows]
-
-
-@dataclass(frozen=True, slots=True)
-class ComparisonData:
-    """A comparison and the results of its runs; `generations` by the id of the run."""
-
-    campaign: Campaign
-    runs: Sequence[ComparedRun]
-    groups: Sequence[ComparedGroup]
-    pairs: Sequence[ComparedPair]
-    effects: Sequence[ReductionEffect]
-    generations: Mapping[str, Sequence[Generation]]
-
-
-def collect_comparison(client: Client, campaign: Campaign) -> ComparisonData:
-    """Reads the data of a comparison. Raises the client's exceptions."""
-    runs = client.compared_runs(campaign.id)
-    return ComparisonData(
-        campaign=campaign,
-        runs=runs,
-        groups=client.compared_groups(campaign.id),
-        pairs=client.compared_pairs(campaign.id),
-        effects=client.reduction_effects(campaign.id),
-        generations={run.run: [Generation.model_validate(row) for row in client.rows(run.run, "generations")] for run in runs},
-    )

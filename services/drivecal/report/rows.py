@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 
 from drivecal.contracts.campaign import ErrorRate, Released
-from drivecal.contracts.comparison import ComparedGroup, ReductionEffect
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import FrontBaseline, FrontSummary
 from drivecal.contracts.tables import FrontRow, InfluenceRow, ValidationRow
@@ -191,34 +190,6 @@ def released_lots(released: Mapping[str, Released]) -> list[list[object]]:
         ]
         for name, lots in released.items()
         if lots.lots
-    ]
-
-
-def compared_groups(groups: Sequence[ComparedGroup], *, with_reduction: bool) -> list[list[object]]:
-    """Returns Table 5 of the paper, a row per group."""
-    return [
-        [
-            *(group.optimizer, group.population, *([group.reduction] if with_reduction else [])),
-            *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
-            *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
-            *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
-            *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
-        ]
-        for group in groups
-    ]
-
-
-def reduction_effect(effect: ReductionEffect) -> list[object]:
-    """Returns the row of an effect up to the share of different searches; the saved simulations follow."""
-    interval = None
-    if effect.lower_95 is not None and effect.upper_95 is not None:
-        interval = Number(f"{objective_text(effect.lower_95, '+')} to {objective_text(effect.upper_95, '+')}")
-    return [
-        *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
-        Number(objective_text(effect.mean_difference, "+")),
-        interval,
-        *(effect.better, effect.equal, effect.worse),
-        *(Number(f"{effect.sign_test:.3g}"), percent(effect.different_upper_95, 1)),
     ]
 
 

@@ -3,20 +3,19 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 from drivecal.client.client import Client
-from drivecal.contracts.tables import ComparisonTable, TableName
-from drivecal.report.data import ComparisonData, ReportData, collect, collect_comparison
+from drivecal.contracts.tables import TableName
+from drivecal.report.data import ReportData, collect
 
 TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influence")
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The data of a report on a campaign or a comparison, and its tables: CSV by name, in pieces."""
+    """The data of a report on a campaign, and its tables: CSV by name, in pieces."""
 
-    data: ReportData | ComparisonData
+    data: ReportData
     tables: Mapping[str, Iterable[bytes]]
 
 
@@ -25,12 +24,8 @@ def read_report(client: Client, identifier: str) -> Report:
 
     Raises NotFoundError for an unknown campaign, ConflictError for a single evaluation, and the client's other exceptions.
     """
-    campaign = client.campaign(identifier)
-    if campaign.kind == "comparison":
-        names: tuple[ComparisonTable, ...] = get_args(ComparisonTable)
-        return Report(collect_comparison(client, campaign), {name: client.table(campaign.id, name, "csv") for name in names})
-    data = collect(client, campaign.id)
-    tables: dict[str, Iterable[bytes]] = {name: client.table(campaign.id, name, "csv") for name in TABLES}
+    data = collect(client, identifier)
+    tables: dict[str, Iterable[bytes]] = {name: client.table(identifier, name, "csv") for name in TABLES}
     if data.robustness:
         tables["robustness"] = client.table(data.robustness[0].study.campaign, "robustness", "csv")
     if data.validation:
@@ -43,10 +38,6 @@ def write(report: Report, folder: Path, *, page_alone: bool = False) -> list[Pat
 
     Raises InvalidInputError if a file cannot be written.
     """
-    if isinstance(report.data, ComparisonData):
-        from drivecal.report.comparison import write_comparison  # matplotlib takes a second or two
-
-        return write_comparison(report.data, report.tables, folder, page_alone=page_alone)
-    from drivecal.report.writing import write_report
+    from drivecal.report.writing import write_report  # matplotlib takes a second or two
 
     return write_report(report.data, report.tables, folder, page_alone=page_alone)

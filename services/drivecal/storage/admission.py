@@ -20,8 +20,8 @@ def alone(connection: Connection) -> None:
         connection.execute(text("SELECT pg_advisory_xact_lock(:key, hashtext(current_schema()))"), {"key": KEY})
 
 
-def admit(connection: Connection, most: int, idempotency_key: str | None) -> None:
-    """Raises OverloadError if `most` campaigns and evaluations wait already to be started; a comparison is one. The caller inserts in
+def admit(connection: Connection, most: int, idempotency_key: str | None, count: int = 1) -> None:
+    """Raises OverloadError if more than `most` campaigns and evaluations would wait to be started with these `count`. The caller inserts in
     the same transaction: until its end no other request is admitted, so that requests at once cannot overshoot, and no campaign is deleted.
     So what a request names is checked after this call.
 
@@ -32,11 +32,9 @@ def admit(connection: Connection, most: int, idempotency_key: str | None) -> Non
         known = select(campaigns.c.sequence).where(campaigns.c.idempotency_key == idempotency_key)
         if connection.execute(known).first() is not None:
             return
-    open_ones = (
-        select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None), campaigns.c.parent_sequence.is_(None))
-    )
+    open_ones = select(func.count()).select_from(campaigns).where(campaigns.c.ended_at.is_(None))
     waiting = connection.scalar(open_ones.where(campaigns.c.started_at.is_(None))) or 0
-    if waiting >= most:
+    if waiting + count > most:
         message = (
             f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
         )

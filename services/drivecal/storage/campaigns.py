@@ -14,7 +14,7 @@ from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import admission, campaign_stages, comparisons, events, leases
+from drivecal.storage import admission, campaign_stages, events, leases
 from drivecal.storage.campaign_stages import Counts, CountsByStage, by_stage
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import insert as insert_into
@@ -23,9 +23,7 @@ from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
 
-Kind = Literal["calibration", "comparison", "evaluation"]
-Listed = Literal["calibration", "evaluation"]
-"""Kinds listed together: campaigns with comparisons, and single evaluations."""
+Kind = Literal["calibration", "evaluation"]
 LONGEST_LISTED = 20_000
 """Longest specification in a list, characters: a page of a thousand campaigns has at most 20 MB instead of a GB."""
 
@@ -57,11 +55,9 @@ class StoredCampaign(CampaignHeading):
     resolution: Mapping[str, Any] | None
     """The specification as resolved at the first start: setups, evaluator, space."""
     rerun_of: str | None
-    parent_sequence: int | None
-    """The number of the comparison that it is a run of."""
     influence_map_id: str | None
     watermark: int | None
-    """The id of the newest run that it may take its references from; set when it starts."""
+    """The id of the newest run that it may take its references from, set when it starts; 0 of an isolated campaign."""
     degraded: str | None
     error: str | None
     notes: tuple[str, ...]
@@ -87,7 +83,7 @@ class StoredCampaign(CampaignHeading):
 
     @property
     def cells(self) -> CellCounts:
-        """The counts of the calibration, of a single evaluation, or of a comparison's runs."""
+        """The counts of the calibration, or of a single evaluation."""
         return CellCounts(**self.stages.get(StageName.CALIBRATION, {}))
 
     def counts(self, stage: StageName) -> Counts:
@@ -124,7 +120,7 @@ def insert(
     kind: Kind = "calibration",
     influence_map_id: str | None = None,
     rerun_of: str | None = None,
-    parent_sequence: int | None = None,
+    tags: Sequence[str] = (),
     idempotency_key: str | None = None,
     body_digests: Sequence[str] = (),
     priority: int = 0,
@@ -143,7 +139,8 @@ def insert(
         "priority": priority,
         "spec": dict(spec),
         "rerun_of": rerun_of,
-        "parent_sequence": parent_sequence,
+        "tags": list(tags),
+        "watermark": 0 if (spec.get("reduction") or {}).get("isolated") else None,
         "influence_map_id": influence_map_id,
         **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
@@ -186,7 +183,7 @@ def by_sequence(connection: Connection, sequence: int) -> StoredCampaign:
 def page(
     connection: Connection,
     *,
-    kind: Listed = "calibration",
+    kind: Kind = "calibration",
     state: CampaignState | None = None,
     limit: int = 50,
     cursor: str | None = None,
@@ -205,17 +202,17 @@ def page(
 
 def listed(
     columns: Iterable[ColumnElement[Any]],
-    kind: Listed,
+    kind: Kind,
     state: CampaignState | None,
     limit: int,
     cursor: str | None,
     conditions: Sequence[ColumnElement[bool]] = (),
 ) -> Select[Any]:
-    """Returns the query of a page: these columns of campaigns, newest first, without deleted ones and the runs of comparisons. Raises
-    InvalidInputError for an invalid cursor."""
+    """Returns the query of a page: these columns of campaigns, newest first, without deleted ones. Raises InvalidInputError for an invalid
+    cursor."""
     # Spelt as the condition of the index `ix_campaigns_listed`: no backend takes the index for a condition with a parameter.
     wanted = campaigns.c.kind == kind if kind == "evaluation" else campaigns.c.kind != text("'evaluation'")
-    query = select(*columns).where(wanted, campaigns.c.parent_sequence.is_(None), campaigns.c.deleted_at.is_(None), *conditions)
+    query = select(*columns).where(wanted, campaigns.c.deleted_at.is_(None), *conditions)
     query = query.order_by(campaigns.c.sequence.desc()).limit(limit)
     if state is not None:
         query = query.where(campaigns.c.state == state)
@@ -226,11 +223,10 @@ def listed(
 
 
 def active(connection: Connection) -> list[CampaignHeading]:
-    """Returns the campaigns that have not ended, in starting order, without the runs of comparisons."""
+    """Returns the campaigns that have not ended, in starting order."""
     states = [state for state in CampaignState if not state.ended]
     columns = [campaigns.c[field.name] for field in fields(CampaignHeading)]
     query = select(*columns).where(campaigns.c.ended_at.is_(None), campaigns.c.state.in_(states))
-    query = query.where(campaigns.c.parent_sequence.is_(None))
     rows = connection.execute(query.order_by(campaigns.c.priority.desc(), campaigns.c.sequence))
     return [record(CampaignHeading, row, state=CampaignState(row.state)) for row in rows]
 
@@ -238,11 +234,9 @@ def active(connection: Connection) -> list[CampaignHeading]:
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
     """Asks the dispatcher to cancel, pause or resume a campaign; if nothing of it runs, does so at once. Idempotent.
 
-    Gives the campaign as it is then. Raises NotFoundError, and ConflictError for a run of a comparison and for what has ended or is about
-    to be cancelled.
+    Gives the campaign as it is then. Raises NotFoundError, and ConflictError for what has ended or is about to be cancelled.
     """
     campaign = get(connection, campaign_id, lock=True)
-    comparisons.refuse_run(connection, campaign.id, campaign.parent_sequence, action)
     asked = campaign.requested_action
     change = change_by(campaign.id, campaign.state, asked, action, has_started=campaign.started_at is not None, now=now())
     if change is None:
@@ -276,11 +270,8 @@ def change_state(connection: Connection, sequence: int, expected: Collection[Cam
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
-    """Takes a queued campaign up: running from now on, with its watermark. None if it is not queued any more.
-
-    A run of a comparison sees no other results, so that what it needs does not depend on what was there before.
-    """
-    watermark = case((campaigns.c.parent_sequence.is_(None), runs.largest_id(connection)), else_=0)
+    """Takes a queued campaign up: running from now on, with its watermark. None if it is not queued any more."""
+    watermark = func.coalesce(campaigns.c.watermark, runs.largest_id(connection))
     statement = (
         _of(sequence)
         .where(campaigns.c.state == CampaignState.QUEUED)
@@ -338,11 +329,10 @@ def set_narrowed(connection: Connection, sequence: int, narrowed: Collection[Nar
 
 
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
-    """Stores why running campaigns, and the running runs of comparisons, are slow or stand still for now; None if they are not."""
+    """Stores why running campaigns are slow or stand still for now; None if they are not."""
     if not sequences:
         return
-    runs_of_them = campaigns.c.parent_sequence.in_(list(sequences)) & (campaigns.c.state == CampaignState.RUNNING)
-    changed = (campaigns.c.sequence.in_(list(sequences)) | runs_of_them) & campaigns.c.degraded.is_distinct_from(reason)
+    changed = campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
     statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
     for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         if reason is None:
@@ -366,16 +356,9 @@ def end(connection: Connection, sequence: int, state: CampaignState, error: str 
     return ended
 
 
-def runs_of(connection: Connection, sequence: int) -> list[StoredCampaign]:
-    """The runs of a comparison, in their order; none of any other campaign."""
-    query = _SELECT.where(campaigns.c.parent_sequence == sequence).order_by(campaigns.c.sequence)
-    return [_campaign(row) for row in connection.execute(query)]
-
-
 def _tell(connection: Connection, sequence: int, kind: EventKind, state: CampaignState, **more: Any) -> None:
-    """Adds the event of a changed state, and changes the runs of a comparison."""
+    """Adds the event of a changed state."""
     events.add(connection, sequence, kind, {"state": state, **more})
-    comparisons.follow(connection, sequence, state)
 
 
 def _of(sequence: int) -> Update:
@@ -394,5 +377,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
         pruned_at=None if row.pruned is None else datetime.fromisoformat(row.pruned["at"]),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},
-        **comparisons.findings(row),
+        error_rate={scenario: ErrorRate(**rate) for scenario, rate in row.error_rate.items()},
+        best=None if row.best is None else Best(**row.best),
+        baseline=None if row.baseline is None else Baseline(**row.baseline),
     )

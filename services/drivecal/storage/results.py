@@ -26,7 +26,7 @@ from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import rows_among
-from drivecal.storage.engine.tables import campaigns, evaluations, parameter_sets, ratings, runs
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
 from drivecal.storage.references import metrics
@@ -232,13 +232,7 @@ def answers(
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
     """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
-    repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better.
-
-    Of a pruned run of a comparison: the best that it had with all its cells, unless an earlier release pruned it."""
-    pruned = connection.scalar(select(campaigns.c.pruned).where(campaigns.c.sequence == campaign_sequence)) or {}
-    if "simulated_best" in pruned:
-        kept: float | None = pruned["simulated_best"]
-        return kept
+    repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better."""
     best = func.max if sign > 0 else func.min
     table = evaluations.c
     of_its_own = (

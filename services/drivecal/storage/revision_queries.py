@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, select
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.storage.campaign_stages import CountsByStage, by_stage
-from drivecal.storage.campaigns import Listed, listed
+from drivecal.storage.campaigns import Kind, listed
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, record
 from drivecal.storage.engine.tables import campaigns, processes
@@ -66,7 +66,7 @@ def campaign_revision(connection: Connection, campaign_id: str) -> tuple[Campaig
 def page(
     connection: Connection,
     *,
-    kind: Listed,
+    kind: Kind,
     state: CampaignState | None,
     limit: int,
     cursor: str | None,

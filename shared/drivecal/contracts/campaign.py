@@ -105,7 +105,7 @@ class CellsByStage(Answer):
     @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
     def cells(self) -> CellCounts:
-        """The calibration stage, a single evaluation, or the sum over the runs of a comparison."""
+        """The calibration stage, or a single evaluation."""
         return self.stages.get("calibration", CellCounts())
 
     @computed_field  # type: ignore[prop-decorator]  # decorated properties
@@ -236,7 +236,6 @@ class Campaign(CellsByStage):
     id: str
     name: str
     kind: str = "calibration"
-    """Or `comparison`, whose cells are the sums over its runs."""
     state: str
     requested_action: str | None = None
     """`pause`, `resume` or `cancel` if requested and not done yet."""

@@ -1,7 +1,7 @@
-"""Comparisons of optimizers, and of reductions: what a user submits, and what the service answers.
+"""Comparisons of optimizers and reductions: the file that a user submits, and the analysis of campaigns with a common tag.
 
-A comparison is a campaign of kind `comparison`: the same problem is calibrated by each optimizer from start populations of each size
-under each seed with each reduction, and every such run is an ordinary campaign of its own.
+A comparison is no object of its own: each optimizer calibrates the same problem from start populations of each size under each seed
+with each reduction, in an ordinary campaign with the comparison's tag.
 """
 
 from typing import Annotated, Literal
@@ -16,29 +16,26 @@ from drivecal.contracts.specification import (
     ReductionMode,
     ReductionSpecification,
 )
-from drivecal.contracts.strict_json import UNIQUE, Identifier, Label, Name
+from drivecal.contracts.strict_json import UNIQUE, Identifier, Name
 
 AnyReduction = ReductionMode | ReductionSpecification
 EXACT_ALONE: list[AnyReduction] = ["exact"]
 LARGEST_RUNS = 1_000
-"""Runs of one comparison."""
+"""Campaigns of one comparison."""
 
 
 class ComparedOptimizer(BaseModel):
-    """An optimizer with its own settings, checked by its plug-in; `label` is its name in the tables, its
-    kind if none is given. Population, iterations, start and seed are the comparison's."""
+    """An optimizer with its own settings, checked by its plug-in. Population, iterations, start and seed are the comparison's."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
     kind: Identifier
-    label: Label | None = None
 
 
 class ComparisonSpecification(ProblemSpecification):
-    """Every optimizer x population x seed x reduction is a run. The start population depends on its size (and, where `start` is `lhs`, on
-    the seed), never on the optimizer."""
+    """A campaign for every optimizer x population x seed x reduction. The start population depends on its size (and on the seed if `start`
+    is `lhs`), never on the optimizer."""
 
-    kind: Literal["comparison"] = "comparison"
     name: Name = "comparison"
     optimizers: Annotated[list[ComparedOptimizer], Field(min_length=1, max_length=50)]
     populations: Annotated[
@@ -53,10 +50,8 @@ class ComparisonSpecification(ProblemSpecification):
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
     )
-    """Modes, alone or with settings; only those that use a map or `narrow` get it. The others are compared with the first, seed by seed.
-    Runs with references or predictions confirm up to 100 sets unless `confirm` is given."""
-    at_a_time: Annotated[int, Field(ge=1, le=64)] = 4
-    """Runs that are active at the same time, so that workers need not wait for the last cell of one run's iteration. Changes no result."""
+    """Modes, alone or with settings. Only those that use a map or `narrow` get it. The others are compared with the first, seed by seed.
+    All are `isolated`; those with references or predictions confirm up to 100 sets unless `confirm` is given."""
 
     @field_validator("reductions")
     @classmethod
@@ -67,9 +62,9 @@ class ComparisonSpecification(ProblemSpecification):
 
 
 class ExpectedComparison(Answer):
-    """Upper bounds of a comparison's cost: proposed cells, simulations without sharing between runs, and their time.
+    """Upper bounds of a comparison's cost: proposed cells, simulations without sharing between campaigns, and their time.
 
-    Runs simulate together what they have in common, the start population first of all; so it will be less.
+    Campaigns simulate together what they have in common, the start population first of all; so it will be less.
     """
 
     runs: int
@@ -86,19 +81,29 @@ class ExpectedComparison(Answer):
     notes: list[str] = Field(default_factory=list)
 
 
-class ComparedRun(Answer):
-    """A run. Iterations count from 1; `best` is the best objective, shared by `alternatives` sets.
+class Improvement(Answer):
+    """An iteration, counted from 1, after which a run had another best set; `simulations` of the run up to there."""
 
-    `simulations`: cells of its calibration that had no answer among the run's own earlier cells or its predictions, simulated by any
-    campaign: the simulations that the run alone would need on an empty database. `confirmations` of them follow the search, to simulate
-    its best set. `analysis`: the same of its sensitivity stage. `converged_at`: the iteration after which the best objective stayed for
-    at least 10 further iterations, null if it did not; `alternatives_converged_at`: after which the number of alternatives
-    stayed for more than 5. `success`: no run of the comparison found better.
+    iteration: int
+    simulations: int
+    best: float
+    rating: float | None
+
+
+class ComparedRun(Answer):
+    """A compared campaign. `best` is its best objective, shared by `alternatives` sets.
+
+    `simulations`: cells of its calibration that had no answer among the run's own earlier cells or its predictions. An isolated campaign
+    needs as many on an empty database. `confirmations` of them follow the search, to simulate its best set. `analysis`: the same of its
+    sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at least 10 further iterations, null if it
+    did not; `alternatives_converged_at`: after which the number of alternatives stayed for more than 5. `success`: no compared campaign
+    found better.
     """
 
-    run: str
-    """The id of its campaign."""
+    campaign: str
+    name: str
     optimizer: str
+    """Its kind, with the settings in which the compared campaigns differ."""
     population: int
     seed: int
     reduction: str
@@ -111,12 +116,11 @@ class ComparedRun(Answer):
     best: float | None
     simulated_best: float | None = None
     """The best objective of a set whose every score was simulated for itself. If references answer cells, a search prefers sets whose
-    scores are too good: `best` is what it believed, this is what it has. Runs with reuse have their best set simulated after the search,
-    and the next one if it falls (`reduction.confirm`): then this is the objective of the first set of the final ranking. Of runs that
-    are not that far, ended before, are of an earlier release or note that their best set is not confirmed, it is a lower bound.
-    Groups, pairs and successes use this value."""
+    scores are too good: `best` is what it believed, this is what it has. A campaign with `reduction.confirm` has its best set simulated
+    after the search, and the next one if it falls: then this is the objective of the first set of the final ranking. Otherwise, before
+    its end, or if a note says that the best set is not confirmed, it is a lower bound. Groups, pairs and successes use this value."""
     rating: float | None
-    """The weighted continuous rating of the best set, which tells optima of the same objective apart; as the search believed, as are
+    """The weighted continuous rating of the best set, which separates optima of the same objective; as the search believed, as are
     `alternatives` and `mean`."""
     alternatives: int
     mean: float | None
@@ -125,13 +129,15 @@ class ComparedRun(Answer):
     simulations_to_converge: int | None
     alternatives_converged_at: int | None
     success: bool
+    course: list[Improvement]
+    """The first iteration with a result, those that improved on it, and the last one."""
 
 
 class ComparedGroup(Answer):
-    """The runs of one optimizer, population size and reduction.
+    """The campaigns of one optimizer, population size and reduction.
 
-    `best`, `mean`, `minimum` (the worst: the highest of an objective to minimise): over the final optima (`simulated_best` of the table
-    `comparison`) of its `seeds` runs that have one; the means of iterations and simulations to convergence are over the `converged` ones.
+    `best`, `mean`, `minimum` (the worst: the highest of an objective to minimise): over the final optima (`simulated_best`) of its `seeds`
+    campaigns that have one; the means of iterations and simulations to convergence are over the `converged` ones.
     """
 
     optimizer: str
@@ -154,16 +160,16 @@ class ComparedGroup(Answer):
 
 
 class ComparedPair(Answer):
-    """Two ended runs that differ in the reduction alone. `best`, `base_best`: their final optima (`simulated_best` of the table
-    `comparison`); `difference`: that of `run` less that of `base_run`; `saved`: simulations."""
+    """Two succeeded campaigns that differ in the reduction alone. `best`, `base_best`: their final optima (`simulated_best`);
+    `difference`: that of `campaign` less that of `base_campaign`; `saved`: simulations."""
 
     optimizer: str
     population: int
     seed: int
     reduction: str
     base: str
-    run: str
-    base_run: str
+    campaign: str
+    base_campaign: str
     best: float
     base_best: float
     difference: float
@@ -196,3 +202,18 @@ class ReductionEffect(Answer):
     simulations: int
     base_simulations: int
     saved_share: float
+
+
+class Comparison(Answer):
+    """The campaigns of a tag, compared: in their order, by optimizer, population and reduction, and seed by seed.
+
+    `pairs`: each succeeded campaign beside the one that differs from it in the reduction alone; none if there is one reduction.
+    `effects`: whether a reduction changes the final optimum, and its savings, over all pairs.
+    """
+
+    tag: str
+    direction: Literal["maximise", "minimise"]
+    runs: list[ComparedRun]
+    groups: list[ComparedGroup]
+    pairs: list[ComparedPair]
+    effects: list[ReductionEffect]

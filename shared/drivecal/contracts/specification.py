@@ -147,6 +147,8 @@ class ReductionSpecification(Model):
     """Whether a cell may be answered by a run that it provably repeats, if the driving function allows it; changes no result."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
     """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
+    isolated: bool = False
+    """Sees no result of other campaigns, so that what it asks for and finds does not depend on them. Comparisons are."""
 
     def tolerance_on(self, scale: Scale) -> float:
         """Returns the largest error of a prediction that counts as none."""
@@ -295,7 +297,7 @@ MaybeSensitivity = (
 
 
 class ProblemSpecification(Model):
-    """The calibration problem, common to campaigns and comparisons of optimizers."""
+    """The calibration problem, common to campaigns and comparisons."""
 
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0

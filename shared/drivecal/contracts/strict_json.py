@@ -146,8 +146,6 @@ class Outside:
 
 _LINE, _OUTSIDE = r"^[^\x00-\x1f\x7f]+$", Outside(ONE_LINE)
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_LINE), _OUTSIDE]
-Label = Annotated[str, StringConstraints(min_length=1, max_length=60, pattern=_LINE), _OUTSIDE]
-"""Name of an optimizer in a comparison."""
 Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=_LINE), _OUTSIDE]
 """Text that names a choice."""
 StoredTag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]

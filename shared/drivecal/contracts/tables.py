@@ -132,8 +132,7 @@ def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
 
 
 CampaignTable = Literal["evaluations", "generations", "solutions", "optima", "front", "influence", "robustness", "validation"]
-ComparisonTable = Literal["comparison", "comparison-groups", "comparison-pairs", "comparison-effects"]
-TableName = Literal[CampaignTable, ComparisonTable]
+TableName = CampaignTable
 
 PLACE = 5
 """Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""

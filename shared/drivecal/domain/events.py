@@ -54,8 +54,6 @@ class EventKind(StrEnum):
     """Event of an earlier release: too many `audited` cells of a `scenario` were `wrong`; from then on all its cells were simulated."""
     LOT_REJECTED = "lot_rejected"
     """The first lot of references in a `scenario` was rejected: so many `audited` cells were `wrong` until then."""
-    RUN = "run"
-    """A `run` of a comparison has ended: its id, `name`, `state` and `best` objective; `ended` runs `of` the total."""
     NOTE = "note"
     """A remark for the reader, as `text`."""
 
@@ -88,7 +86,6 @@ _TEXTS: dict[str, str] = {
     EventKind.BASELINE: "baseline: objective {objective:.4f}",
     EventKind.REUSE_STOPPED: "reuse stopped in {scenario}: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.LOT_REJECTED: "a lot of references rejected in {scenario} and simulated: {wrong:,} of {audited:,} audited cells were wrong",
-    EventKind.RUN: "run {ended:,} of {of:,} {state}: {name}: best {best:.4f}",
     EventKind.NOTE: "note: {text}",
 }
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from sqlalchemy import func, select
-from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
@@ -216,63 +215,33 @@ def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use:
     assert listed(database, "with") == []
 
 
-def test_a_comparison_is_deleted_with_its_runs_and_no_run_alone(database: Database) -> None:
-    with database.transaction() as connection:
-        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
-        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
-        campaigns.end(connection, run_of_it.sequence, CampaignState.SUCCEEDED)
-        campaigns.end(connection, whole.sequence, CampaignState.SUCCEEDED)
-        with pytest.raises(ConflictError):
-            delete_campaign(connection, run_of_it.id)
-        delete_campaign(connection, whole.id)
-        for gone in (whole, run_of_it):
-            with pytest.raises(NotFoundError):
-                campaigns.get(connection, gone.id)
-
-
-@pytest.mark.slow("postgresql")
-def test_a_database_with_a_deleted_comparison_is_whole(database: Database) -> None:
-    whole = run(database, submit_comparison(database, populations=[6], iterations=2), ComputedBackend(answer=influenced))
-    assert whole.cells.requested
-    with database.transaction() as connection:
-        delete_campaign(connection, whole.id)
-    assert [problem for check in verify(database, full=True) for problem in check.problems] == []  # an interrupted deletion
-    deleted(database, whole)
-    assert [problem for check in verify(database, full=True) for problem in check.problems] == []
-
-
 @pytest.mark.parametrize("stage", ["robustness", "validation"])
-def test_a_comparison_is_not_deleted_while_a_study_examines_one_of_its_runs(database: Database, stage: str) -> None:
+def test_a_campaign_is_not_deleted_while_a_study_examines_it(database: Database, stage: str) -> None:
     with database.transaction() as connection:
-        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
-        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
-        for each in (run_of_it, whole):
-            campaigns.end(connection, each.sequence, CampaignState.SUCCEEDED)
-        study = campaigns.insert(connection, name="study", spec={stage: {"of": run_of_it.id}})
+        first = campaigns.insert(connection, name="first", spec={})
+        campaigns.end(connection, first.sequence, CampaignState.SUCCEEDED)
+        study = campaigns.insert(connection, name="study", spec={stage: {"of": first.id}})
         with pytest.raises(ConflictError):
-            delete_campaign(connection, whole.id)
-        assert [use.campaign for use in deletion.references(connection, whole)] == [study.id]
+            delete_campaign(connection, first.id)
+        assert [use.campaign for use in deletion.references(connection, first)] == [study.id]
 
 
 def test_an_interrupted_deletion_goes_on(database: Database) -> None:
     with database.transaction() as connection:
-        whole = campaigns.insert(connection, name="whole", spec={}, kind="comparison")
-        run_of_it = campaigns.insert(connection, name="run", spec={}, parent_sequence=whole.sequence)
-        for each in (run_of_it, whole):
-            evaluations.insert(
-                connection,
-                each.sequence,
-                [
-                    NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
-                    for n, identifier in enumerate(sample_set_ids(connection, 3))
-                ],
-            )
-            campaigns.end(connection, each.sequence, CampaignState.CANCELLED)
-        numbers = delete_campaign(connection, whole.id)
-    assert numbers == [run_of_it.sequence, whole.sequence]
-    assert (listed(database, "with"), cells(database, whole)) == ([], 3)
-    deleted(database, whole)
-    assert (cells(database, run_of_it), cells(database, whole)) == (0, 0)
+        first = campaigns.insert(connection, name="first", spec={})
+        evaluations.insert(
+            connection,
+            first.sequence,
+            [
+                NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
+                for n, identifier in enumerate(sample_set_ids(connection, 3))
+            ],
+        )
+        campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
+        assert delete_campaign(connection, first.id) == first.sequence
+    assert (listed(database, "with"), cells(database, first)) == ([], 3)
+    deleted(database, first)
+    assert cells(database, first) == 0
 
 
 def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(

@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from fastapi import Request
 from sqlalchemy import Connection, event, text
+from tests.support.comparisons import runs_of
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run, submit
 
-from drivecal.api import comparison_submission, submission
+from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.api.http.authorisation import ANYBODY
 from drivecal.api.routes.evaluations import read_trace
@@ -66,7 +67,7 @@ def settle(database: Database, second: Future[Any]) -> None:
     raise AssertionError("the second transaction neither ended nor waits for a lock")
 
 
-def delete(database: Database, campaign: StoredCampaign) -> list[int]:
+def delete(database: Database, campaign: StoredCampaign) -> int:
     with database.transaction() as connection:
         return deletion.delete_campaign(connection, campaign.id)
 
@@ -89,7 +90,8 @@ def comparison_on_map(database: Database, first: StoredCampaign) -> StoredCampai
     document = {name: SMALL[name] for name in ("catalogue", "parameters", "fixed")}
     document |= {"optimizers": [{"kind": "genetic"}], "populations": [6], "iterations": 2, "seeds": [1, 2, 3]}
     document |= {"reductions": ["influence"], "sensitivity": {"map": first.influence_map_id}}
-    return comparison_submission.submit(database, LIMITS, ComparisonSpecification.model_validate(document), None)
+    tag = submission.compare(database, LIMITS, ComparisonSpecification.model_validate(document), "key")
+    return runs_of(database, tag)[0]
 
 
 USES = pytest.mark.parametrize("use", [rerun, study, use_of_map, comparison_on_map])
@@ -120,7 +122,7 @@ def test_a_submission_waits_for_the_deletion_of_what_it_names_and_is_refused(
 def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deleting: list[Future[list[int]]] = []
+    deleting: list[Future[int]] = []
     usual = campaigns.insert
 
     def insert(*arguments: Any, **fields: Any) -> StoredCampaign:
@@ -136,7 +138,7 @@ def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
         deleting[0].result(PATIENCE)
     with postgres.read() as connection:
         referring = {reference.campaign for reference in deletion.references(connection, first)}
-        stored = {submitted.id, *(each.id for each in campaigns.runs_of(connection, submitted.sequence))}
+    stored = {submitted.id, *(each.id for tag in submitted.tags for each in runs_of(postgres, tag))}
     assert referring
     assert referring <= stored
 

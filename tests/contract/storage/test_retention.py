@@ -7,12 +7,10 @@ from typing import Any
 
 import pytest
 from sqlalchemy import text
-from tests.support.comparisons import submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.runs import nothing_matters, post_map, rows_of, run, submit
 
 from drivecal.campaigns import retention
-from drivecal.campaigns.comparisons.results import compared
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.specification import EvaluationSpecification
@@ -76,39 +74,14 @@ def test_a_single_evaluation_goes_whole(database: Database) -> None:
 def test_what_a_deleted_campaign_left_goes_with_its_row(database: Database) -> None:
     first = run(database, submit(database, optimizer=SEARCH))
     with database.transaction() as connection:
-        numbers = delete_campaign(connection, first.id)
-    remove_cells(database, numbers)
+        number = delete_campaign(connection, first.id)
+    remove_cells(database, number)
     assert [check for check in verify(database, full=True) if check.problems] == []
     retention.carry_out(database, retention.plan(database, now(), 10), lambda *_: None)
     with database.read() as connection:
         left = [connection.scalar(text(f"SELECT count(*) FROM {name}")) for name in ("campaigns", "evaluations", "runs")]
     assert left == [0, 0, 0]
     assert [check for check in verify(database, full=True) if check.problems] == []
-
-
-@pytest.mark.slow("postgresql")
-def test_a_comparison_reports_after_a_pruning_what_it_reported_before(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivecal.campaigns.comparisons.resolve.CONFIRMED", 0)
-    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
-    reductions = ["exact", {"mode": "influence", "audit": 0.4, "max_error": 1}]
-    wanted: dict[str, Any] = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": reductions}
-    ended = run(database, submit_comparison(database, stored_map, **wanted))
-
-    def tables() -> tuple[Any, ...]:
-        monkeypatch.setattr("drivecal.campaigns.comparisons.results._ended", {})  # as in another process
-        with database.read() as connection:
-            read = compared(connection, ended)
-        return read.groups(), read.pairs(), read.effects(), read.runs()
-
-    before = tables()
-    assert any(row.simulated_best != row.best for row in before[-1])
-    for keep in (1, 0):
-        plan = retention.plan(database, now(), keep)
-        assert plan.doomed.cells
-        retention.carry_out(database, plan, lambda *_: None)
-        assert tables() == before
 
 
 @pytest.mark.slow

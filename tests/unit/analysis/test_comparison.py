@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.analysis.comparison import Conditions, Course, best_of_all, effects, groups, pairs, succeeds
+from drivecal.analysis.comparison import Conditions, Course, best_of_all, effects, groups, labels, pairs, succeeds
 
 
 def course(
@@ -23,6 +24,7 @@ def course(
 ) -> Course:
     """A run that simulated the same number in every iteration."""
     return Course(
+        f"{optimizer}-{seed}-{reduction}",
         Conditions(optimizer, 50, seed, reduction),
         best=best,
         ratings=[None if one is None else one + 0.25 for one in best],
@@ -150,3 +152,24 @@ def test_the_lowest_optimum_is_the_best_on_a_scale_that_is_minimised() -> None:
     assert (group.best, group.successes) == (4.0, 2)
     (effect,) = effects(pairs(paired([0.5, -0.25, 0.5, 0.0, 0.5])), sign=-1)
     assert (effect.better, effect.equal, effect.worse) == (1, 1, 3)
+
+
+def test_labels_name_the_settings_in_which_equal_kinds_differ() -> None:
+    settings: list[dict[str, Any]] = [
+        {"kind": "genetic", "mutation": 0.2, "start": "lhs"},
+        {"kind": "swarm"},
+        {"kind": "genetic", "start": "lhs"},
+    ]
+    assert labels(settings, "kind") == ["genetic mutation=0.2", "swarm", "genetic"]
+    assert labels([*settings, {"kind": "genetic", "mutation": 0.5, "start": "lhs"}], "kind") == [
+        *("genetic mutation=0.2", "swarm", "genetic", "genetic mutation=0.5"),
+    ]
+
+
+def test_a_course_has_the_first_the_better_and_the_last_iteration() -> None:
+    run = course([None, 3.0, 3.0, 4.0, 4.0, 4.0])
+    assert [(step.iteration, step.simulations, step.best) for step in run.improvements] == [
+        (2, 20, 3.0),
+        (4, 40, 4.0),
+        (6, 60, 4.0),
+    ]

@@ -218,7 +218,6 @@ def test_the_end_of_a_campaign_decides_first(state: str, best: Best | None, ligh
 
 def test_what_searches_nothing_has_no_light() -> None:
     assert trust(campaign().model_copy(update={"spec": {"optimizer": None}})).light is None
-    assert trust(campaign().model_copy(update={"kind": "comparison"})).reasons == []
 
 
 @pytest.mark.parametrize(

@@ -45,17 +45,5 @@ def test_every_operation_that_takes_an_id_can_be_reached_from_another_that_gives
     assert reached == taking
 
 
-def test_a_comparison_leads_to_its_tables_and_a_search_to_its_own(paths: dict[str, Any]) -> None:
-    here = "/api/v1/campaigns/{campaign_id}"
-
-    def targets(path: str) -> set[str]:
-        return set(paths[f"/api/v1/{path}"]["post"]["responses"]["202"]["links"])
-
-    tables = {name: paths[f"{here}/{name}"]["get"]["operationId"] for name in ("comparison", "solutions")}
-    common = paths[here]["get"]["operationId"]
-    assert targets("comparisons") & {*tables.values(), common} == {tables["comparison"], common}
-    assert targets("campaigns") & {*tables.values(), common} == {tables["solutions"], common}
-
-
 def test_names_of_sources_are_those_of_parameters(paths: dict[str, Any]) -> None:
     assert SOURCES.keys() == {name for path in paths for name in re.findall(r"\{(\w+)\}", path)}

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 from tests.support.runs import EXPERT_SPACE
 
-from drivecal.campaigns.comparisons.resolve import CONFIRMED, resolve_comparison, runs_of
+from drivecal.campaigns.comparison import CONFIRMED, resolve_comparison, runs_of, tag_of
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
+from drivecal.contracts.strict_json import Tag
 from drivecal.domain.errors import InvalidInputError
 from drivecal.optimizers.genetic import pairs_per_generation
 from drivecal.plugins import registry
@@ -18,7 +20,7 @@ from drivecal.plugins import registry
 COMPARED: dict[str, Any] = {
     "fixed": {"P9": 5, "P10": 10, "P11": 100},
     "catalogue": ["S3"],
-    "optimizers": [{"kind": "genetic", "mutation": 0.2}, {"kind": "genetic", "label": "wild", "mutation": 0.5}],
+    "optimizers": [{"kind": "genetic", "mutation": 0.2}, {"kind": "genetic", "mutation": 0.5}],
     "populations": [20, 10],
     "seeds": [3, 1, 2],
 }
@@ -30,21 +32,21 @@ def specification(**changes: Any) -> ComparisonSpecification:
 
 def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
     runs = runs_of(specification(sensitivity={"map": "m"}, reductions=["off", {"mode": "influence", "audit": 0.1}]))
-    conditions = [tuple(one.conditions) for one in runs]
-    assert conditions[:3] == [
-        ("genetic", 20, 3, "off"),
-        ("genetic", 20, 3, "influence audit=0.1"),
-        ("genetic", 20, 1, "off"),
+    assert [run.name for run in runs[:3]] == [
+        "comparison: genetic mutation=0.2, population 20, seed 3, off",
+        "comparison: genetic mutation=0.2, population 20, seed 3, influence",
+        "comparison: genetic mutation=0.2, population 20, seed 1, off",
     ]
-    assert conditions[-1] == ("wild", 10, 2, "influence audit=0.1")
-    assert len(set(conditions)) == len(runs) == 2 * 2 * 3 * 2
-    last = runs[-1].specification
+    assert runs[-1].name == "comparison: genetic mutation=0.5, population 10, seed 2, influence"
+    assert len({run.name for run in runs}) == len(runs) == 2 * 2 * 3 * 2
+    last = runs[-1]
     assert last.optimizer is not None
     chosen = {"kind": "genetic", "mutation": 0.5, "population": 10, "iterations": 80, "start": "halton", "seed": 2}
     assert last.optimizer.model_dump(exclude={"start_sets"}) == chosen
     assert (last.reduction.mode, last.reduction.audit) == ("influence", 0.1)
     assert last.sensitivity is not None
-    assert runs[-2].specification.sensitivity is None, "an analysis that the run does not use would count"
+    assert all(run.reduction.isolated for run in runs)
+    assert runs[-2].sensitivity is None, "an analysis that the run does not use would count"
     assert last.fixed == COMPARED["fixed"]
 
 
@@ -52,29 +54,31 @@ def test_a_run_that_only_narrows_gets_the_map() -> None:
     reductions = ["exact", {"mode": "exact", "narrow": True}]
     wanted = specification(sensitivity={"samples": 2, "intervals": 2}, reductions=reductions, iterations=2)
     plain, narrowed = runs_of(wanted)[:2]
-    assert (plain.specification.sensitivity, narrowed.specification.sensitivity) == (None, wanted.sensitivity)
+    assert (plain.sensitivity, narrowed.sensitivity) == (None, wanted.sensitivity)
     assert len(resolve_comparison(wanted).problems) == 8
 
 
 @pytest.mark.parametrize(
-    ("given", "label", "confirm"),
+    ("given", "confirm"),
     [
-        ("predicted", "predicted", CONFIRMED),
-        ("both", "both", CONFIRMED),
-        ({"mode": "predicted"}, "predicted", CONFIRMED),
-        ({"mode": "influence", "confirm": CONFIRMED}, "influence", CONFIRMED),
-        ({"mode": "both", "confirm": 20}, "both confirm=20", 20),
-        ({"mode": "predicted", "confirm": 0}, "predicted confirm=0", 0),
-        ({"mode": "influence", "audit": 0.1, "confirm": 5}, "influence audit=0.1 confirm=5", 5),
-        ({"mode": "exact", "confirm": 5}, "exact", 5),
+        ("predicted", CONFIRMED),
+        ("both", CONFIRMED),
+        ({"mode": "both", "confirm": 20}, 20),
+        ({"mode": "predicted", "confirm": 0}, 0),
+        ({"mode": "exact", "confirm": 5}, 5),
     ],
 )
-def test_modes_with_scores_of_others_confirm_alike(given: Any, label: str, confirm: int) -> None:
+def test_modes_with_scores_of_others_confirm_alike(given: Any, confirm: int) -> None:
     wanted = specification(sensitivity={"samples": 2, "intervals": 2}, reductions=["off", given], iterations=2)
     stored = validated(ComparisonSpecification, resolve_comparison(wanted).specification.model_dump(mode="json"))
-    for run in (runs_of(wanted)[1], runs_of(stored)[1]):
-        assert run.conditions.reduction == label
-        assert run.specification.reduction.confirm == confirm
+    assert [runs_of(each)[1].reduction.confirm for each in (wanted, stored)] == [confirm, confirm]
+
+
+def test_equal_keys_have_equal_tags_and_names_are_in_them() -> None:
+    assert tag_of("Ours & theirs", "key") == tag_of("Ours & theirs", "key")
+    assert tag_of("Ours & theirs", "key").startswith("ours-theirs-")
+    assert tag_of("x" * 200, "key") != tag_of("x" * 200, "other")
+    assert TypeAdapter(Tag).validate_python(tag_of("\u4e00" * 200, "key"))
 
 
 def test_the_cost_is_that_of_all_runs() -> None:
@@ -107,7 +111,7 @@ def test_everything_that_is_wrong_is_told_at_once_and_once() -> None:
                 optimizers=[{"kind": "swarm", "c1": 2.0, "c2": -1.0}, {"kind": "genetic", "colour": 1}],
             )
         )
-    assert [one.field for one in refused.value.problems] == [
+    assert [problem.field for problem in refused.value.problems] == [
         "optimizers[0].c1",
         "optimizers[0].c2",
         "fixed.P9",
@@ -118,4 +122,4 @@ def test_everything_that_is_wrong_is_told_at_once_and_once() -> None:
 def test_a_reduction_that_cannot_be_is_named_by_its_place() -> None:
     with pytest.raises(InvalidInputError) as refused:
         resolve_comparison(specification(reductions=["exact", {"mode": "exact", "narrow": True}]))
-    assert [one.field for one in refused.value.problems] == ["reductions[1].narrow"]
+    assert [problem.field for problem in refused.value.problems] == ["reductions[1].narrow"]

@@ -174,7 +174,6 @@ def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ({"kind": "comparison"}, "comparison"),
         ({"spec": {"optimizer": {"kind": "genetic"}, "robustness": {"delta": 0.01}}}, "calibration"),
         ({"spec": {"optimizer": None, "sensitivity": {"samples": 2}}}, "analysis"),
         ({"spec": {"optimizer": None, "robustness": {"delta": 0.01}, "vehicle": {"model": "hybrid"}}}, "robustness, hybrid"),

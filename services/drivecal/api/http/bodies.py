@@ -13,7 +13,7 @@ from starlette.requests import ClientDisconnect
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.submission import resolved
-from drivecal.campaigns.comparisons.resolve import resolve_comparison
+from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.problem import resolve_evaluation
 from drivecal.configuration.memory import give_back

@@ -1,4 +1,4 @@
-"""The report of a campaign or a comparison: one page, or all of its files."""
+"""The report of a campaign: one page, or all of its files."""
 
 import io
 import pickle
@@ -49,7 +49,7 @@ ReportQuery = Annotated[ReportOf, Query()]
     },
 )
 def report(campaign_id: str, query: ReportQuery, request: Request, _: ReportPlace) -> Response:
-    """The report of a campaign or a comparison, which needs no server: question, result, trust, search, reuse, best sets and cost, as
+    """The report of a campaign, which needs no server: question, result, trust, search, reuse, best sets and cost, as
     `drivecal report` writes it. Takes some seconds; two at a time are written."""
     with own_client(request) as client:
         whole = read_report(client, campaign_id)

@@ -14,7 +14,7 @@ from drivecal.analysis.trust import Compromises, Driven, Search, Validated, trus
 from drivecal.api.dependencies import DatabaseDependency, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import ImportanceQuery, PlaceQuery
-from drivecal.api.responses import calibration, campaign_answer, refuse_comparison
+from drivecal.api.responses import calibration, campaign_answer
 from drivecal.api.tables.chosen import set_at
 from drivecal.api.tables.front import bound_text
 from drivecal.api.tables.influence import importance
@@ -140,7 +140,6 @@ def failures(campaign_id: str, database: DatabaseDependency) -> FailurePage:
     """The causes of its failed cells with their counts: no result, failures of the system under test, scores without a value."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
-        refuse_comparison(campaign)
         return FailurePage(items=causes_of(connection, campaign))
 
 

@@ -31,7 +31,7 @@ from drivecal.contracts.specification import CampaignSpecification, RerunSpecifi
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import admission, audits, campaigns, comparisons, evaluations, lots, revision_queries
+from drivecal.storage import admission, audits, campaigns, evaluations, lots, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -93,9 +93,8 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
             return Response(status_code=304, headers=headers)
         body = remembered.find(seen.id, tag)
         stored = campaigns.by_sequence(connection, seen.sequence) if body is None else None
-        comparison = None if stored is None else comparisons.comparison_of(connection, stored.parent_sequence)
     if stored is not None:
-        body = campaign_answer(stored, moment, silent, comparison).model_dump_json().encode()
+        body = campaign_answer(stored, moment, silent).model_dump_json().encode()
         remembered.keep(seen.id, tag, body)
     return Response(body, headers=headers, media_type="application/json")
 
@@ -118,8 +117,9 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
         referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
         if referring:
             labels.change(connection, campaign_id, archived=True)
-        numbers = [] if referring else deletion.delete_campaign(connection, campaign_id)
-    deletion.remove_cells(database, numbers)
+        deleted = None if referring else deletion.delete_campaign(connection, campaign_id)
+    if deleted is not None:
+        deletion.remove_cells(database, deleted)
     listed = [Referring(**asdict(reference)) for reference in referring]
     return Deletion(id=campaign_id, deleted=not listed, archived=bool(listed), referring=listed)
 

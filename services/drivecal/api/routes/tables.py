@@ -18,7 +18,7 @@ from drivecal.api.http.queries import (
     TableQuery,
     TradeOffQuery,
 )
-from drivecal.api.responses import calibration, evaluation_row, refuse_comparison
+from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, trade_off, weighted
 from drivecal.api.tables.paging import Columns, Pages, Row, listed, page_or_file, slices, table_answer
@@ -182,9 +182,7 @@ def kinds_of(space: ParameterSpace) -> dict[str, Kind]:
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
     with database.read() as connection:
-        campaign = campaigns.get(connection, campaign_id)
-    refuse_comparison(campaign)
-    return campaign
+        return campaigns.get(connection, campaign_id)
 
 
 def _pinned(campaign: StoredCampaign) -> ResolvedSpec:

@@ -3,7 +3,6 @@
 Complements `storage.consistency` and `storage.invariants`, which check rows without their meaning. Read-only.
 """
 
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,16 +14,13 @@ from sqlalchemy import Column, Connection, func, select
 
 from drivecal.bundles.archives import content_digest
 from drivecal.bundles.manifest import Manifest
-from drivecal.campaigns.comparisons.resolve import runs_of
 from drivecal.campaigns.resolve.maps import stored_map
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec, stored_scale
-from drivecal.contracts.comparison import ComparisonSpecification
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.setups import fingerprint_of
 from drivecal.reduction.keys import keys_under
-from drivecal.storage import campaigns, comparisons
-from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as campaigns_table
 from drivecal.storage.engine.tables import influence_maps as influence_maps_table
@@ -138,30 +134,12 @@ def _unreadable(kind: str, ids: Iterable[str], read: Callable[[str], object]) ->
 def _campaign(connection: Connection, campaign_id: str) -> None:
     campaign = campaigns.get(connection, campaign_id, deleted=True)
     _SPECIFICATIONS[campaign.kind].model_validate(campaign.spec)
-    if campaign.kind == "comparison":
-        stored_scale(campaign.resolution)
-        if campaign.deleted_at is None:  # its runs no longer belong to it
-            _check_runs(connection, campaign)
-    elif campaign.resolution is not None:
+    if campaign.resolution is not None:
         resolved_spec(campaign)
-
-
-def _check_runs(connection: Connection, campaign: StoredCampaign) -> None:
-    """Raises ValueError if a comparison's runs differ from its specification."""
-    wanted = [run.specification.name for run in runs_of(ComparisonSpecification.model_validate(campaign.spec))]
-    names = comparisons.names_of(connection, campaign.sequence)
-    if list(map(_unconfirmed, names)) != list(map(_unconfirmed, wanted)):
-        raise ValueError(f"it has {len(names):,} runs, and its specification says {len(wanted):,}, or others")
-
-
-def _unconfirmed(name: str) -> str:
-    """Returns a run's name without the sets to confirm, which earlier releases named otherwise."""
-    return re.sub(r" confirm=\d+$", "", name)
 
 
 _SPECIFICATIONS: dict[campaigns.Kind, type[BaseModel]] = {
     "calibration": CampaignSpecification,
-    "comparison": ComparisonSpecification,
     "evaluation": EvaluationSpecification,
 }
 

@@ -68,7 +68,7 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
     except NotFoundError as error:
         raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
     if source.kind != "calibration":
-        remedy = "name one of its runs" if source.kind == "comparison" else "name a campaign"
+        remedy = "name a campaign"
         raise InvalidInputError(Problem(field, f"{wanted.of} is a{'n' * (source.kind == 'evaluation')} {source.kind}", remedy))
     if source.cells.requested == 0:
         message = f"campaign {wanted.of} has no solutions: it searched nothing, or ended before it had found any"

@@ -12,11 +12,11 @@ from drivecal.cli.application import (
     JsonOption,
     UrlOption,
     app,
+    campaign_ids,
     code_of_state,
     connect,
     tell,
 )
-from drivecal.cli.views.comparisons import comparison_document, print_comparison
 from drivecal.cli.views.evaluation import print_evaluation
 from drivecal.cli.views.live_table import SearchedCampaign, document, print_plain, show_live, table
 from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
@@ -37,11 +37,17 @@ from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedR
 from drivecal.contracts.organising import Deletion
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
 
+TagOption = Annotated[str | None, typer.Option(metavar="TAG", help="All campaigns with this tag, in the place of an ID.")]
+MaybeCampaign = Annotated[
+    str | None,
+    typer.Argument(metavar="ID", help="The campaign's id, or at least its first four characters.", autocompletion=campaign_ids),
+]
+MOST_TAGGED = 1_000
 _DONE: Mapping[Action, tuple[str, ...]] = {"pause": ("paused",), "resume": ("queued", "running"), "cancel": ("cancelled",)}
 """States in which an action has nothing left to do."""
 
@@ -147,21 +153,21 @@ def watch(
 
 
 @app.command()
-def pause(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+def pause(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Pause a campaign; running simulations are finished and kept."""
-    _act(identifier, "pause", url, as_json)
+    _act(identifier, tag, "pause", url, as_json)
 
 
 @app.command()
-def resume(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+def resume(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Resume a paused campaign."""
-    _act(identifier, "resume", url, as_json)
+    _act(identifier, tag, "resume", url, as_json)
 
 
 @app.command()
-def cancel(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+def cancel(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """End a campaign; finished simulations are kept."""
-    _act(identifier, "cancel", url, as_json)
+    _act(identifier, tag, "cancel", url, as_json)
 
 
 @app.command()
@@ -187,16 +193,40 @@ def label(
 
 
 @app.command()
-def delete(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
     """Delete an ended campaign, or archive it if others refer to it. What it simulated stays in the reference table."""
     with connect(url) as client:
-        deletion = client.delete(client.full_id(identifier))
-    print_answer(deletion, as_json, _print_deletion)
+        deletions = [client.delete(campaign) for campaign in _chosen(client, identifier, tag)]
+    if as_json:
+        print_json(dumped(deletions) if identifier is None else deletions[0].model_dump(mode="json"))
+        return
+    for deletion in deletions:
+        _print_deletion(deletion)
 
 
-def _act(identifier: str, action: Action, url: str | None, as_json: bool) -> None:
+def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[str]:
+    """Returns the ids of a campaign, or of those with a tag."""
+    if (identifier is None) == (tag is None):
+        raise typer.BadParameter("give a campaign's ID, or --tag TAG of several")
+    if identifier is not None:
+        return [client.full_id(identifier)]
+    chosen = client.campaigns(limit=MOST_TAGGED, tags=[tag or ""], archived="with").items
+    if not chosen:
+        raise NotFoundError("campaign with the tag", tag or "")
+    return [campaign.id for campaign in chosen]
+
+
+def _act(identifier: str | None, tag: str | None, action: Action, url: str | None, as_json: bool) -> None:
     with connect(url) as client:
-        before = client.campaign(client.full_id(identifier))
+        chosen = _chosen(client, identifier, tag)
+        if identifier is None:
+            open_ones = [place for place in chosen if not CampaignState(client.campaign(place).state).ended]
+            changed = [client.act(place, action) for place in open_ones]
+            tell(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; the others have ended")
+            if as_json:
+                print_json(dumped(changed))
+            return
+        before = client.campaign(chosen[0])
         after = client.act(before.id, action)
         if before.state in _DONE[action] and before.requested_action is None:
             tell(f"campaign {before.id} was {before.state} already: there was nothing to {action}")
@@ -217,33 +247,27 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 
 
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """Prints a campaign, from the first answered cell on with its account or the tables of a comparison; a single evaluation as `evaluate`
-    does. Pruned campaigns have no account.
-    """
+    """Prints a campaign, with its account once a cell is answered and unless it is pruned; a single evaluation as `evaluate` does."""
     if campaign.kind == "evaluation":
         print_answer(client.evaluation(campaign.id), as_json, print_evaluation)
         return
     answered = campaign.cells.requested or campaign.sensitivity_cells.requested
     accounted = answered and "generations" in campaign.links and campaign.pruned_at is None
     account = client.accounting(campaign.id) if accounted else None
-    compared = answered and campaign.kind == "comparison"
     deserved = client.trust(campaign.id) if "trust" in campaign.links else None
     if as_json:
         accounting = None if account is None else account.model_dump(mode="json")
-        tables = comparison_document(client, campaign.id) if compared else {}
-        causes = dumped(client.failures(campaign.id).items) if answered and campaign.kind != "comparison" else []
+        causes = dumped(client.failures(campaign.id).items) if answered else []
         light = None if deserved is None else deserved.model_dump(mode="json")
-        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, "trust": light, **tables})
+        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, "trust": light})
         return
     print_campaign(campaign)
     if deserved is not None:
         print_trust(deserved)
-    if compared:
-        print_comparison(client.compared_groups(campaign.id), client.reduction_effects(campaign.id))
     print_narrowed(campaign.narrowed)
     print_error_rates(campaign.error_rate, campaign.scale)
     print_lots(campaign.released)
-    if answered and campaign.kind != "comparison":
+    if answered:
         print_failures(client.failures(campaign.id).items)
     if account is not None:
         print_accounting(account)
@@ -269,7 +293,7 @@ def _print_expected(expected: ExpectedRuns) -> None:
 
 
 def kind_text(campaign: Campaign) -> str:
-    """Returns the kind of a campaign: `calibration`, `comparison`, `analysis`, or its study and vehicle."""
+    """Returns the kind of a campaign: `calibration`, `analysis`, or its study and vehicle."""
     spec = campaign.spec
     if campaign.kind != "calibration" or not spec or spec.get("optimizer") is not None:
         return campaign.kind

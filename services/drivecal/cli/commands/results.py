@@ -303,7 +303,7 @@ def report(
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a campaign's, or a comparison's, figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
+    """Write a campaign's figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
     with connect(url) as client:
         whole = read_report(client, client.full_id(identifier))
         written = write(whole, output)

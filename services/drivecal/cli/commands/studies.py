@@ -9,14 +9,11 @@ import typer
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, WaitOption, submitted
 from drivecal.cli.views import robustness_differences
-from drivecal.cli.views.comparisons import print_expected
-from drivecal.cli.views.output import dumped, parameters_text, print_answer, print_columns, print_json
+from drivecal.cli.views.output import dumped, parameters_text, print_columns, print_json
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
-from drivecal.client.documents import opened_document
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -294,20 +291,3 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
     for row in rows:
         if row.recommended:
             typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")
-
-
-@app.command("compare-optimizers")
-def compare_optimizers(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")],
-    wait: WaitOption = False,
-    timeout: TimeoutOption = None,
-    dry_run: DryRunOption = False,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
-    with connect(url) as client, opened_document(file) as specification:
-        if dry_run:
-            print_answer(client.expected_comparison(specification), as_json, print_expected)
-        else:
-            submitted(client, client.compare(specification), wait, timeout, as_json)

@@ -65,7 +65,6 @@ campaigns = Table(
     Column("resolution", Document),
     Column("narrowed", Document),
     Column("rerun_of", Name, ForeignKey("campaigns.id")),
-    Column("parent_sequence", Identity, ForeignKey("campaigns.sequence")),
     Column("influence_map_id", Name, ForeignKey("influence_maps.id")),
     # `of` of the specification's stages: the campaigns whose best sets and whose predictions it studies.
     Column("robustness_of", Name),
@@ -93,13 +92,12 @@ campaigns = Table(
     # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.organising.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
-    _partial_index(None, "parent_sequence", where="parent_sequence IS NOT NULL"),
     *(
         _partial_index(None, name, where=f"{name} IS NOT NULL")
         for name in ("rerun_of", "influence_map_id", "robustness_of", "validation_of")
     ),
-    # Lists show these: without it, a page reads past every single evaluation and every run of a comparison.
-    _partial_index("ix_campaigns_listed", "sequence", where="kind <> 'evaluation' AND parent_sequence IS NULL"),
+    # Lists show these: without it, a page reads past every single evaluation.
+    _partial_index("ix_campaigns_listed", "sequence", where="kind <> 'evaluation'"),
     # The dispatcher asks for these all the time: some campaigns among all that ever were.
     _partial_index("ix_campaigns_active", "sequence", where="ended_at IS NULL"),
     sqlite_autoincrement=True,

@@ -3,7 +3,6 @@
 Each check returns a message per fault. In one snapshot nothing is, at any moment of a running server.
 """
 
-from collections import Counter
 from collections.abc import Iterator
 
 from sqlalchemy import ColumnElement, Connection, FromClause, SmallInteger, and_, case, exists, func, or_, select, type_coerce
@@ -54,8 +53,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
     carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
     for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
         counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
-    own = campaigns.c.kind != "comparison"  # whose counts are sums over its runs
-    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(own, _WHOLE).order_by(campaigns.c.sequence)
+    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:
             cells = counted.get((row.sequence, ORDER[stage_of]), {})
@@ -194,52 +192,6 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         yield f"{count:,} reference keys differ from the runs that they stand for"
 
 
-def check_comparisons(connection: Connection) -> Iterator[str]:
-    """Runs are calibrations of a comparison, which see no other results, and rest and end with it; unless it was deleted it has
-    some, and counts what they do once it has succeeded."""
-    run, comparison = campaigns.alias("run"), campaigns.alias("comparison")
-    joined = run.outerjoin(comparison, comparison.c.sequence == run.c.parent_sequence)
-    belonging = select(run.c.id).select_from(joined).where(run.c.parent_sequence.is_not(None))
-    open_run, open_comparison = run.c.state.not_in(ENDED), comparison.c.state.not_in(ENDED)
-    for sentence, broken in (
-        ("belongs to no comparison that is there", comparison.c.sequence.is_(None) | (comparison.c.kind != "comparison")),
-        ("is a run of a comparison, and no calibration", run.c.kind != "calibration"),
-        ("is a run of a comparison, and sees results of others", run.c.watermark != 0),
-        ("goes on, and its comparison has ended", open_run & ~open_comparison),
-        (
-            "has begun, and its comparison has not",
-            run.c.started_at.is_not(None) & comparison.c.started_at.is_(None) & open_comparison,
-        ),
-        (
-            "runs, and its comparison rests",
-            (run.c.state == CampaignState.RUNNING) & (comparison.c.state == CampaignState.PAUSED),
-        ),
-    ):
-        for name in connection.scalars(belonging.where(broken)):
-            yield f"campaign {name} {sentence}"
-    of_it = exists().where(run.c.parent_sequence == comparison.c.sequence)
-    kept = (comparison.c.kind == "comparison") & comparison.c.deleted_at.is_(None)
-    for name in connection.scalars(select(comparison.c.id).where(kept, ~of_it)):
-        yield f"comparison {name} has no runs"
-    yield from _wrong_sums(connection)
-
-
-def _wrong_sums(connection: Connection) -> Iterator[str]:
-    """Checks succeeded comparisons without deleted ones; the sums of others may be a second late."""
-    ended = campaigns.alias("ended")
-    succeeded = (ended.c.kind == "comparison") & (ended.c.state == CampaignState.SUCCEEDED) & ended.c.deleted_at.is_(None)
-    for row in connection.execute(select(ended.c.sequence, ended.c.id, by_stage(ended)).where(succeeded)):
-        summed: dict[StageName, Counter[str]] = {stage: Counter() for stage in StageName}
-        query = select(by_stage()).where(campaigns.c.parent_sequence == row.sequence)
-        for stages in connection.scalars(query.execution_options(yield_per=ROWS)):
-            for stage, cells in stages.items():
-                summed[stage].update(cells)
-        for stage, cells in row.stages.items():
-            for part, count in cells.items():
-                if count != summed[stage][part]:
-                    yield f"comparison {row.id} counts {count} {part} in its {stage}, its runs {summed[stage][part]}"
-
-
 INVARIANTS: dict[str, Check] = {
     "counters": check_counters,
     "ended campaigns": check_ended,
@@ -247,5 +199,4 @@ INVARIANTS: dict[str, Check] = {
     "lots": check_lots,
     "references": check_references,
     "copies in reference keys": check_key_copies,
-    "comparisons": check_comparisons,
 }

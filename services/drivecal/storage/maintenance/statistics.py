@@ -59,8 +59,6 @@ class Sums:
         seconds = self.simulating_seconds
         for row in rows:
             sums.campaigns[CampaignKey(row.kind, row.state)] += 1
-            if row.kind == "comparison":  # which sums up what its runs count
-                continue
             seconds += row.simulating_seconds
             for stage, counts in _counts(row):
                 for outcome in Outcome:

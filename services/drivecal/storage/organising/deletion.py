@@ -8,7 +8,6 @@ stays, marked as deleted, and which no list and no look-up by id returns. Prunin
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,15 +45,13 @@ class CampaignUse:
 
 
 def references(connection: Connection, campaign: StoredCampaign) -> list[CampaignUse]:
-    """Returns the campaigns that refer to a campaign or to its runs: reruns, studies of its sets or predictions, and those that use its
-    map."""
-    table, family = campaigns.c, _family(connection, campaign)
-    ids = list(family.values())
-    outside = table.sequence.not_in(list(family)), table.deleted_at.is_(None)
-    maps = select(influence_maps.c.id).where(influence_maps.c.source.in_(ids))
+    """Returns the campaigns that refer to a campaign: reruns, studies of its sets or predictions, and those that use its map."""
+    table = campaigns.c
+    outside = table.sequence != campaign.sequence, table.deleted_at.is_(None)
+    maps = select(influence_maps.c.id).where(influence_maps.c.source == campaign.id)
     uses = (
-        ("rerun of it", table.rerun_of.in_(ids)),
-        ("study of it", table.robustness_of.in_(ids) | table.validation_of.in_(ids)),
+        ("rerun of it", table.rerun_of == campaign.id),
+        ("study of it", (table.robustness_of == campaign.id) | (table.validation_of == campaign.id)),
         ("use of its influence map", table.influence_map_id.in_(maps)),
     )
     referring: dict[str, CampaignUse] = {}
@@ -64,55 +61,40 @@ def references(connection: Connection, campaign: StoredCampaign) -> list[Campaig
     return list(referring.values())
 
 
-def delete_campaign(connection: Connection, campaign_id: str) -> list[int]:
-    """Marks an ended campaign as deleted, a comparison with its runs. Deleting again changes nothing. Until the transaction ends no
-    campaign is queued, which might refer to this one.
+def delete_campaign(connection: Connection, campaign_id: str) -> int:
+    """Marks an ended campaign as deleted. Deleting again changes nothing. Until the transaction ends no campaign is queued, which might
+    refer to this one.
 
-    Returns the numbers of campaigns whose cells `remove_cells` removes, also if they were marked before: that may have been interrupted.
-    Raises NotFoundError for a campaign that never was, and ConflictError while it runs, if it belongs to a comparison, or if others refer
-    to it.
+    Returns the number of the campaign, whose cells `remove_cells` removes, also if it was marked before: that may have been interrupted.
+    Raises NotFoundError for a campaign that never was, and ConflictError while it runs or if others refer to it.
     """
     admission.alone(connection)
     campaign = stored_campaigns.get(connection, campaign_id, lock=True, deleted=True)
-    family = _family(connection, campaign)
     if campaign.deleted_at is not None:
-        return list(family)
+        return campaign.sequence
     if not campaign.state.ended:
         raise ConflictError(f"{campaign_id} is {campaign.state}; only ended campaigns are deleted: cancel it first")
-    if campaign.parent_sequence is not None:
-        whole = stored_campaigns.by_sequence(connection, campaign.parent_sequence)
-        raise ConflictError(f"{campaign_id} is a run of comparison {whole.id}; delete the comparison")
     referring = references(connection, campaign)
     if referring:
         listed = ", ".join(f"{reference.campaign} ({reference.use})" for reference in referring[:5])
         raise ConflictError(f"{len(referring)} campaigns refer to {campaign_id}: {listed}; archive it, or delete them first")
-    for sequence, identifier in family.items():
-        _mark(connection, sequence, identifier)
-    return list(family)
+    _mark(connection, campaign.sequence, campaign.id)
+    return campaign.sequence
 
 
-def remove_cells(database: Database, numbers: Sequence[int]) -> None:
-    """Removes what `delete_campaign` left of campaigns: slices of cells, each in a transaction, then all else. Call it again if it was
+def remove_cells(database: Database, sequence: int) -> None:
+    """Removes what `delete_campaign` left of a campaign: slices of cells, each in a transaction, then all else. Call it again if it was
     interrupted."""
-    for sequence in numbers:
-        mine = evaluations.c.campaign_sequence == sequence
-        with database.read() as connection:
-            first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
-        for start in range(first or 0, (last or 0) + 1, SLICE):
-            with database.transaction() as connection:
-                admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
-                remove_slice(connection, sequence, range(start, start + SLICE))
+    mine = evaluations.c.campaign_sequence == sequence
+    with database.read() as connection:
+        first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
+    for start in range(first or 0, (last or 0) + 1, SLICE):
         with database.transaction() as connection:
-            connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))
-            removal.remove_records(connection, sequence)
-            connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(parent_sequence=None))
-
-
-def _family(connection: Connection, campaign: StoredCampaign) -> dict[int, str]:
-    """Returns the ids of a campaign's runs and its own, by number. It is the last: runs are found by it until their cells are gone."""
-    mine = select(campaigns.c.sequence, campaigns.c.id).where(campaigns.c.parent_sequence == campaign.sequence)
-    rows = connection.execute(mine.order_by(campaigns.c.sequence))
-    return {row.sequence: row.id for row in rows} | {campaign.sequence: campaign.id}
+            admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
+            remove_slice(connection, sequence, range(start, start + SLICE))
+    with database.transaction() as connection:
+        connection.execute(delete(traces).where(traces.c.campaign_sequence == sequence))
+        removal.remove_records(connection, sequence)
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:

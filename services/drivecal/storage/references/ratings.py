@@ -22,7 +22,7 @@ def are_all_by(connection: Connection, evaluator: str, fingerprints: Collection[
     for results are stored with their ratings. Reads campaigns only; there may be millions of runs."""
     resolved = campaigns.c.resolution
     used = func.coalesce(resolved["evaluator"].as_string(), "")
-    others = campaigns.c.started_at.is_not(None), campaigns.c.kind != "comparison", used != evaluator
+    others = campaigns.c.started_at.is_not(None), used != evaluator
     varied = campaigns.c.spec["robustness"].as_string().is_not(None)  # with other vehicles, whose setups no resolution lists
     anywhere = exists().where(*others, or_(resolved["setups"].as_string().is_(None), varied))
     if connection.scalar(select(anywhere)):

@@ -43,7 +43,7 @@ def alone(connection: Connection) -> None:
 def begin(connection: Connection, sequence: int, pruned: Mapping[str, Any], note: str) -> None:
     """Marks a campaign as pruned, and empties what only a search that goes on needs; nothing if another pruning has removed its row.
 
-    `pruned`: the moment `at` which it was, the parameter `sets` that stay, and the `simulated_best` of a run of a comparison."""
+    `pruned`: the moment `at` which it was, and the parameter `sets` that stay."""
     columns = select(campaigns.c.notes, campaigns.c.pruned).where(campaigns.c.sequence == sequence)
     row = connection.execute(columns).one_or_none()
     if row is None:
@@ -120,7 +120,6 @@ def remove_campaign(connection: Connection, sequence: int) -> bool:
     needed = or_(
         exists().where(evaluations.c.campaign_sequence == sequence),
         exists().where(traces.c.campaign_sequence == sequence),
-        exists().where(campaigns.c.parent_sequence == sequence),
         exists().where(campaigns.c.rerun_of == identifier),
     )
     if connection.scalar(select(needed)):

@@ -60,7 +60,6 @@ class _Campaign:
     state: CampaignState
     started: bool
     ended_at: datetime | None
-    parent: int | None
     setups: frozenset[str]
     known: bool
     """Whether its setups are known."""
@@ -74,8 +73,8 @@ class _Campaign:
 def select_campaigns(connection: Connection, before: datetime, problems: Collection[str] | None) -> Selection:
     """Returns the campaigns that ended `before` a moment; with `problems` only those of these names or digests.
 
-    A campaign stays whole while a campaign that stays reruns it, examines its sets or uses its influence map, and with all others of its
-    comparison. So does one whose setups a started campaign uses: that may be answered by its runs at any moment.
+    A campaign stays whole while a campaign that stays reruns it, examines its sets or uses its influence map. So does one whose setups a
+    started campaign uses: that may be answered by its runs at any moment.
     """
     rows = {row.sequence: row for row in _campaigns(connection)}
     by_id = {row.id: row.sequence for row in rows.values()}
@@ -99,15 +98,11 @@ def select_campaigns(connection: Connection, before: datetime, problems: Collect
 
 def _spread(rows: Mapping[int, _Campaign], by_id: Mapping[str, int], old: Collection[int], reasons: dict[int, str]) -> None:
     """Adds the reasons of campaigns that stay because others stay, until nothing changes."""
-    members: dict[int, list[int]] = {}
-    for row in rows.values():
-        members.setdefault(row.parent or row.sequence, []).append(row.sequence)
     staying = [number for number in rows if number not in old or number in reasons]
     while staying:
         row = rows[staying.pop()]
         named = [(by_id[name], f"campaign {row.id} uses it and stays") for name in row.names if name in by_id]
-        family = [(number, f"campaign {row.id} of its comparison stays") for number in members[row.parent or row.sequence]]
-        for number, reason in (*named, *family):
+        for number, reason in named:
             if number in old and number not in reasons:
                 reasons[number] = reason
                 staying.append(number)
@@ -125,7 +120,7 @@ def _campaigns(connection: Connection, *conditions: ColumnElement[bool]) -> Iter
     table = campaigns.c
     columns = (
         *(table.sequence, table.id, table.name, table.kind, table.state, table.started_at, table.ended_at),
-        *(table.parent_sequence, table.rerun_of, table.pruned, table.deleted_at, table.resolution),
+        *(table.rerun_of, table.pruned, table.deleted_at, table.resolution),
         *(cast(table.spec, Text).label("spec"), influence_maps.c.source.label("map_maker")),
     )
     with_maps = campaigns.outerjoin(influence_maps, influence_maps.c.id == table.influence_map_id)
@@ -141,9 +136,8 @@ def _campaigns(connection: Connection, *conditions: ColumnElement[bool]) -> Iter
             state=CampaignState(row.state),
             started=row.started_at is not None,
             ended_at=row.ended_at,
-            parent=row.parent_sequence,
             setups=fingerprints,
-            known=row.started_at is None or row.kind == "comparison" or row.resolution is not None or row.state in _ENDED,
+            known=row.started_at is None or row.resolution is not None or row.state in _ENDED,
             names=frozenset(named | set(_ID.findall(row.spec)) - {row.id}),
             problem=json.loads(row.spec).get("problem"),
             pruned=row.pruned,

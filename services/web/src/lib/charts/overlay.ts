@@ -1,6 +1,5 @@
 /** The searches of several campaigns on one chart. */
 
-import { simulationsOf } from "./comparison";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
 import type { Campaign, Generation } from "../server/types";
@@ -41,6 +40,11 @@ export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> 
     groups.set(key, group);
   }
   return [...groups.values()];
+}
+
+/** Requested cells of a generation that neither copies nor predictions answered. */
+function simulationsOf(generation: Generation): number {
+  return generation.requested - generation.repeated - generation.reused - generation.predicted;
 }
 
 /** The best objective of each search over its iterations, counted from 1, or over the simulations so far. `place`: which colour and dash it has. */

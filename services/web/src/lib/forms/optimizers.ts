@@ -41,7 +41,7 @@ export function withSettings(optimizers: readonly OptimizerAnswer[], before: unk
   if (typeof after !== "object" || after === null || kindOf(before) === kindOf(after)) return after;
   const own = ownOf(optimizers, after);
   if (own?.properties === undefined) return after;
-  return Object.keys(after).filter((name) => !["kind", "label"].includes(name) && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
+  return Object.keys(after).filter((name) => name !== "kind" && !(name in (own.properties ?? {}))).reduce<Settings>((left, name) => changed(left, name, undefined), after as Settings);
 }
 
 function ownOf(optimizers: readonly OptimizerAnswer[], settings: unknown): Schema | undefined {

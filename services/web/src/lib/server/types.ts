@@ -4,7 +4,7 @@ import type { Campaign as Answer, CampaignProgress } from "../../../schema";
 
 export type * from "../../../schema";
 
-/** A campaign, an evaluation or a comparison as it was submitted. */
+/** A campaign or an evaluation as it was submitted. */
 export interface Specification {
   weights?: Record<string, number>;
   optimizer?: { kind: string; population?: number; iterations?: number } | null;

@@ -27,19 +27,6 @@ test("predictions are told with their tolerance and limit, where a campaign pred
   expect(said("exact")).not.toContain("predict");
 });
 
-test("a comparison is told by its optimizers, and a specification that is not known by nothing", () => {
-  const spec = { optimizers: [{ kind: "genetic", label: null, mutation: 0.2 }, { kind: "swarm", label: null }], populations: [50, 100], seeds: [1, 2, 3], reductions: ["off", { mode: "exact", audit: 0.02 }] };
-  expect(asked({ kind: "comparison", spec }, null)).toEqual([
-    ["Optimizers", "genetic: mutation 0.2; swarm"], ["Populations", "50, 100"], ["Seeds", "1, 2, 3"], ["Reductions", "off; exact: audit 0.02"],
-  ]);
-  expect(asked({ kind: "calibration", spec: {} }, null)).toEqual([]);
-});
-
-test("a comparison on a problem of one's own names no scenarios or scores of the built-in one", () => {
-  const spec = { problem: "0123456789abcdef", catalogue: "highway", evaluator: "reference", optimizers: [{ kind: "swarm", label: null }] };
-  expect(asked({ kind: "comparison", spec }, null)).toEqual([["Scenarios", "all"], ["Problem", "0123456789abcdef"], ["Optimizers", "swarm"]]);
-});
-
 test("what departs from the usual reduction is told", () => {
   const reduction = { mode: "exact", audit: 0.02, max_error: 0.02, narrow: true, certified: false };
   expect(asked({ kind: "calibration", spec: { optimizer: { kind: "genetic" }, reduction } }, null).at(-1)).toEqual(["Reduction", "exact: influenced ranges alone searched, provable repeats simulated"]);

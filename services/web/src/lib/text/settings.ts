@@ -56,11 +56,6 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
   rows.push(["Evaluator", setup?.evaluator.replace(/\b([0-9a-f]{8})[0-9a-f]{16,}\b/, "$1") ?? (spec["evaluator"] === undefined || (own && spec["evaluator"] === "reference") ? null : String(spec["evaluator"]))]);
   rows.push(["Held fixed", isSettings(spec["fixed"]) ? list(spec["fixed"]) : null]);
   rows.push(["Baseline", isSettings(spec["baseline"]) ? list(spec["baseline"]) : null]);
-  if (Array.isArray(spec["optimizers"])) {
-    rows.push(["Optimizers", spec["optimizers"].filter(isSettings).map((setting) => named(setting["label"] ?? setting["kind"], list(setting, ["kind", "label"]))).join("; ")]);
-    for (const name of ["populations", "seeds", "iterations", "start"]) rows.push([name.charAt(0).toUpperCase() + name.slice(1), spec[name] === undefined ? null : text(spec[name])]);
-    rows.push(["Reductions", Array.isArray(spec["reductions"]) ? spec["reductions"].map((entry) => (isSettings(entry) ? named(entry["mode"], list(entry, ["mode"])) : String(entry))).join("; ") : null]);
-  }
   if (isSettings(spec.optimizer)) rows.push(["Optimizer", named(spec.optimizer["kind"], list(spec.optimizer, ["kind"]))]);
   for (const name of ["objectives", "constraints"]) {
     const goals = spec[name];

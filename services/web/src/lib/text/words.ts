@@ -60,7 +60,7 @@ export function withoutSimulation(cells: Partial<Record<Outcome, number>>): numb
 }
 
 /** One sentence about the state. */
-export function sentence(campaign: Moving & { kind?: string }): string {
+export function sentence(campaign: Moving): string {
   const { state, stage, requested_action: asked } = campaign;
   if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
   if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
@@ -69,7 +69,6 @@ export function sentence(campaign: Moving & { kind?: string }): string {
   if (state === "succeeded") return "Finished.";
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
-  if (campaign.kind === "comparison") return "Searching, several runs side by side.";
   if (stage === "sensitivity") return "Analysing the influence of the parameters.";
   if (stage === "calibration") return `Searching: iteration ${(campaign.iteration ?? 0) + 1}.`;
   if (stage === "robustness") return "Simulating the best sets in other vehicles.";

@@ -1,0 +1,299 @@
+"""Comparisons: ordinary campaigns with a common tag, made from one file, and the analysis of what they found.
+
+The campaigns of a comparison are isolated: they see no results of others, so that neither their order nor earlier results change what
+they find or count. Cells that several of them request, or that were simulated before, are still simulated once: this saves work, but
+does not show in the counts.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from sqlalchemy import Connection
+
+from drivecal.analysis import comparison as analysis
+from drivecal.analysis.comparison import Conditions, Course
+from drivecal.campaigns.resolve.bundle_bench import BundleSource
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.workbench import no_bundles
+from drivecal.contracts.campaign import CellCounts
+from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
+from drivecal.contracts.input_errors import validated
+from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.setups import digest
+from drivecal.storage import campaigns, generations, results
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.generations import Figures
+from drivecal.storage.organising import labels
+
+COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
+"""Settings that the comparison chooses for every optimizer, and their fields."""
+CONFIRMED = 100
+"""Most sets of a campaign with references or predictions that are simulated after its search, unless `confirm` is given: a dozen is many.
+A campaign for which they were too few notes it."""
+MOST_GENERATIONS = 10_000
+MOST_REMEMBERED = 100_000
+"""Ended campaigns whose best simulated objective is cached."""
+_SHARED = {
+    *("priority", "problem", "catalogue", "parameters", "fixed", "baseline", "weights"),
+    *("driving_function", "vehicle", "evaluator", "sensitivity"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonProblem:
+    """A comparison that can run: the specifications of its campaigns, and the resolved ones of the first seed, which represent the
+    others."""
+
+    specification: ComparisonSpecification
+    runs: Sequence[CampaignSpecification]
+    problems: Sequence[CalibrationProblem]
+
+    @property
+    def proposed(self) -> int:
+        """The cells that all campaigns together propose."""
+        return self._total("calibration_proposed")
+
+    @property
+    def at_most(self) -> int:
+        """The simulations of all campaigns together if they share no cell."""
+        return self._total("calibration_at_most")
+
+    def _total(self, calibration: str) -> int:
+        expected = [problem.expected_runs() for problem in self.problems]
+        cells: int = sum(getattr(runs, calibration) + runs.sensitivity_at_most for runs in expected)
+        return len(self.specification.seeds) * cells
+
+
+def tag_of(name: str, key: str) -> str:
+    """Returns the tag of a comparison's campaigns; equal names and request keys have the same."""
+    words = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:27].rstrip("-") or "comparison"
+    return f"{words}-{digest(key.encode())[:12]}"
+
+
+def runs_of(specification: ComparisonSpecification) -> list[CampaignSpecification]:
+    """Returns the campaigns in order: by optimizer, population, seed, reduction. Depends on the specification alone."""
+    optimizers, reductions = specification.optimizers, [_settled(each) for each in specification.reductions]
+    optimizer_labels = analysis.labels([optimizer.model_dump() for optimizer in optimizers], "kind")
+    reduction_labels = analysis.labels([reduction.model_dump() for reduction in reductions], "mode")
+    runs = []
+    for (label, optimizer), population, seed, (reduced, reduction) in product(
+        zip(optimizer_labels, optimizers, strict=True),
+        specification.populations,
+        specification.seeds,
+        zip(reduction_labels, reductions, strict=True),
+    ):
+        several = f", {reduced}" if len(reductions) > 1 else ""
+        name = f"{specification.name[:90]}: {label[:60]}, population {population}, seed {seed}{several}"[:200]
+        runs.append(_campaign(specification, name, optimizer, population, seed, reduction))
+    return runs
+
+
+def _campaign(
+    specification: ComparisonSpecification,
+    name: str,
+    optimizer: ComparedOptimizer,
+    population: int,
+    seed: int,
+    reduction: ReductionSpecification,
+) -> CampaignSpecification:
+    common = {
+        "population": population,
+        "iterations": specification.iterations,
+        "start": specification.start,
+        "seed": seed,
+    }
+    document = {
+        **specification.model_dump(include=_SHARED),
+        "name": name,
+        "optimizer": optimizer.model_dump() | common,
+        "reduction": reduction.model_dump(),
+    }
+    if not (reduction.uses_map or reduction.narrow):  # useless to the campaign, and its cells would count
+        document["sensitivity"] = None
+    return validated(CampaignSpecification, document)
+
+
+def _settled(given: str | ReductionSpecification) -> ReductionSpecification:
+    """Returns an isolated reduction with its number of sets to confirm."""
+    reduction = given if isinstance(given, ReductionSpecification) else validated(ReductionSpecification, {"mode": given})
+    settled: dict[str, Any] = {"isolated": True}
+    if "confirm" not in reduction.model_fields_set and (reduction.uses_map or reduction.predicts):
+        settled["confirm"] = CONFIRMED
+    return reduction.model_copy(update=settled)
+
+
+def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSource = no_bundles) -> ComparisonProblem:
+    """Resolves a comparison's specification. Raises InvalidInputError with every problem at its field."""
+    diagnostics = Diagnostics()
+    _check_lists(specification, diagnostics)
+    diagnostics.raise_if_any()
+    resolved = []
+    places = product(
+        range(len(specification.optimizers)),
+        specification.populations,
+        specification.seeds,
+        range(len(specification.reductions)),
+    )
+    for run, (optimizer, _, seed, reduction) in zip(runs_of(specification), places, strict=True):
+        if seed == specification.seeds[0]:
+            try:
+                resolved.append(resolve(run, bundles))
+            except InvalidInputError as error:
+                diagnostics.problems.extend(_moved(problem, optimizer, reduction) for problem in error.problems)
+    diagnostics.problems = list(dict.fromkeys(diagnostics.problems))
+    diagnostics.raise_if_any()
+    settled = [_settled(reduction) for reduction in specification.reductions]
+    specification = specification.model_copy(update={"problem": resolved[0].specification.problem, "reductions": settled})
+    return ComparisonProblem(specification, runs_of(specification), resolved)
+
+
+def _check_lists(specification: ComparisonSpecification, diagnostics: Diagnostics) -> None:
+    count = (
+        len(specification.optimizers)
+        * len(specification.populations)
+        * len(specification.seeds)
+        * len(specification.reductions)
+    )
+    if count > LARGEST_RUNS:
+        remedy = f"at most {LARGEST_RUNS:,}; give fewer optimizers, populations, seeds or reductions"
+        diagnostics.add("", f"optimizers x populations x seeds x reductions are {count:,} campaigns", remedy)
+    reductions = [_settled(reduction) for reduction in specification.reductions]
+    _check_unique("optimizers", specification.optimizers, diagnostics)
+    _check_unique("populations", specification.populations, diagnostics)
+    _check_unique("seeds", specification.seeds, diagnostics)
+    _check_unique("reductions", [reduction.model_dump() for reduction in reductions], diagnostics)
+    if specification.sensitivity is None and any(reduction.uses_map for reduction in reductions):
+        remedy = "ask for a sensitivity analysis, name a map, or leave `influence` and `both` out"
+        diagnostics.add("sensitivity", "reductions `influence` and `both` need an influence map", remedy)
+    for index, optimizer in enumerate(specification.optimizers):
+        for name in optimizer.model_extra or {}:
+            if name in COMMON:
+                message = "all optimizers have the same here"
+                diagnostics.add(f"optimizers[{index}].{name}", message, f"give it in `{COMMON[name]}`")
+            elif name == "start_sets":
+                diagnostics.add(f"optimizers[{index}].{name}", "all optimizers begin with the same sets here", "leave it out")
+
+
+def _check_unique(field: str, values: Sequence[object], diagnostics: Diagnostics) -> None:
+    for index, value in enumerate(values):
+        if value in values[:index]:
+            diagnostics.add(f"{field}[{index}]", "it is listed twice", "list each once")
+
+
+def _moved(problem: Problem, optimizer: int, reduction: int) -> Problem:
+    """Moves a problem of a campaign to the field of the comparison."""
+    field = re.sub(r"^optimizer(?=\.|$)", f"optimizers[{optimizer}]", problem.field)
+    field = re.sub(r"^reduction(?=\.|$)", f"reductions[{reduction}]", field)
+    return Problem(field, problem.message, problem.remedy)
+
+
+def compared(connection: Connection, tag: str) -> Comparison:
+    """Compares the campaigns with a tag that have an optimizer, as far as they are. Raises NotFoundError without such a campaign."""
+    page, _ = campaigns.page(connection, limit=LARGEST_RUNS, conditions=labels.listing("with", [tag]))
+    whole = [campaign if campaign.spec else campaigns.by_sequence(connection, campaign.sequence) for campaign in reversed(page)]
+    stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
+    if not stored:
+        raise NotFoundError("comparison", tag)
+    courses = [
+        _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
+    ]
+    sign = next((resolved_spec(campaign).scale.sign for campaign in stored if campaign.resolution is not None), 1)
+    best = analysis.best_of_all(courses, sign)
+    pairs = analysis.pairs(courses)
+    return Comparison(
+        tag=tag,
+        direction="maximise" if sign > 0 else "minimise",
+        runs=[
+            _run(campaign, course, success=analysis.succeeds(course, best, sign))
+            for campaign, course in zip(stored, courses, strict=True)
+        ],
+        groups=analysis.groups(courses, sign),
+        pairs=[analysis.pair_row(pair) for pair in pairs],
+        effects=analysis.effects(pairs, sign),
+    )
+
+
+def _conditions(stored: Sequence[StoredCampaign]) -> list[Conditions]:
+    """Returns the conditions of campaigns, by what their specifications differ in."""
+    optimizers = [campaign.spec["optimizer"] for campaign in stored]
+    own = {"population", "seed"}
+    settings = [{name: value for name, value in optimizer.items() if name not in own} for optimizer in optimizers]
+    reductions = analysis.labels([campaign.spec["reduction"] for campaign in stored], "mode")
+    return [
+        Conditions(label, optimizer["population"], optimizer["seed"], reduction)
+        for label, optimizer, reduction in zip(analysis.labels(settings, "kind"), optimizers, reductions, strict=True)
+    ]
+
+
+def _course(connection: Connection, campaign: StoredCampaign, conditions: Conditions) -> Course:
+    page, _ = generations.page(connection, campaign.sequence, limit=MOST_GENERATIONS)
+    figures = [figures for _, figures in page]
+    reused = any(figure.reused or figure.predicted for figure in figures)
+    searched = len(figures) == campaign.spec["optimizer"]["iterations"]  # later iterations confirm the best set
+    return Course(
+        campaign=campaign.id,
+        conditions=conditions,
+        best=[figure.best for figure in figures],
+        ratings=[figure.rating for figure in figures],
+        alternatives=[figure.alternatives for figure in figures],
+        means=[figure.mean for figure in figures],
+        simulations=[_needed(figure) for figure in figures],
+        ended=campaign.state is CampaignState.SUCCEEDED,
+        reused=reused,
+        simulated_best=_best_simulated(connection, campaign) if reused else None,
+        confirmations=_needed(campaign.cells) - sum(map(_needed, figures)) if searched else 0,
+    )
+
+
+def _best_simulated(connection: Connection, campaign: StoredCampaign) -> float | None:
+    """See `results.best_simulated`. Looks up an ended campaign only once: clients that follow a comparison ask every few seconds."""
+    if campaign.id in _ended:
+        return _ended[campaign.id]
+    resolved = resolved_spec(campaign)
+    best = results.best_simulated(connection, campaign.sequence, resolved.weights, resolved.scale.sign)
+    if campaign.state.ended:
+        _ended[campaign.id] = best
+        if len(_ended) > MOST_REMEMBERED:
+            _ended.clear()
+    return best
+
+
+_ended: dict[str, float | None] = {}
+"""Best simulated objectives of ended campaigns, by their unique ids."""
+
+
+def _needed(figures: Figures | CellCounts) -> int:
+    """Returns the requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
+    return figures.requested - figures.repeated - figures.reused - figures.predicted
+
+
+def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
+    analysed = campaign.counts(StageName.SENSITIVITY)
+    return ComparedRun(
+        campaign=campaign.id,
+        name=campaign.name,
+        **course.conditions._asdict(),
+        state=campaign.state,
+        iterations=len(course.best),
+        requested=campaign.cells.requested,
+        simulations=course.simulated,
+        confirmations=course.confirmations,
+        analysis=analysed.requested - analysed.repeated,
+        best=course.best[-1] if course.best else None,
+        simulated_best=course.optimum,
+        rating=course.ratings[-1] if course.ratings else None,
+        alternatives=course.alternatives[-1] if course.alternatives else 0,
+        mean=course.means[-1] if course.means else None,
+        converged_at=course.converged_at,
+        simulations_to_converge=course.simulations_to_converge,
+        alternatives_converged_at=course.alternatives_converged_at,
+        success=success,
+        course=course.improvements,
+    )

@@ -1,1 +1,0 @@
-"""Comparisons of optimizers and reductions: resolving, running and reading them."""

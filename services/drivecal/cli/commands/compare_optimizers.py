@@ -1,0 +1,148 @@
+"""The command that compares optimizers and reductions."""
+
+import time
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from drivecal.cli.application import ExitCode, JsonOption, UrlOption, WaitTimedOutError, app, connect, tell
+from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption
+from drivecal.cli.views.output import duration, print_answer, print_columns
+from drivecal.client.client import Client
+from drivecal.client.documents import opened_document
+from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison, ReductionEffect
+from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.scales import objective_text
+from drivecal.report.rows import fixed, objective_number, percent
+
+SECONDS_BETWEEN_LOOKS = 2.0
+
+
+@app.command("compare-optimizers")
+def compare_optimizers(
+    file: Annotated[
+        str | None, typer.Argument(metavar="FILE", help="A comparison file, YAML or JSON; - is standard input.")
+    ] = None,
+    tag: Annotated[
+        str | None, typer.Option(metavar="TAG", help="Compare the campaigns with this tag in the place of new ones.")
+    ] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait until all campaigns have ended.")] = False,
+    timeout: TimeoutOption = None,
+    dry_run: DryRunOption = False,
+    url: UrlOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
+    if (file is None) == (tag is None):
+        raise typer.BadParameter("give a FILE, or --tag TAG of campaigns that are there")
+    with connect(url) as client:
+        if file is None:
+            comparison = client.comparison(tag or "")
+        else:
+            with opened_document(file) as specification:
+                if dry_run:
+                    print_answer(client.expected_comparison(specification), as_json, _print_expected)
+                    return
+                comparison = client.compare(specification)
+            tell(
+                f"{len(comparison.runs)} campaigns are queued; compare them with `drivecal compare-optimizers --tag {comparison.tag}`"
+            )
+        if wait:
+            comparison = _wait_for(client, comparison, timeout)
+    print_answer(comparison, as_json, _print_comparison)
+    if wait:
+        raise typer.Exit(_exit_code(comparison))
+
+
+def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> Comparison:
+    """Reports the number of ended campaigns until all have ended. Raises WaitTimedOutError after `timeout` seconds."""
+    deadline = None if timeout is None else time.monotonic() + timeout
+    come_back = f"the campaigns go on; `drivecal cancel --tag {comparison.tag}` ends them"
+    ended = -1
+    try:
+        while True:
+            if ended != (ended := sum(CampaignState(run.state).ended for run in comparison.runs)):
+                tell(f"{ended} of {len(comparison.runs)} campaigns have ended")
+            if ended == len(comparison.runs):
+                return comparison
+            if deadline is not None and time.monotonic() >= deadline:
+                raise WaitTimedOutError(f"not ended after {duration(timeout or 0)}: {come_back}")
+            time.sleep(SECONDS_BETWEEN_LOOKS)
+            comparison = client.comparison(comparison.tag)
+    except KeyboardInterrupt as error:
+        tell(f"detached: {come_back}")
+        raise typer.Exit(ExitCode.INTERRUPTED) from error
+
+
+def _exit_code(comparison: Comparison) -> ExitCode:
+    states = {run.state for run in comparison.runs}
+    if CampaignState.FAILED in states:
+        return ExitCode.FAILED
+    return ExitCode.CANCELLED if CampaignState.CANCELLED in states else ExitCode.OK
+
+
+def _print_comparison(comparison: Comparison) -> None:
+    """Prints Table 5 of the paper for these campaigns, and the effects of the reductions."""
+    ended = sum(CampaignState(run.state).ended for run in comparison.runs)
+    typer.echo(f"tag {comparison.tag}: {len(comparison.runs)} campaigns, {ended} of them have ended")
+    for run in comparison.runs:
+        if run.state in {CampaignState.FAILED, CampaignState.CANCELLED}:
+            typer.echo(f"{run.state}: {run.name} ({run.campaign})")
+    several = len({group.reduction for group in comparison.groups}) > 1
+    header = ["optimizer", "population", *(["reduction"] if several else []), "best", "mean", "worst", "rating", "sets at best"]
+    header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
+    print_columns(header, [_group_row(group, several) for group in comparison.groups])
+    typer.echo(
+        "Over the seeds. Simulations are those that each campaign needs alone; it has converged when its best stays for 10 iterations."
+    )
+    if comparison.effects:
+        typer.echo(
+            "Objectives are of sets whose scores were all simulated: a search prefers sets that references make too good.\n"
+        )
+        _print_effects(comparison.effects)
+
+
+def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
+    return [
+        *(group.optimizer, group.population, *([group.reduction] if with_reduction else [])),
+        *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
+        *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
+        *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
+        *(fixed(group.simulations_to_converge, 0, ","), f"{group.successes} of {group.seeds}"),
+    ]
+
+
+def _print_effects(effects: Sequence[ReductionEffect]) -> None:
+    header = ["optimizer", "population", "reduction", "pairs", "difference of the optimum", "95 % interval"]
+    header += ["better", "equal", "worse", "sign test p", "differ at most", "simulations saved"]
+    print_columns(header, [_effect_row(effect) for effect in effects])
+
+
+def _effect_row(effect: ReductionEffect) -> list[object]:
+    interval = None
+    if effect.lower_95 is not None and effect.upper_95 is not None:
+        interval = f"{objective_text(effect.lower_95, '+')} to {objective_text(effect.upper_95, '+')}"
+    return [
+        *(effect.optimizer or "all", effect.population or "all", f"{effect.reduction} - {effect.base}", effect.pairs),
+        objective_text(effect.mean_difference, "+"),
+        interval,
+        *(effect.better, effect.equal, effect.worse),
+        *(f"{effect.sign_test:.3g}", percent(effect.different_upper_95, 1)),
+        f"{effect.base_simulations - effect.simulations:,} ({effect.saved_share:.1%})",
+    ]
+
+
+def _print_expected(expected: ExpectedComparison) -> None:
+    typer.echo(f"the comparison can run: {expected.runs:,} campaigns propose {expected.proposed:,} cells")
+    typer.echo(
+        f"and simulate at most {expected.at_most:,}; what they have in common, their start first of all, is simulated once"
+    )
+    if expected.seconds is not None:
+        workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
+        each = f"{expected.milliseconds:.1f} ms per simulation{'' if expected.measured else ', which is assumed: none was made yet'}"
+        typer.echo(f"the simulations alone take at most about {duration(expected.seconds)} on {workers}, at {each}")
+    else:
+        typer.echo("the duration is unknown: there are no workers now")
+    for note in expected.notes:
+        typer.echo(f"note: {note}")
