@@ -69,10 +69,6 @@ ROWS: Mapping[str, type[BaseModel]] = {
     "influence": tables.InfluenceRow,
     "robustness": tables.RobustnessRow,
     "validation": tables.ValidationRow,
-    "comparison": comparison.ComparedRun,
-    "comparison-groups": comparison.ComparedGroup,
-    "comparison-pairs": comparison.ComparedPair,
-    "comparison-effects": comparison.ReductionEffect,
 }
 """Rows by the name of their table."""
 ROWS_TEXT = """\

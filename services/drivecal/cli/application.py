@@ -67,6 +67,7 @@ _LISTS = {
     "campaign": "`drivecal list` prints those that exist",
     "influence map": "`drivecal influence-maps list` prints those that exist",
     "campaign or influence map": "`drivecal list` and `drivecal influence-maps list` print those that exist",
+    "comparison": "`drivecal list` prints the tags of campaigns",
     "problem": "`drivecal problem list` prints those that exist",
     "evaluation": "`drivecal export ID` prints those of a campaign, in its column id",
 }

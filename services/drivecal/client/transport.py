@@ -138,7 +138,13 @@ def _problems(document: dict[str, object]) -> list[Problem]:
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
-KINDS = {"campaigns": "campaign", "evaluations": "evaluation", "influence-maps": "influence map", "problems": "problem"}
+KINDS = {
+    "campaigns": "campaign",
+    "comparisons": "comparison",
+    "evaluations": "evaluation",
+    "influence-maps": "influence map",
+    "problems": "problem",
+}
 """Names of the collections' items in messages."""
 ATTEMPTS_TO_CONNECT = 3
 SECONDS_TO_CONNECT = 0.5
