@@ -31,8 +31,8 @@ DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
     (CampaignSpecification, {"baseline": {"x": "a*"}}, "baseline.x"),
     (
         ComparisonSpecification,
-        {"optimizers": [{"kind": "random", "label": "*"}], "populations": [4], "seeds": [1, 2, 3]},
-        "optimizers[0].label",
+        {"name": "*", "optimizers": [{"kind": "random"}], "populations": [4], "seeds": [1, 2, 3]},
+        "name",
     ),
     (InfluenceMapSpecification, {"name": "*", "scenarios": {"S1": {}}}, "name"),
     (RerunSpecification, {"name": "*", "weights": {}}, "name"),
