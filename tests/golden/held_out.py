@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.highway.training import vehicle, vehicle_card
-from drivecal.highway.training.drives import BEGIN, STEPS, Drives
+from drivecal.highway.training import vehicle
 from drivecal.highway.training.multibody import Recording
+from drivecal.highway.training.vehicle import BEGIN, STEPS, Drives
 from drivecal.plugins.ports import Floats
 
 FILE = Path(__file__).with_name("held_out.npz")
@@ -38,7 +38,7 @@ def write(recordings: Sequence[Recording]) -> None:
     counts = {name: np.rint(values / UNITS[name]).astype(np.int64) for name, values in rows.items()}
     before = np.zeros((len(recordings), 2), dtype=np.int64)
     packed = {name: np.diff(one, n=2, axis=1, prepend=before).astype(np.int32) for name, one in counts.items()}
-    everything: dict[str, Any] = {"kinds": np.array(vehicle_card.kinds_of(recordings))} | packed
+    everything: dict[str, Any] = {"kinds": np.array(vehicle.kinds_of(recordings))} | packed
     np.savez_compressed(FILE, **everything)
 
 

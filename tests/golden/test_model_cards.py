@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from tests.golden import held_out
 
-from drivecal.highway.comfort import regression_arrays
-from drivecal.highway.training import comfort, comfort_card, multibody, vehicle, vehicle_card
-from drivecal.highway.training.drives import Drives
-from drivecal.highway.training.manoeuvres import TRAINED, UNSEEN, draw
+from drivecal.highway.comfort import learned
+from drivecal.highway.training import comfort, multibody, vehicle
+from drivecal.highway.training.multibody import TRAINED, UNSEEN, draw
 from drivecal.highway.training.tables import read_table
-from drivecal.highway.vehicle import residual
+from drivecal.highway.training.vehicle import Drives
+from drivecal.highway.vehicle import hybrid
 
-VEHICLE_CARD = residual.FILE.with_suffix(".md")
-COMFORT_CARD = regression_arrays.FILE.with_suffix(".md")
+VEHICLE_CARD = hybrid.FILE.with_suffix(".md")
+COMFORT_CARD = learned.FILE.with_suffix(".md")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -41,9 +41,9 @@ def test_a_figure_that_differs_would_be_noticed() -> None:
 
 @pytest.mark.slow
 def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_half_as_much_as_the_plain_one() -> None:
-    (kinds, drives), shipped = held_out.read(), residual.shipped()
-    assert_alike(vehicle_card.error_table(shipped, kinds, drives), read_table(VEHICLE_CARD, vehicle_card.ERRORS))
-    errors = vehicle_card.errors(shipped, kinds, drives)
+    (kinds, drives), shipped = held_out.read(), hybrid.shipped()
+    assert_alike(vehicle.error_table(shipped, kinds, drives), read_table(VEHICLE_CARD, vehicle.ERRORS))
+    errors = vehicle.errors(shipped, kinds, drives)
     assert np.all(errors["hybrid"] <= 0.5 * errors["plain"])
     assert np.all(errors["plain"] <= errors["converted"])
 
@@ -54,7 +54,7 @@ def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
     recordings = vehicle.record_all((*TRAINED, UNSEEN), 2, vehicle.SEED + 1000)
     kinds, recorded = held_out.read()
     driven = Drives.of(recordings)
-    assert vehicle_card.kinds_of(recordings) == kinds[:2]
+    assert vehicle.kinds_of(recordings) == kinds[:2]
     np.testing.assert_allclose(recorded.inputs[:2], driven.inputs, atol=1e-5)
     np.testing.assert_allclose(recorded.starts[:2], driven.starts, atol=1e-5)
     np.testing.assert_allclose(recorded.truth[:2], driven.truth, atol=3e-4)
@@ -62,15 +62,15 @@ def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
 
 
 def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
-    assert_alike(vehicle_card.range_table(residual.shipped()), read_table(VEHICLE_CARD, vehicle_card.RANGE))
+    assert_alike(vehicle.range_table(hybrid.shipped()), read_table(VEHICLE_CARD, vehicle.RANGE))
 
 
 @pytest.mark.slow
 def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
     drives = comfort.drives(held_out=True)
-    ratings = comfort_card.ratings(regression_arrays.shipped(), drives)
-    assert_alike(comfort_card.agreement_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.AGREEMENT))
-    assert_alike(comfort_card.calibration_table(ratings, drives), read_table(COMFORT_CARD, comfort_card.CALIBRATION))
+    ratings = comfort.ratings(learned.shipped(), drives)
+    assert_alike(comfort.agreement_table(ratings, drives), read_table(COMFORT_CARD, comfort.AGREEMENT))
+    assert_alike(comfort.calibration_table(ratings, drives), read_table(COMFORT_CARD, comfort.CALIBRATION))
 
 
 def test_no_held_out_manoeuvre_of_the_vehicle_is_one_that_it_learned_from() -> None:

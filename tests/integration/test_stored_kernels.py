@@ -16,7 +16,7 @@ from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
 
 import drivecal.highway.drive
 import drivecal.highway.vehicle
-from drivecal.adapters.confinement import landlock
+from drivecal.adapters import confinement
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.errors import UnavailableError
@@ -177,7 +177,7 @@ def folders() -> Iterator[list[str]]:
         Path(folder, "planted.pyc").unlink(missing_ok=True)
 
 
-@pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 @pytest.mark.slow("settings", "link")
 @pytest.mark.parametrize("kind", ["settings", "link", "numba"])
 def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, folders: list[str], tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_what_a_child_leaves_gives_no_later_one_access_to_kernels(kind: str, fol
     assert [folder for folder in folders if Path(folder, "planted.pyc").exists()] == []
 
 
-@pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: list[str], tmp_path: Path) -> None:
     stored = next((path.name for path in Path(folders[1]).glob("*.nbi")), "kernel.nbi")
     hostile = HOSTILE.replace("FOLDERS", repr(folders)).replace("FILE", repr(stored))
@@ -203,7 +203,7 @@ def test_a_controller_changes_no_kernel_and_has_a_place_for_its_own(folders: lis
         assert session.evaluate(PARAMETERS).measures
 
 
-@pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+@pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 def test_a_driver_with_threads_that_could_change_kernels_loads_no_controller(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ from tests.support import attacks
 from tests.support.attacks import ATTACKS
 from tests.support.serve import until
 
-from drivecal.adapters.confinement import landlock
+from drivecal.adapters import confinement
 from drivecal.client import Client
 from drivecal.contracts.evaluation import EvaluatedCell
 
@@ -69,8 +69,8 @@ LANDLOCK = {
     "reads_the_environment": 1,
     "writes_outside": 1,
     "writes_to_the_cache": 1,
-    "kills_the_server": landlock.SCOPES_SINCE,
-    "kills_everything": landlock.SCOPES_SINCE,
+    "kills_the_server": confinement.SCOPES_SINCE,
+    "kills_everything": confinement.SCOPES_SINCE,
 }
 """The version of Landlock that holds an attack back. Without it the attack is left out, because it would succeed."""
 
@@ -103,7 +103,7 @@ def push_attacker(client: Client, folder: Path, manifest: Mapping[str, Any]) -> 
 
 def held_back(names: Iterable[str]) -> list[str]:
     """The attacks that this machine's kernel holds back."""
-    return [name for name in names if landlock.version() >= LANDLOCK.get(name, 0)]
+    return [name for name in names if confinement.version() >= LANDLOCK.get(name, 0)]
 
 
 def attack(client: Client, name: str, problem: str = "attacker") -> str:

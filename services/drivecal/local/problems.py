@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters.command import run_probe
+from drivecal.adapters.files import remove
 from drivecal.adapters.kinds import simulator
-from drivecal.adapters.probe import run_probe
 from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of
 from drivecal.bundles.expressions import Constraint, Formula

@@ -14,9 +14,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from drivecal.domain.roads import Floats
+from drivecal.roads.documents import JoinedNotes
 from drivecal.roads.lines import lengths
 from drivecal.roads.network import LIMITS, ORIGIN, UNKNOWN, UNPLACED, WIDTHS
-from drivecal.roads.notes import JoinedNotes
 from drivecal.roads.opendrive import DRIVEN, SHORTEST, FileRoad, RoadFile
 
 STEP = 1.0

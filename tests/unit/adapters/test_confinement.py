@@ -10,14 +10,13 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import lost, opened, scratch_of, served, write_server
 
-from drivecal.adapters import keeper
-from drivecal.adapters.confinement import landlock
+from drivecal.adapters import confinement, keeper
 from drivecal.adapters.scratch import GRANTED, Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared
 
-confining = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+confining = pytest.mark.skipif(confinement.version() == 0, reason="this kernel has no Landlock")
 
 FORBIDDEN = {
     "create": "open('{outside}/new', 'w')",
@@ -114,9 +113,9 @@ def test_a_simulator_changes_its_own_folders_only_and_reads_no_secrets(tmp_path:
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
     monkeypatch.setenv("DRIVECAL_TOKENS_FILE", str(outside / "tokens"))
     forbidden = dict(FORBIDDEN)
-    if landlock.version() >= landlock.TRUNCATION_SINCE:
+    if confinement.version() >= confinement.TRUNCATION_SINCE:
         forbidden |= LATER
-    if landlock.version() >= landlock.SCOPES_SINCE:
+    if confinement.version() >= confinement.SCOPES_SINCE:
         forbidden |= SCOPED
     codes = forbidden | ALLOWED
     listening = socket.socket(socket.AF_UNIX)
@@ -226,29 +225,29 @@ def test_a_child_gains_no_privileges(tmp_path: Path) -> None:
 
 
 def test_a_kernel_without_landlock_confines_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(landlock, "version", lambda: 0)
-    assert landlock.ruleset([str(tmp_path)]) is None
+    monkeypatch.setattr(confinement, "version", lambda: 0)
+    assert confinement.ruleset([str(tmp_path)]) is None
 
 
 @confining
 @pytest.mark.parametrize("known", range(1, 8))
 def test_rules_suit_every_version_of_landlock(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, known: int) -> None:
     """A kernel takes the rules of all versions before its own."""
-    if known > landlock.version():
+    if known > confinement.version():
         pytest.skip("this kernel is older")
-    monkeypatch.setattr(landlock, "version", lambda: known)
-    rules = landlock.ruleset([str(tmp_path)], [], [str(tmp_path / "hidden")])
+    monkeypatch.setattr(confinement, "version", lambda: known)
+    rules = confinement.ruleset([str(tmp_path)], [], [str(tmp_path / "hidden")])
     assert rules is not None
     os.close(rules)
 
 
 @confining
 def test_too_many_neighbours_of_a_hidden_file_leave_it_readable(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(landlock, "MOST_RULES", 1)
-    assert landlock._beside({str(tmp_path / "hidden")}) == []
+    monkeypatch.setattr(confinement, "MOST_RULES", 1)
+    assert confinement._beside({str(tmp_path / "hidden")}) == []
     monkeypatch.undo()
     (tmp_path / "beside").write_text("")
-    beside = landlock._beside({str(tmp_path / "hidden")})
+    beside = confinement._beside({str(tmp_path / "hidden")})
     assert str(tmp_path / "beside") in beside
     assert not any(tmp_path.is_relative_to(path) for path in beside)
 
@@ -258,18 +257,18 @@ def test_a_hidden_file_with_too_many_neighbours_leaves_others_hidden(monkeypatch
     crowded, quiet = tmp_path / "crowded" / "hidden", tmp_path / "quiet" / "hidden"
     for path in (crowded, quiet):
         path.parent.mkdir()
-    needed = len(landlock._beside({str(quiet)}))
+    needed = len(confinement._beside({str(quiet)}))
     for number in range(100):
         (crowded.parent / str(number)).write_text("")
-    monkeypatch.setattr(landlock, "MOST_RULES", needed + 50)
-    assert landlock._beside({str(crowded), str(quiet)}) == []
-    assert landlock._affordable({str(crowded), str(quiet)}) == {str(quiet)}
+    monkeypatch.setattr(confinement, "MOST_RULES", needed + 50)
+    assert confinement._beside({str(crowded), str(quiet)}) == []
+    assert confinement._affordable({str(crowded), str(quiet)}) == {str(quiet)}
     for path in (crowded, quiet):
         path.write_text("content")
-    rules = landlock.ruleset([], [], [str(crowded), str(quiet)])
+    rules = confinement.ruleset([], [], [str(crowded), str(quiet)])
     child = os.fork()
     if child == 0:
-        landlock.confine(rules)
+        confinement.confine(rules)
         os._exit(_is_readable(crowded) + 2 * _is_readable(quiet))
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
     assert rules is not None

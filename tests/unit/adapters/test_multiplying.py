@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import compiled, lost, running, served
 
-from drivecal.adapters import children
-from drivecal.adapters.confinement import landlock
+from drivecal.adapters import children, confinement
 from drivecal.adapters.scratch import GRANTED
 from drivecal.domain.evaluations import Breakdown
 
@@ -59,7 +58,7 @@ int main(int count, char **arguments) {
 and end by themselves some time."""
 
 
-@pytest.mark.skipif(landlock.version() < landlock.SCOPES_SINCE, reason="this kernel (before 6.12) holds back no signals")
+@pytest.mark.skipif(confinement.version() < confinement.SCOPES_SINCE, reason="this kernel (before 6.12) holds back no signals")
 def test_chains_faster_than_any_look_at_processes_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     (tmp_path / "chains.c").write_text(CHAINS)

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from tests.support.simulators import PYTHON, running, write_script
 
-from drivecal.adapters import probe
-from drivecal.adapters.probe import run_probe
+from drivecal.adapters import command
+from drivecal.adapters.command import run_probe
 from drivecal.domain.errors import UnavailableError
 
 
@@ -60,7 +60,7 @@ def test_a_tool_that_is_not_there_refuses_the_machine(tmp_path: Path) -> None:
 
 
 def test_a_hanging_probe_ends_with_its_descendants(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(probe, "PROBE_SECONDS", 1.0)
+    monkeypatch.setattr(command, "PROBE_SECONDS", 1.0)
     mark = f"hanging-{tmp_path.name}"
     code = f"import subprocess, time; print('2.1', flush=True); subprocess.Popen(['sleep', '600', '{mark}']); time.sleep(600)"
     with pytest.raises(UnavailableError, match="1 s"):

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.support.networks import REAL, bridges, built, edge, entrance, node, real_corridor, real_network
 
-from drivecal.roads.corridor import corridor
-from drivecal.roads.levels import NEAR, other_levels
+from drivecal.roads.corridor import NEAR, corridor, other_levels
 from drivecal.roads.network import read_network
 
 ROUTE = ("before", "after")

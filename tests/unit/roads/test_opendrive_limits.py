@@ -11,8 +11,7 @@ from tests.support.opendrive_files import FILES, edited
 from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.conversion import Conversion, converted
 from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.limits import unlimited
-from drivecal.roads.network import Network, read_network
+from drivecal.roads.network import Network, read_network, unlimited
 
 NAME = "road.xodr"
 ALONG, AGAINST = ("-5#0", "-5#1", "-5#2", "-5#3", "-5#4", "-5#5"), ("5#5", "5#4", "5#3", "5#2", "5#1", "5#0")

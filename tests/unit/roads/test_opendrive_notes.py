@@ -13,8 +13,8 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.roads import conversion
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import corridor
+from drivecal.roads.documents import JoinedNotes, cut
 from drivecal.roads.network import read_network
-from drivecal.roads.notes import JoinedNotes, cut
 from drivecal.roads.opendrive import read_opendrive
 
 NAME = "road.xodr"

@@ -13,9 +13,8 @@ from tests.support.networks import GAMES, REAL, real, real_corridor, real_networ
 
 from drivecal.domain.roads import pose_on, to_cartesian
 from drivecal.roads.corridor import LARGEST_DIFFERENCE, SHORT
-from drivecal.roads.guide import guide_of
 from drivecal.roads.lines import lengths
-from drivecal.roads.route import lanes_of
+from drivecal.roads.route import guide_of, lanes_of
 
 NEAR = 0.1
 """Metres."""

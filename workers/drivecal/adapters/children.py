@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from drivecal.adapters import files as usage
 from drivecal.adapters import keeper
-from drivecal.adapters.files import usage
-from drivecal.adapters.files.disk import Disk
+from drivecal.adapters.files import Disk
 from drivecal.adapters.scratch import Scratch, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -188,7 +188,7 @@ class Children:
             self._overflows = True
             raise NoMeasuresError(Breakdown.ERROR, excess)
         try:
-            nameless = usage.nameless(threads, str(self._scratch.folder), of_every_thread=False)
+            nameless = usage.find_nameless(threads, str(self._scratch.folder), of_every_thread=False)
         except usage.UncountableError as error:
             raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
         files = sum(nameless.in_memory.values())

@@ -26,9 +26,8 @@ from typing import Any, NamedTuple
 if __name__ == "__main__":  # isolated, without site-packages
     sys.path.append(str(Path(__file__).parents[2]))
 
-from drivecal.adapters.confinement.landlock import confine, keep_signals, ruleset
-from drivecal.adapters.confinement.seccomp import hold_to_itself
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters.confinement import confine, hold_to_itself, keep_signals, ruleset
+from drivecal.adapters.files import remove
 
 START, END, KILL = b"s", b"t", b"k"
 GRACE_SECONDS = 2.0

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from drivecal.adapters.command import CommandAdapter
-from drivecal.adapters.fmu import FmuAdapter
 from drivecal.adapters.highway import HighwayAdapter
 from drivecal.adapters.process import ProcessAdapter
-from drivecal.adapters.python import PythonAdapter
+from drivecal.adapters.python import FmuAdapter, PythonAdapter
 from drivecal.domain.errors import NotFoundError, UnavailableError
 from drivecal.plugins.simulators import Simulator
 

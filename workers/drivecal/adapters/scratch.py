@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import drivecal
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters.files import remove
 from drivecal.bundles.archives import MANIFEST
 from drivecal.domain.errors import UnavailableError
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters.files import remove
 from drivecal.bundles.archives import folder_digest, unpack
 from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 

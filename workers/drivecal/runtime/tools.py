@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from drivecal.adapters.probe import run_probe
+from drivecal.adapters.command import run_probe
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.errors import UnavailableError
 

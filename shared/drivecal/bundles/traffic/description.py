@@ -19,8 +19,7 @@ from drivecal.bundles.traffic.route_files import RouteTraffic, read_routes
 from drivecal.contracts.input_errors import validated
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.roads.corridor import corridor
-from drivecal.roads.limits import FIELD
-from drivecal.roads.network import network_file, read_network
+from drivecal.roads.network import FIELD, network_file, read_network
 from drivecal.roads.opendrive import read_opendrive
 
 _ENTRY = re.compile(r"\w+\[\d+\]")

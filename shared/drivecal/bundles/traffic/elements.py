@@ -9,8 +9,7 @@ from drivecal.bundles.expressions import Formula, UndefinedError
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.roads.documents import Attributes, read_elements
-from drivecal.roads.notes import cut
+from drivecal.roads.documents import Attributes, cut, read_elements
 
 MOST_ELEMENTS = 200_000
 LONGEST_NOTE = 200

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import as_another_user, eventually, lost, nest, scratch_of, served
 
-from drivecal.adapters import children
-from drivecal.adapters.files import disk, usage
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters import children, files
+from drivecal.adapters.files import remove
 from drivecal.domain.evaluations import Breakdown
 
 MEGABYTE = 1 << 20
@@ -24,7 +23,7 @@ def limit(monkeypatch: pytest.MonkeyPatch, **limits: int) -> None:
     """Sets limits of the disk for new sessions, which look at it often."""
     monkeypatch.setattr(children, "LOOK_SECONDS", 0.1)
     for name, value in limits.items():
-        monkeypatch.setattr(disk, name, value)
+        monkeypatch.setattr(files, name, value)
 
 
 @pytest.mark.parametrize("most", [{"MOST_DISK_MB": 100}, {"MOST_FILES": 50}])
@@ -46,7 +45,7 @@ def test_a_session_that_holds_much_of_a_full_disk_is_ended_and_emptied(tmp_path:
     fill = "open(os.path.join(os.environ['TMPDIR'], '..', 'f'), 'wb').write(bytes(20_000_000))"
     with served(tmp_path, f"if x == 1.0:\n    {fill}\n    time.sleep(600)") as session:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
-        monkeypatch.setattr(disk.Room, "of", lambda _: disk.Room(10, 10**6, is_scarce=True))
+        monkeypatch.setattr(files.Room, "of", lambda _: files.Room(10, 10**6, is_scarce=True))
         assert "10 MB left" in lost(session, {"x": 1.0}, Breakdown.ERROR)
         assert not (scratch_of(session).folder / "f").exists()
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
@@ -89,18 +88,18 @@ def test_a_session_that_hides_its_open_files_is_ended_when_a_full_disk_loses_mor
 ) -> None:
     """Other users than root see no files of a process that may not be debugged."""
     limit(monkeypatch, NOTICED_MB=5)
-    shown = usage.nameless
+    shown = files.find_nameless
     with served(tmp_path, "if x == 1.0: time.sleep(600)") as session:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
         room = session._children._disk._opened.megabytes
-        monkeypatch.setattr(usage, "nameless", lambda *arguments, **options: replaced(shown(*arguments, **options)))
-        monkeypatch.setattr(disk.Room, "of", lambda _: disk.Room(room, 10**9, is_scarce=True))
+        monkeypatch.setattr(files, "find_nameless", lambda *arguments, **options: replaced(shown(*arguments, **options)))
+        monkeypatch.setattr(files.Room, "of", lambda _: files.Room(room, 10**9, is_scarce=True))
         session._children.look()  # as full as before
-        monkeypatch.setattr(disk.Room, "of", lambda _: disk.Room(room - 10, 10**9, is_scarce=True))
+        monkeypatch.setattr(files.Room, "of", lambda _: files.Room(room - 10, 10**9, is_scarce=True))
         assert "hides its open files" in lost(session, {"x": 1.0}, Breakdown.ERROR)
 
 
-def replaced(nameless: usage.Nameless) -> usage.Nameless:
+def replaced(nameless: files.Nameless) -> files.Nameless:
     """What another user than root sees."""
     nameless.is_complete = False
     return nameless
@@ -115,8 +114,8 @@ def test_a_process_that_hides_its_files_is_told_from_one_that_has_ended() -> Non
         hiding = os.fork()
         if hiding == 0:
             signal.pause()
-        assert usage.nameless([ended.pid], str(folder)).is_complete
-        assert not usage.nameless([hiding], str(folder)).is_complete
+        assert files.find_nameless([ended.pid], str(folder)).is_complete
+        assert not files.find_nameless([hiding], str(folder)).is_complete
         os.kill(hiding, signal.SIGKILL)
 
     as_another_user(looks)
@@ -130,8 +129,8 @@ def test_a_folder_without_rights_cannot_hide_files(mode: int) -> None:
         (folder / "hidden").mkdir()
         (folder / "hidden" / "file").write_text("1")
         (folder / "hidden").chmod(mode)
-        with pytest.raises(usage.UncountableError, match="Permission denied"):
-            usage.written(str(folder), 100)
+        with pytest.raises(files.UncountableError, match="Permission denied"):
+            files.count_written(str(folder), 100)
 
     as_another_user(counts)
 
@@ -147,7 +146,7 @@ def test_a_tree_beyond_the_longest_path_cannot_hide_files(tmp_path: Path, monkey
 def test_a_deep_tree_that_a_path_can_name_is_counted(tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     nest(tmp_path / "scratch", "d", 1500)
-    assert usage.written(str(tmp_path / "scratch"), 10_000)[1] == 1500
+    assert files.count_written(str(tmp_path / "scratch"), 10_000)[1] == 1500
     remove(tmp_path / "scratch")  # pytest recurses
 
 
@@ -158,7 +157,7 @@ def test_files_that_go_while_they_are_counted_do_not_hide_others(tmp_path: Path)
     (tmp_path / "large").write_bytes(bytes(MEGABYTE))
     with subprocess.Popen([sys.executable, "-S", "-c", CHURN], cwd=tmp_path) as writer:
         eventually(lambda: len(list(tmp_path.iterdir())) > 1)
-        counts = [usage.written(str(tmp_path), 10_000)[0] for _ in range(1000)]
+        counts = [files.count_written(str(tmp_path), 10_000)[0] for _ in range(1000)]
         writer.kill()
     assert min(counts) >= MEGABYTE
 
@@ -166,10 +165,10 @@ def test_files_that_go_while_they_are_counted_do_not_hide_others(tmp_path: Path)
 def test_a_count_ends_at_its_limit(tmp_path: Path) -> None:
     for number in range(20):
         (tmp_path / str(number)).touch()
-    assert usage.written(str(tmp_path), 5)[1] == 6
+    assert files.count_written(str(tmp_path), 5)[1] == 6
 
 
-@pytest.mark.skipif(not usage.is_in_memory("/dev/shm"), reason="this machine has no file system in memory")
+@pytest.mark.skipif(not files.is_in_memory("/dev/shm"), reason="this machine has no file system in memory")
 def test_files_in_memory_take_no_more_than_the_memory_of_the_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit(monkeypatch, NOTICED_MB=50)
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
@@ -185,7 +184,7 @@ def test_disks_are_told_from_memory() -> None:
     mounts = [line.split(" - ") for line in Path("/proc/self/mountinfo").read_text().splitlines()]
     systems = {mount.split()[4]: system.split()[0] for mount, system in mounts}
     shown = {place: system for place, system in systems.items() if system in {"tmpfs", "proc", "ext4", "sysfs", "overlay"}}
-    assert {place: usage.is_in_memory(place) for place in shown} == {
+    assert {place: files.is_in_memory(place) for place in shown} == {
         place: system == "tmpfs" for place, system in shown.items()
     }
 
@@ -202,7 +201,7 @@ def test_files_of_memory_count_once_and_not_only_while_they_are_mapped(tmp_path:
 
 def test_more_open_files_than_can_be_looked_at_cost_their_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     limit(monkeypatch)
-    monkeypatch.setattr(usage, "MOST_LOOKS", 200)
+    monkeypatch.setattr(files, "MOST_LOOKS", 200)
     many = "import os\nif x == 1.0:\n    kept = [os.dup(1) for _ in range(300)]\n    time.sleep(600)"
     with served(tmp_path, many) as session:
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
@@ -211,6 +210,6 @@ def test_more_open_files_than_can_be_looked_at_cost_their_run(tmp_path: Path, mo
 
 
 def test_more_mappings_than_can_be_counted_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(usage, "MOST_MAPPINGS", 5)
-    with pytest.raises(usage.UncountableError):
-        usage.mapped([os.getpid()], str(tmp_path))
+    monkeypatch.setattr(files, "MOST_MAPPINGS", 5)
+    with pytest.raises(files.UncountableError):
+        files.find_mapped([os.getpid()], str(tmp_path))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.support.simulators import as_another_user, nest
 
-from drivecal.adapters.files.removal import remove
+from drivecal.adapters.files import remove
 
 DEEPER_THAN_RECURSION = 1_500
 """Also longer than a path may be, with names of four letters."""

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drivecal.highway.comfort import kernels
+from drivecal.highway.comfort import metrics
 from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.plugins.ports import Floats
 
@@ -67,15 +67,15 @@ def test_peaks_agree_with_their_definition(signal: Floats, window: int) -> None:
     steps = np.diff(signal) * 100.0
     reach = min(window_used, steps.size)
     jerks = np.convolve(steps, np.full(reach, 1.0 / reach), mode="valid") if reach else np.zeros(1)
-    acceleration, jerk = kernels.peaks(signal, window, 100.0)
+    acceleration, jerk = metrics.peaks(signal, window, 100.0)
     assert acceleration == pytest.approx(np.abs(averages).max(), abs=1e-9)
     assert jerk == pytest.approx(np.abs(jerks).max(), abs=1e-9)
 
 
 @given(signals, st.floats(0.1, 5.0))
 def test_peaks_scale_with_the_signal_and_ignore_its_sign(signal: Floats, factor: float) -> None:
-    assert kernels.peaks(-factor * signal, 50, 100.0) == pytest.approx(
-        [factor * peak for peak in kernels.peaks(signal, 50, 100.0)], abs=1e-9
+    assert metrics.peaks(-factor * signal, 50, 100.0) == pytest.approx(
+        [factor * peak for peak in metrics.peaks(signal, 50, 100.0)], abs=1e-9
     )
 
 
@@ -125,7 +125,7 @@ def test_reversals_agree_with_a_count_of_turning_points(angle: Floats) -> None:
             extreme = value
         elif direction * (extreme - value) >= gap:
             count, direction, extreme = count + 1, -direction, value
-    assert kernels.reversals(angle, gap) == count
+    assert metrics.reversals(angle, gap) == count
 
 
 def test_motion_sickness_is_the_dose_of_the_weighted_acceleration() -> None:

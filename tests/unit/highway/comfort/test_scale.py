@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.highway.comfort.metrics import comfort_metrics
-from drivecal.highway.comfort.reference import REFERENCE
-from drivecal.highway.comfort.scale import LANE_KEEPING, MOTION, Criterion, criteria, rate
+from drivecal.highway.comfort.reference import LANE_KEEPING, MOTION, REFERENCE, Criterion, criteria, rate
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins import registry
 

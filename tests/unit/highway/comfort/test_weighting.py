@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from drivecal.highway.comfort import kernels
-from drivecal.highway.comfort.weighting import WD, WF, Section, digital
+from drivecal.highway.comfort import metrics
+from drivecal.highway.comfort.metrics import WD, WF, Section, digital
 from drivecal.plugins.ports import Floats
 
 RATE = 100.0
@@ -98,11 +98,11 @@ def test_the_kernel_filters_as_scipy_does(weighting: Weighting) -> None:
     noise = np.random.default_rng(2631).normal(size=(2, 2000))
     sections = digital(weighting, RATE)
     expected = [math.sqrt(float(np.mean(signal.sosfilt(sections, samples) ** 2))) for samples in noise]
-    assert kernels.weighted_root_mean_square(*noise, sections) == pytest.approx(expected, rel=1e-12)
+    assert metrics.weighted_root_mean_square(*noise, sections) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_long_oscillation_has_the_weighted_rms_of_the_table() -> None:
     quiet = np.zeros(round(200.0 * RATE))
-    measured, nothing = kernels.weighted_root_mean_square(oscillation(2.0, 4.0, 200.0), quiet, digital(WD, RATE))
+    measured, nothing = metrics.weighted_root_mean_square(oscillation(2.0, 4.0, 200.0), quiet, digital(WD, RATE))
     assert nothing == 0.0
     assert measured == pytest.approx(0.512 * 2.0 / math.sqrt(2.0), rel=0.01)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from drivecal.bundles.highway_actions import CutIn
-from drivecal.highway.drive.conditions import Events, Moment, Moving, Watch
+from drivecal.highway.drive.actions import Events, Moment, Moving, Watch
 
 STEP = 0.5
 

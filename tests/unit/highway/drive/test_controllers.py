@@ -12,9 +12,15 @@ import pytest
 from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
 
 from drivecal.adapters.driver import UnusableError
-from drivecal.highway.drive.controllers import Checked, ControllerError, FmuControl, FunctionController
+from drivecal.highway.drive.controllers import (
+    Checked,
+    ControllerError,
+    FmuControl,
+    FunctionController,
+    ProgramController,
+    ProgramError,
+)
 from drivecal.highway.drive.observation import NAMES
-from drivecal.highway.drive.programs import ProgramController, ProgramError
 
 SIGNALS = [float(number) for number in range(len(NAMES))]
 SCENARIO = {"data": {"list": [1]}}

@@ -21,8 +21,7 @@ from drivecal.highway.drive.traffic import CHECKED_STEPS, Traffic
 from drivecal.highway.sumo import EGO, GET_POSITION, GET_SPEED, lane
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import corridor
-from drivecal.roads.limits import unlimited
-from drivecal.roads.network import read_network
+from drivecal.roads.network import read_network, unlimited
 
 STEP, SPEED, SIZE = 0.1, 30.0, np.array([2.35, 0.95])
 

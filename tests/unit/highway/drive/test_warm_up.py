@@ -14,8 +14,8 @@ from drivecal.domain.roads import Floats
 from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.drive.routes import BRAKING, HEADWAY, STANDING_GAP, too_close
 from drivecal.highway.drive.traffic import Traffic
-from drivecal.highway.drive.warm_up import BRAKING, HEADWAY, STANDING_GAP, too_close
 from drivecal.highway.geometry import hit
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network

@@ -9,7 +9,7 @@ import pytest
 
 from drivecal.highway import sumo
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.traffic.configuration import drift_offsets, routes
+from drivecal.highway.traffic.simulation import drift_offsets, routes
 
 S3 = HIGHWAY.scenarios["S3"]
 

@@ -42,17 +42,14 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     from drivecal.highway.drive.measures import measures, series
     from drivecal.highway.drive.plants import UserVehicleModel, plant_of
     from drivecal.highway.drive.rehearsal import hold, rehearse
-    from drivecal.highway.drive.replay.drives import DriveRecorder
-    from drivecal.highway.drive.replay.surfaces import neighbouring
+    from drivecal.highway.drive.replay import DriveRecorder, neighbouring
     from drivecal.highway.drive.road import HighwayRoad
     from drivecal.highway.drive.traffic import Traffic
     from drivecal.highway.drive.trajectories import ControllerTrajectories, PlannerTrajectories, TrajectorySource
     from drivecal.highway.vehicle.model import SingleTrackModel
     from drivecal.highway.vehicle.parameters import TABLE_8, SingleTrackParameters
-    from drivecal.roads.corridor import corridor
-    from drivecal.roads.levels import other_levels
-    from drivecal.roads.limits import unlimited
-    from drivecal.roads.network import network_file, read_network
+    from drivecal.roads.corridor import corridor, other_levels
+    from drivecal.roads.network import network_file, read_network, unlimited
 
     simulator = HighwaySimulator.model_validate(settings["simulator"])
     folder, scratch, name = Path(settings["folder"]), Path(settings["scratch"]), settings["scenario"]

@@ -13,8 +13,7 @@ from drivecal.adapters.fmu_driver import Fmu
 from drivecal.bundles.highway_catalogue import COMMANDS, VEHICLE_INPUTS, VEHICLE_STATES
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
-from drivecal.highway.drive.controllers import end_if_fatal, function_of
-from drivecal.highway.drive.programs import ProgramController
+from drivecal.highway.drive.controllers import ProgramController, end_if_fatal, function_of
 from drivecal.highway.vehicle import kernels
 from drivecal.highway.vehicle.equations import ADHESION_LIMIT, STEP
 from drivecal.highway.vehicle.model import SingleTrackModel

@@ -11,7 +11,7 @@ from typing import Any
 
 import numba
 
-from drivecal.adapters.confinement.landlock import confine, ruleset
+from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerController, UserVehicleEntry
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError

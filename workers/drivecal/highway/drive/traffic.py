@@ -19,8 +19,7 @@ from drivecal.highway import sumo
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.actions import Actions, EgoPlace
 from drivecal.highway.drive.road import HighwayRoad
-from drivecal.highway.drive.routes import drivers, is_exact, options, route_id, routes_file, start_time
-from drivecal.highway.drive.warm_up import drive_alone, too_close
+from drivecal.highway.drive.routes import drive_alone, drivers, is_exact, options, route_id, routes_file, start_time, too_close
 from drivecal.highway.geometry import point
 from drivecal.highway.sumo import (
     ARRIVED,

@@ -1,7 +1,7 @@
 """The SUMO simulation of a process, which removes and re-adds all vehicles between runs.
 
 libsumo keeps the simulation in global state, so that every process has exactly one `Simulation`, returned by `simulation()`. A reset is
-bit-identical to a fresh start, because the simulation has no randomness (see `configuration.EXACT`) and does not depend on the clock.
+bit-identical to a fresh start, because the simulation has no randomness (see `EXACT`) and does not depend on the clock.
 
 SUMO knows vehicles by lane and position. The ego vehicle is moved along its lane by the speed that leads there, and put into another lane
 by name. Of the others it is asked for their speeds only: their places follow from them, and their drifts are the scenario's.
@@ -9,21 +9,63 @@ by name. Of the others it is asked for their speeds only: their places follow fr
 
 import tempfile
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
 from drivecal.domain.errors import DrivecalError, InvalidInputError
 from drivecal.domain.roads import Floats
-from drivecal.domain.scenarios import Scenario
+from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
 from drivecal.highway.geometry import with_directions
 from drivecal.highway.sumo import EGO, SET_SPEED, STEP, SUMO_ERRORS
-from drivecal.highway.traffic.configuration import ROUTE, drift_offsets, routes
 from drivecal.highway.traffic.geometry import LANE, OFFSET, PLACE, SPEED, locate, settle
 from drivecal.highway.traffic.lanes import SumoLanes
 from drivecal.roads.carriageway import carriageway, corridor_of
+
+ROUTE = "road"
+
+
+def routes(scenario: Scenario) -> bytes:
+    """Returns the route file: one route over the whole road, one vehicle type per vehicle, no vehicles (each run adds them)."""
+    root = Element("routes")
+    SubElement(root, "route", id=ROUTE, edges=" ".join(scenario.route))
+    for vehicle in scenario.traffic:
+        SubElement(root, "vType", _type(vehicle))
+    SubElement(root, "vType", {"id": EGO, "length": repr(scenario.ego.length), "width": repr(scenario.ego.width), **EXACT})
+    return tostring(root)
+
+
+EXACT = {"carFollowModel": "IDM", "speedFactor": "1", "speedDev": "0"}
+"""Parameters of the intelligent driver model (Treiber et al. 2000) without randomness."""
+
+
+def _type(vehicle: TrafficVehicle) -> dict[str, str]:
+    values = {
+        "length": vehicle.length,
+        "width": vehicle.width,
+        "accel": vehicle.acceleration,
+        "decel": vehicle.deceleration,
+        "tau": vehicle.time_headway,
+        "maxSpeed": vehicle.desired_speed,
+    }
+    return {"id": vehicle.id, **EXACT, **{name: repr(value) for name, value in values.items()}}
+
+
+def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
+    """Returns the vehicle's offset from its lane's centre (m, to the left) after each step of the scenario."""
+    steps = round(scenario.duration / scenario.step)
+    return [_interpolate(vehicle.drift, (step + 1) * scenario.step) for step in range(steps)]
+
+
+def _interpolate(knots: tuple[tuple[float, float], ...], time: float) -> float:
+    for (begin, first), (end, second) in pairwise(knots):
+        if time < end:
+            return first + (second - first) * max(0.0, time - begin) / (end - begin)
+    return knots[-1][1]
 
 
 class SimulationError(DrivecalError):

@@ -9,10 +9,10 @@ from pathlib import Path
 
 def train_vehicle() -> None:
     """Trains the hybrid vehicle's residual."""
-    from drivecal.highway.training import vehicle, vehicle_card
-    from drivecal.highway.training.drives import Drives
+    from drivecal.highway.training import vehicle
     from drivecal.highway.training.tables import write_table
-    from drivecal.highway.vehicle.residual import FILE
+    from drivecal.highway.training.vehicle import Drives
+    from drivecal.highway.vehicle.hybrid import FILE
 
     _print("driving the multi-body vehicle")
     drives = Drives.of(vehicle.training_drives())
@@ -23,17 +23,17 @@ def train_vehicle() -> None:
     _print("driving the held-out manoeuvres")
     card = FILE.with_suffix(".md")
     held_out = vehicle.held_out_drives()
-    errors = vehicle_card.error_table(residual, vehicle_card.kinds_of(held_out), Drives.of(held_out))
-    write_table(card, vehicle_card.ERRORS, errors)
-    write_table(card, vehicle_card.RANGE, vehicle_card.range_table(residual))
+    errors = vehicle.error_table(residual, vehicle.kinds_of(held_out), Drives.of(held_out))
+    write_table(card, vehicle.ERRORS, errors)
+    write_table(card, vehicle.RANGE, vehicle.range_table(residual))
     _print(errors, FILE)
 
 
 def train_comfort() -> None:
     """Trains the learned comfort evaluator."""
-    from drivecal.highway.comfort.regression_arrays import FILE, write
+    from drivecal.highway.comfort.learned import FILE, write
     from drivecal.highway.manoeuvres import Manoeuvre
-    from drivecal.highway.training import comfort, comfort_card
+    from drivecal.highway.training import comfort
     from drivecal.highway.training.tables import write_table
 
     _print("driving the training manoeuvres")
@@ -47,10 +47,10 @@ def train_comfort() -> None:
     write(FILE, regressions)
     _print("driving the held-out manoeuvres")
     card, held_out = FILE.with_suffix(".md"), comfort.drives(held_out=True)
-    ratings = comfort_card.ratings(regressions, held_out)
-    agreement = comfort_card.agreement_table(ratings, held_out)
-    write_table(card, comfort_card.AGREEMENT, agreement)
-    write_table(card, comfort_card.CALIBRATION, comfort_card.calibration_table(ratings, held_out))
+    ratings = comfort.ratings(regressions, held_out)
+    agreement = comfort.agreement_table(ratings, held_out)
+    write_table(card, comfort.AGREEMENT, agreement)
+    write_table(card, comfort.CALIBRATION, comfort.calibration_table(ratings, held_out))
     _print(agreement, FILE)
 
 

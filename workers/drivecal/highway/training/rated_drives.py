@@ -7,18 +7,17 @@ import numpy as np
 from scipy.stats import qmc
 
 from drivecal.domain.evaluations import Rating
-from drivecal.highway.comfort import scale
-from drivecal.highway.comfort.channels import channels_of
+from drivecal.highway.comfort import reference
 from drivecal.highway.comfort.metrics import comfort_metrics
-from drivecal.highway.comfort.rocket import Integers
+from drivecal.highway.comfort.rocket import Integers, channels_of
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.training.manoeuvres import smooth
+from drivecal.highway.training.multibody import smooth
+from drivecal.highway.vehicle.hybrid import shipped
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL
-from drivecal.highway.vehicle.residual import shipped
 from drivecal.plugins.ports import Floats, Series
 
 STEP = 0.1
@@ -52,7 +51,7 @@ class _Recorder:
 
     def rate(self, rated_as: str, metrics: Mapping[str, float]) -> Rating:
         """Rates by the reference scale."""
-        return scale.rate(Manoeuvre(rated_as), metrics)
+        return reference.rate(Manoeuvre(rated_as), metrics)
 
     def rate_series(self, rated_as: str, series: Series) -> Rating:
         """Rates by the reference scale and keeps the channels."""
@@ -168,6 +167,6 @@ def synthetic(manoeuvre: Manoeuvre, number: int, seed: int) -> RatedDrive | None
         x, y = model.pose[:2]
         _, due_x, due_y, heading = path[k + 1, :4]
         driven[k] = offset[10 * (k + 1)] + (y - due_y) * np.cos(heading) - (x - due_x) * np.sin(heading)
-    rating = scale.rate(manoeuvre, comfort_metrics(dynamics, driven))
+    rating = reference.rate(manoeuvre, comfort_metrics(dynamics, driven))
     group = group_of_profile(manoeuvre, number)
     return RatedDrive(manoeuvre, group, group, channels_of(dynamics, driven), rating.rating)

@@ -12,10 +12,9 @@ from tests.support.networks import real_corridor
 
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.domain.roads import Floats, to_cartesian
+from drivecal.highway.drive import replay as replays
 from drivecal.highway.drive.measures import COLUMNS, Record
-from drivecal.highway.drive.replay import drives
-from drivecal.highway.drive.replay.drives import REACH, DriveRecorder
-from drivecal.highway.drive.replay.surfaces import Neighbourhood
+from drivecal.highway.drive.replay import REACH, DriveRecorder, Neighbourhood
 
 ROAD = real_corridor("motorway")
 STEP, SPEED = 0.1, 30.0
@@ -86,15 +85,15 @@ def test_an_unstable_vehicle_is_shown_up_to_its_last_place() -> None:
 
 
 def test_long_and_full_runs_are_shown_at_fewer_moments(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drives, "MOST_POSES", 40)
+    monkeypatch.setattr(replays, "MOST_POSES", 40)
     replay = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
     assert replay is not None
     assert replay.time_s == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    monkeypatch.setattr(drives, "MOST_MOMENTS", 4)
+    monkeypatch.setattr(replays, "MOST_MOMENTS", 4)
     fewer = recorded(rows(np.arange(51) * 0.02), [{}] * 51)
     assert fewer is not None
     assert fewer.time_s == pytest.approx([0.0, 0.4, 0.8, 1.0])
-    monkeypatch.setattr(drives, "MOST_POSES", 5)
+    monkeypatch.setattr(replays, "MOST_POSES", 5)
     fuller = recorded(rows(np.arange(51) * 0.02), [{"a": 20.0, "b": 40.0}] * 51)
     assert fuller is not None
     assert fuller.time_s == pytest.approx([0.0, 0.8, 1.0])
@@ -111,8 +110,8 @@ def test_moments_are_at_least_a_tenth_of_a_second_apart_but_for_the_last(step: f
 
 
 def test_the_memory_of_a_recorder_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drives, "MOST_MOMENTS", 20)
-    monkeypatch.setattr(drives, "MOST_POSES", 300)
+    monkeypatch.setattr(replays, "MOST_MOMENTS", 20)
+    monkeypatch.setattr(replays, "MOST_POSES", 300)
     names = [f"v{number}" for number in range(25)]
     outlines = np.tile([0.0, 0.0, 0.0, 2.5, 0.9, SPEED], (len(names), 1))
     recorder, pose = DriveRecorder(0.01), np.zeros(3)

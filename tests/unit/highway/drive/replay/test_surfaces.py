@@ -14,8 +14,8 @@ from tests.support.networks import REAL, entrance, real_corridor, real_network
 
 from drivecal.contracts.evaluation import RoadSurface
 from drivecal.domain.roads import Floats
-from drivecal.highway.drive.replay import surfaces
-from drivecal.highway.drive.replay.surfaces import (
+from drivecal.highway.drive import replay
+from drivecal.highway.drive.replay import (
     ASIDE,
     LINE_SPACING,
     LONGEST,
@@ -125,13 +125,13 @@ def test_lanes_far_from_the_drive_are_left_out_before_they_are_searched(name: st
     lanes = neighbouring(real_network(REAL[name][0]), road)
     rows = rows_between(road, 0.4 * road.length, 0.4 * road.length + 50.0)
     searched: list[Lane] = []
-    pieces = surfaces._pieces
+    pieces = replay._pieces
 
     def counted(lane: Lane, tree: KDTree) -> Iterator[tuple[float, Floats, Floats]]:
         searched.append(lane)
         return pieces(lane, tree)
 
-    monkeypatch.setattr(surfaces, "_pieces", counted)
+    monkeypatch.setattr(replay, "_pieces", counted)
     drawn = surface_beside(lanes, road, rows)
     points = road.line[rows, 1:3]
     for shape in (lane.shape for lane in searched):

@@ -1,1 +1,0 @@
-"""Files of simulators: their limits and their removal. Standard library only: the keeper imports `removal`."""

@@ -1,1 +1,0 @@
-"""Replays of runs: the roads near the drive as polylines, and the vehicles on them."""
