@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from tests.golden import held_out
 
-from drivecal.highway.comfort import learned
+from drivecal.highway.comfort import regressions
 from drivecal.highway.training import comfort, multibody, vehicle
 from drivecal.highway.training.multibody import TRAINED, UNSEEN, draw
 from drivecal.highway.training.tables import read_table
 from drivecal.highway.training.vehicle import Drives
-from drivecal.highway.vehicle import hybrid
+from drivecal.highway.vehicle import residual
 
-VEHICLE_CARD = hybrid.FILE.with_suffix(".md")
-COMFORT_CARD = learned.FILE.with_suffix(".md")
+VEHICLE_CARD = residual.FILE.with_suffix(".md")
+COMFORT_CARD = regressions.FILE.with_suffix(".md")
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -41,7 +41,7 @@ def test_a_figure_that_differs_would_be_noticed() -> None:
 
 @pytest.mark.slow
 def test_the_hybrid_vehicle_errs_on_held_out_manoeuvres_as_its_card_says_and_half_as_much_as_the_plain_one() -> None:
-    (kinds, drives), shipped = held_out.read(), hybrid.shipped()
+    (kinds, drives), shipped = held_out.read(), residual.shipped()
     assert_alike(vehicle.error_table(shipped, kinds, drives), read_table(VEHICLE_CARD, vehicle.ERRORS))
     errors = vehicle.errors(shipped, kinds, drives)
     assert np.all(errors["hybrid"] <= 0.5 * errors["plain"])
@@ -62,13 +62,13 @@ def test_the_multi_body_vehicle_drives_as_it_was_recorded() -> None:
 
 
 def test_the_hybrid_vehicles_range_is_what_its_card_says() -> None:
-    assert_alike(vehicle.range_table(hybrid.shipped()), read_table(VEHICLE_CARD, vehicle.RANGE))
+    assert_alike(vehicle.range_table(residual.shipped()), read_table(VEHICLE_CARD, vehicle.RANGE))
 
 
 @pytest.mark.slow
 def test_the_learned_evaluator_agrees_with_the_panel_on_held_out_manoeuvres_as_its_card_says() -> None:
     drives = comfort.drives(held_out=True)
-    ratings = comfort.ratings(learned.shipped(), drives)
+    ratings = comfort.ratings(regressions.shipped(), drives)
     assert_alike(comfort.agreement_table(ratings, drives), read_table(COMFORT_CARD, comfort.AGREEMENT))
     assert_alike(comfort.calibration_table(ratings, drives), read_table(COMFORT_CARD, comfort.CALIBRATION))
 

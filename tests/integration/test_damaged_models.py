@@ -12,9 +12,9 @@ from tests.support.server import serving
 from tests.support.values import MIDDLE
 
 from drivecal.domain.campaigns import CampaignState
-from drivecal.highway.comfort import learned
+from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED
-from drivecal.highway.vehicle import hybrid
+from drivecal.highway.vehicle import hybrid, residual
 from drivecal.highway.vehicle.hybrid import HYBRID
 from drivecal.storage.engine.database import Database
 
@@ -23,11 +23,11 @@ CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybri
 
 def damage(folder: Path, patch: pytest.MonkeyPatch) -> None:
     """Both files lack their ends, and nobody has read them yet."""
-    copies = [folder / hybrid.FILE.name, folder / learned.FILE.name]
-    for file, copy in zip((hybrid.FILE, learned.FILE), copies, strict=True):
+    copies = [folder / residual.FILE.name, folder / regressions.FILE.name]
+    for file, copy in zip((residual.FILE, regressions.FILE), copies, strict=True):
         copy.write_bytes(file.read_bytes()[:-40])
-    patch.setattr(hybrid, "shipped", lambda: hybrid.read(copies[0]))
-    patch.setattr(learned, "shipped", lambda: learned.read(copies[1]))
+    patch.setattr(hybrid, "shipped", lambda: residual.read(copies[0]))
+    patch.setattr(learned, "shipped", lambda: regressions.read(copies[1]))
     for plugin in (HYBRID, LEARNED):
         patch.delitem(vars(plugin), "version", raising=False)
 

@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.highway.comfort import learned
-from drivecal.highway.comfort.learned import LEARNED, Learned, Regression, arrays_of, shipped
+from drivecal.highway.comfort import learned, regressions
+from drivecal.highway.comfort.learned import LEARNED, Learned
+from drivecal.highway.comfort.regressions import Regression, arrays_of, shipped
 from drivecal.highway.comfort.rocket import LENGTH, MIRROR, Rater, channels_of, features_of
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.training import comfort
@@ -178,8 +179,8 @@ def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
 
 def test_a_damaged_file_is_refused_and_nothing_is_rated_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "learned.npz"
-    path.write_bytes(learned.FILE.read_bytes()[:-100])
-    monkeypatch.setattr(learned, "shipped", lambda: learned.read(path))
+    path.write_bytes(regressions.FILE.read_bytes()[:-100])
+    monkeypatch.setattr(learned, "shipped", lambda: regressions.read(path))
     evaluator = Learned()
     with pytest.raises(DamagedArraysError, match=r"learned\.npz"):
         evaluator.version  # noqa: B018  reading it is what fails
@@ -201,9 +202,9 @@ def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path,
     arrays = arrays_of(shipped())
     kind = arrays[f"lane_change_{name}"].dtype
     arrays[f"lane_change_{name}"] = np.array(value, dtype=kind)
-    write_arrays(tmp_path / "learned.npz", learned.KIND, arrays)
+    write_arrays(tmp_path / "learned.npz", regressions.KIND, arrays)
     with pytest.raises(DamagedArraysError, match="channels"):
-        learned.read(tmp_path / "learned.npz")
+        regressions.read(tmp_path / "learned.npz")
 
 
 def test_a_channel_that_does_not_exist_never_reaches_the_kernels() -> None:

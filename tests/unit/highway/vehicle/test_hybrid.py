@@ -18,10 +18,11 @@ from tests.support.effort import examples
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.vehicle import Drives
-from drivecal.highway.vehicle import equations, hybrid
-from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid, Residual, shipped
+from drivecal.highway.vehicle import equations, hybrid, residual
+from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
+from drivecal.highway.vehicle.residual import Residual, shipped
 from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins import registry
 from drivecal.plugins.arrays import DamagedArraysError, write_arrays
@@ -207,8 +208,8 @@ def test_a_fresh_process_agrees_in_every_bit_and_loads_little() -> None:
 
 def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "hybrid.npz"
-    path.write_bytes(hybrid.FILE.read_bytes()[:-50])
-    monkeypatch.setattr(hybrid, "shipped", lambda: hybrid.read(path))
+    path.write_bytes(residual.FILE.read_bytes()[:-50])
+    monkeypatch.setattr(hybrid, "shipped", lambda: residual.read(path))
     vehicle = Hybrid()
     with pytest.raises(DamagedArraysError, match=r"hybrid\.npz"):
         vehicle.version  # noqa: B018  reading it is what fails
@@ -226,9 +227,9 @@ def test_a_damaged_file_is_refused_and_no_vehicle_is_made(tmp_path: Path, monkey
     ],
 )
 def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path, name: str, value: Floats, reason: str) -> None:
-    write_arrays(tmp_path / "hybrid.npz", hybrid.KIND, dict(shipped().arrays) | {name: value})
+    write_arrays(tmp_path / "hybrid.npz", residual.KIND, dict(shipped().arrays) | {name: value})
     with pytest.raises(DamagedArraysError, match=reason):
-        hybrid.read(tmp_path / "hybrid.npz")
+        residual.read(tmp_path / "hybrid.npz")
 
 
 @pytest.mark.slow

@@ -1,98 +1,16 @@
-"""The learned evaluator and its arrays. Light enough for the coordinator: workers import the kernels when they rate."""
+"""Plug-in of the learned evaluator. Light enough for the coordinator: workers import the kernels when they rate."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from functools import cache, cached_property
-from pathlib import Path
+from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
 from drivecal.domain.evaluations import Rating
+from drivecal.highway.comfort.regressions import arrays_of, shipped
 from drivecal.highway.manoeuvres import Manoeuvre
-from drivecal.plugins.arrays import Array, DamagedArraysError, Expected, content_digest, read_arrays, write_arrays
-from drivecal.plugins.ports import Evaluator, Floats, Series
-
-FILE = Path(__file__).with_name("learned.npz")
-KIND = "drivecal learned comfort evaluator 1"
-KERNELS, CHANNELS, LARGEST_DILATION = 84, 6, 19
-
-
-@dataclass(frozen=True, slots=True)
-class Regression:
-    """MiniRocket features, see `rocket.transform`, and their weights in the rating of one class of manoeuvres.
-
-    `dilations` (d,), `per_dilation` (d,), `n_channels` (84 d,), `channels` (sum of n_channels,), `biases` (84 sum of per_dilation,): whole
-    numbers. `weights`, one per bias, and `intercept` (1,): the rating is features @ weights + intercept.
-    """
-
-    dilations: npt.NDArray[np.int32]
-    per_dilation: npt.NDArray[np.int32]
-    n_channels: npt.NDArray[np.int32]
-    channels: npt.NDArray[np.int32]
-    biases: npt.NDArray[np.int32]
-    weights: Floats
-    intercept: Floats
-
-    def __post_init__(self) -> None:
-        # The kernels index by these arrays without bounds checks, so that inconsistent arrays must not reach them.
-        fits = (
-            len(self.dilations) == len(self.per_dilation) > 0
-            and self.dilations.min() >= 1
-            and self.dilations.max() <= LARGEST_DILATION
-            and self.per_dilation.min() >= 0
-            and len(self.n_channels) == KERNELS * len(self.dilations)
-            and self.n_channels.min() >= 1
-            and int(self.n_channels.sum()) == len(self.channels)
-            and self.channels.min() >= 0
-            and self.channels.max() < CHANNELS
-            and len(self.biases) == len(self.weights) == KERNELS * int(self.per_dilation.sum())
-        )
-        if not fits:
-            raise ValueError("dilations, kernels, channels, biases and weights do not fit together")
-
-
-_KINDS = {field.name: "float64" if field.name in {"weights", "intercept"} else "int32" for field in fields(Regression)}
-_EXPECTED = {
-    f"{manoeuvre.value}_{name}": Expected(kind, (1,) if name == "intercept" else (None,))
-    for manoeuvre in Manoeuvre
-    for name, kind in _KINDS.items()
-}
-
-
-def arrays_of(regressions: Mapping[Manoeuvre, Regression]) -> dict[str, Array]:
-    """Returns the stored arrays by name."""
-    return {
-        f"{manoeuvre.value}_{name}": getattr(regression, name)
-        for manoeuvre, regression in regressions.items()
-        for name in _KINDS
-    }
-
-
-def write(path: Path, regressions: Mapping[Manoeuvre, Regression]) -> None:
-    """Stores one regression per class."""
-    write_arrays(path, KIND, arrays_of(regressions))
-
-
-def read(path: Path = FILE) -> dict[Manoeuvre, Regression]:
-    """Reads the regressions. Raises DamagedArraysError if the file is missing, damaged or of another kind."""
-    arrays = read_arrays(path, KIND, _EXPECTED)
-    try:
-        return {
-            manoeuvre: Regression(**{name: arrays[f"{manoeuvre.value}_{name}"] for name in _KINDS}) for manoeuvre in Manoeuvre
-        }
-    except ValueError as error:
-        raise DamagedArraysError(path.name, str(error)) from error
-
-
-@cache
-def shipped() -> dict[Manoeuvre, Regression]:
-    """Returns the regressions that drivecal is shipped with."""
-    return read()
-
+from drivecal.plugins.arrays import content_digest
+from drivecal.plugins.ports import Evaluator, Series
 
 if TYPE_CHECKING:
     from drivecal.highway.comfort.rocket import Rater

@@ -12,7 +12,7 @@ def train_vehicle() -> None:
     from drivecal.highway.training import vehicle
     from drivecal.highway.training.tables import write_table
     from drivecal.highway.training.vehicle import Drives
-    from drivecal.highway.vehicle.hybrid import FILE
+    from drivecal.highway.vehicle.residual import FILE
 
     _print("driving the multi-body vehicle")
     drives = Drives.of(vehicle.training_drives())
@@ -31,7 +31,7 @@ def train_vehicle() -> None:
 
 def train_comfort() -> None:
     """Trains the learned comfort evaluator."""
-    from drivecal.highway.comfort.learned import FILE, write
+    from drivecal.highway.comfort.regressions import FILE, write
     from drivecal.highway.manoeuvres import Manoeuvre
     from drivecal.highway.training import comfort
     from drivecal.highway.training.tables import write_table

@@ -15,9 +15,9 @@ from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.training.multibody import smooth
-from drivecal.highway.vehicle.hybrid import shipped
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL
+from drivecal.highway.vehicle.residual import shipped
 from drivecal.plugins.ports import Floats, Series
 
 STEP = 0.1

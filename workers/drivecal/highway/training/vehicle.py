@@ -19,8 +19,8 @@ from drivecal.highway.training import multibody
 from drivecal.highway.training.multibody import QUIET, STEP, TRAINED, UNSEEN, Recording, draw
 from drivecal.highway.training.tables import table
 from drivecal.highway.vehicle import equations
-from drivecal.highway.vehicle.hybrid import Residual
 from drivecal.highway.vehicle.parameters import SingleTrackParameters
+from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
 
 SECONDS = 4.0

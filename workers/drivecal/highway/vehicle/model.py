@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from drivecal.highway.vehicle import equations, kernels
-from drivecal.highway.vehicle.hybrid import Residual
 from drivecal.highway.vehicle.parameters import NOMINAL, SingleTrackParameters
+from drivecal.highway.vehicle.residual import Residual
 from drivecal.plugins.ports import Floats
 
 _NO_PATH: Floats = np.zeros((2, 7))
