@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import os
 import signal
 from collections.abc import Generator, Iterator
@@ -23,6 +24,7 @@ from drivecal.campaigns.resolve.problem import trial
 from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.ray.backend import RayBackend, RayOptions
 from drivecal.execution.supervised import WorkerLimits
+from drivecal.storage import lots
 
 # Everyday examples are the same everywhere, so that a newcomer's first run is no lottery. No test asserts a time: a first example that
 # imports or compiles something may take as long as it likes.
@@ -37,6 +39,28 @@ event.listen(Pool, "checkout", leave_it_to_the_system)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+class Secrets:
+    """The secrets that draw the samples of lots: in the everyday form those of a test are the same in every run."""
+
+    def __init__(self) -> None:
+        self.made = 0
+
+    def token_bytes(self, length: int) -> bytes:
+        """Returns the next secret of the current test."""
+        self.made += 1
+        return hashlib.shake_128(str(self.made).encode()).digest(length)
+
+
+SECRETS = Secrets()
+if not effort.LONG:
+    lots.secrets = SECRETS  # type: ignore[attr-defined, assignment]  # stands for a module of the standard library
+
+
+def pytest_runtest_setup() -> None:
+    """Begins the secrets of a test, before its first fixture."""
+    SECRETS.made = 0
+
+
 # Collecting makes objects by the million that stay to the end: looking through them for garbage takes longer than many tests.
 gc.disable()
 
@@ -45,7 +69,7 @@ SHARE_RAY = {"tests/contract/backend/test_backend.py", "tests/faults/test_poison
 """The files that use `ray_backend`: one process runs them all and starts Ray once."""
 LONG_FILES = {
     *("test_kills.py", "test_page_views.py", "test_ray_backend.py", "test_highway.py", "test_serve.py", "test_backup.py"),
-    *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_problem.py", "test_whole_way.py"),
+    *("test_problems_whole_way.py", "test_tutorials.py", "test_notebooks.py", "test_whole_way.py"),
     "test_hostile_drives.py",
 }
 """Files that take most of a minute: those of `make test`, and further ones of `make test-slow`."""

@@ -51,13 +51,3 @@ def test_every_page_opens_without_a_complaint(api: RunningApi, opening: Opening,
     for file in files if pages == "all" else sample(files, 6):
         page.goto(f"{api.url}/help/{file.relative_to(MANUAL).as_posix()}")
         expect(page.locator("h1").first).to_be_visible()
-
-
-@pytest.mark.slow
-def test_the_documentation_of_the_api_asks_no_other_host(api: RunningApi, opening: Opening) -> None:
-    page = opening(f"{api.url}/docs")
-    expect(page.get_by_role("heading", name="drivecal")).to_be_visible()
-    operation = page.locator(".opblock-summary", has_text="/api/v1/problems").first
-    operation.click()
-    page.get_by_role("button", name="Try it out").click()
-    expect(page.get_by_role("button", name="Execute")).to_be_visible()

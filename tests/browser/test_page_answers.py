@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -164,23 +163,6 @@ def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening
     shown.api.http.post(f"/api/v1/campaigns/{new.id}/cancel").raise_for_status()
 
 
-def test_a_comparison_measures_each_campaign_by_its_first_objective(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/compare?ids={shown.first.id},{shown.frugal.id}")
-    for name, direction in (("accuracy", "more"), ("energy", "less")):
-        drawing = page.get_by_role("img", name=re.compile(f"Courses of the searches: {name}"))
-        expect(drawing.locator("path")).to_have_count(1)
-        expect(drawing).to_contain_text(f"{direction} is better")
-    row = page.get_by_role("row", name="best objective")
-    expect(row.get_by_role("cell").last).to_have_text("–")
-    expect(page.get_by_text("the objectives are not on one scale")).to_be_visible()
-    page.goto(f"{shown.api.url}/#/compare?ids={shown.frugal.id},{shown.frugal.id}")
-    drawing = page.get_by_role("img", name=re.compile("Courses of the searches"))
-    expect(drawing).to_have_count(1)
-    expect(drawing.locator("path")).to_have_count(2)
-    expect(drawing).to_contain_text("best objective / J, less is better")
-    expect(row.get_by_role("cell").last).to_have_text("0")
-
-
 def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown: Shown, opening: Opening) -> None:
     def close(campaign: dict[str, Any]) -> dict[str, Any]:
         best = campaign["best"]
@@ -203,41 +185,6 @@ def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown:
     assert colours == [page.evaluate(probe, name) for name in ("--quiet", "--well")]
 
 
-def test_a_trade_off_within_the_tolerance_of_an_objective_is_neutral(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/nowhere")
-    tolerant = {"tolerance": 1000}
-    changed(page, "/front/summary", lambda answer: answer | {"objectives": [goal | tolerant for goal in answer["objectives"]]})
-    page.goto(f"{shown.at(shown.frugal, 'front')}?row=1&with=2")
-    gains = page.get_by_role("list", name="Gains and costs").get_by_role("listitem")
-    expect(gains.first).to_have_class(re.compile("within|equal"))
-    expect(page.get_by_role("table", name="Objectives of both sets")).to_contain_text("within the tolerance, ")
-
-
-def test_an_account_in_wall_clock_time_says_so_everywhere(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/nowhere")
-    changed(page, "/accounting$", lambda account: account | {"clock": "wall", "sentence": "An account"})
-    page.goto(shown.at(shown.first, "savings"))
-    expect(page.get_by_role("heading", name="Workers' time by scenario")).to_be_visible()
-    expect(page.get_by_role("main")).not_to_contain_text("CPU", use_inner_text=True)
-
-
-def test_a_late_count_of_an_earlier_form_does_not_replace_the_newer(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/nowhere")
-    late: list[Route] = []
-    page.route(re.compile("validate_only=true"), lambda route: route.continue_() if late else late.append(route))
-    with page.expect_request(re.compile("validate_only")):
-        page.goto(f"{shown.api.url}/#/submit?problem=cart")
-    expect(page.get_by_text("Counting …").first).to_be_visible()
-    page.get_by_label("population").fill("10")
-    page.get_by_label("iterations").fill("2")
-    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
-    with page.expect_response(re.compile("validate_only")):
-        late[0].continue_()
-    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
-    assert json.loads(late[0].request.post_data or "{}")["optimizer"]["population"] == 100
-    expect(page.get_by_text("runs for 40 proposed cells")).to_be_visible()
-
-
 def test_evaluations_that_a_pruning_removed_are_not_offered_to_be_read(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere")
     changed(page, f"/campaigns/{shown.first.id}$", lambda campaign: campaign | {"pruned_at": "2026-02-03T04:05:06Z"})
@@ -253,16 +200,6 @@ def test_evaluations_that_a_pruning_removed_are_not_offered_to_be_read(shown: Sh
     expect(page.get_by_role("button", name="Read them")).to_have_count(0)
 
 
-def test_how_a_view_is_drawn_changes_no_question_to_the_server(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.first, "evaluations"))
-    expect(page.get_by_role("grid")).to_be_visible()
-    asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url) if re.search("/setup|/views", request.url) else None)
-    page.get_by_role("slider", name="Opacity").fill("2.5")
-    page.wait_for_url(re.compile("opacity="))
-    assert asked == []
-
-
 def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at(shown.first, ""))
     page.get_by_role("button", name="Report", exact=True).click()
@@ -276,19 +213,3 @@ def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown,
         page.get_by_role("link", name="Download with figures and tables").click()
     with ZipFile(report.value.path()) as archive:
         assert any(name.endswith("/figures/figure-10-population.svg") for name in archive.namelist())
-
-
-def test_workers_are_shown_before_the_stored_runs_are_counted(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.first, ""))
-    held: list[Route] = []
-    page.route(re.compile("/references"), lambda route: held.append(route))  # noqa: PLW0108  # Playwright marks its handlers
-    page.goto(f"{shown.api.url}/#/workers")
-    expect(page.get_by_role("heading", name="Workers by node")).to_be_visible()
-    expect(page.get_by_text("Counting …")).to_have_count(2)
-    for _ in range(2):
-        page.wait_for_event("response", lambda response: response.url.endswith("/workers"))
-    assert len(held) == 1
-    held[0].continue_()
-    expect(page.get_by_role("table", name="Stored runs")).to_be_visible()
-    assert barriers(page) == []
-    page.unroute_all()

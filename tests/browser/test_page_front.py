@@ -8,12 +8,11 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import AWAY, Opening, barriers_everywhere
+from tests.browser.conftest import Opening, barriers_everywhere
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import run
@@ -91,11 +90,6 @@ def in_view(page: Page) -> Any:
     return page.get_by_role("slider", name=re.compile("^Set in view"))
 
 
-def sets_shown(page: Page) -> int:
-    said = page.get_by_text(re.compile(r"^Showing [\d,]+ of [\d,]+ sets$")).inner_text()
-    return int(said.split()[1].replace(",", ""))
-
-
 def test_every_state_of_a_front_can_be_used_by_everybody(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/nowhere")
     broken: dict[str, Any] = {}
@@ -140,26 +134,6 @@ def test_two_sets_are_chosen_by_keys_and_compared_as_the_api_compares_them(shown
     expect(page.get_by_role("heading", name=f"Set 1 against set {len(rows)}")).to_be_visible()
 
 
-def test_a_click_on_a_point_or_a_row_chooses_the_same_set_everywhere(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.two))
-    page.get_by_role("grid").get_by_role("row").nth(3).get_by_role("gridcell").first.click()
-    expect(in_view(page)).to_have_attribute("aria-valuetext", re.compile("^set 3,"))
-    last = len(shown.front(shown.two))
-    expect(page.get_by_text(re.compile("^dominated")).first).to_be_visible()  # dominated sets set the scales, and may come last
-    in_view(page).scroll_into_view_if_needed()
-    marks = page.get_by_role("group", name=re.compile("energy over heave")).locator("circle[r='7']")
-    place = marks.last.bounding_box()  # of the best in the second objective
-    assert place is not None
-    page.mouse.move(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
-    tip = page.locator(".hint")
-    for text in (f"Set {last}", "best energy", "wins", "2 simulated", " mm", " W"):
-        expect(tip).to_contain_text(text)
-    page.mouse.down()
-    page.mouse.up()
-    expect(in_view(page)).to_have_attribute("aria-valuetext", re.compile(f"^set {last}, best energy"))
-    expect(page.locator("[role=row][aria-selected=true]").get_by_role("gridcell").first).to_have_text(str(last))
-
-
 def test_moved_weights_name_the_winner_at_once_and_files_follow_them(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at(shown.two))
     weights = page.get_by_role("region", name="Weights")
@@ -202,47 +176,6 @@ def test_three_objectives_have_a_triangle_of_weightings(shown: Shown, opening: O
     expect(page.get_by_role("group", name=re.compile("roll over heave"))).to_be_visible()
 
 
-def test_what_is_kept_of_the_front_is_what_is_exported(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.two))
-    axis = page.get_by_role("slider", name="Range of heave")
-    axis.focus()
-    for _ in range(6):
-        axis.press("ArrowDown")
-    kept, whole = sets_shown(page), len(shown.front(shown.two))
-    assert 0 < kept < whole
-
-    def saved(kind: str, role: Any) -> str:
-        with page.expect_download() as file:
-            page.get_by_role(role, name=kind, exact=True).last.click()
-        return file.value.path().read_text()
-
-    rows = list(csv.DictReader(io.StringIO(saved("CSV", "link"))))
-    items = json.loads(saved("JSON", "button"))["items"]
-    assert len(rows) == len(items) == kept
-    assert [float(row["objective_heave"]) for row in rows] == [item["objectives"]["heave"] for item in items]
-    page.get_by_role("button", name="CLI").last.click()
-    command = page.locator("pre").last
-    expect(command).to_contain_text(f"drivecal export {shown.two[:8]} --table front")
-    expect(command).to_contain_text('--where "objective_heave<=')
-    with page.expect_download() as of_one:
-        page.get_by_role("link", name=re.compile(r"^Set \d+ as DCM$")).click()
-    assert shown.two in of_one.value.path().read_text()
-    page.get_by_role("button", name="Show all again").click()
-    assert sets_shown(page) == whole
-
-
-def test_the_front_of_everything_stored_holds_sets_of_other_campaigns(shown: Shown, opening: Opening) -> None:
-    whole = shown.front(shown.two, everything="true")
-    other = next(row for row in whole if row["iteration"] is None)
-    page = opening(shown.at(shown.two))
-    page.get_by_role("checkbox", name="everything stored").check()
-    expect(page.get_by_text(re.compile(rf"^Showing {len(whole)} of {len(whole)} sets$"))).to_be_visible()
-    page.goto(shown.at(shown.two, query=f"?everything=true&row={other['rank']}"))
-    expect(page.get_by_role("table", name="Objectives of both sets")).to_contain_text("another campaign")
-    page.get_by_role("button", name="CLI").last.click()
-    expect(page.locator("pre").last).to_contain_text("--everything")
-
-
 def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at(shown.two, "overview"))
     front = page.get_by_role("region", name="Front")
@@ -250,35 +183,3 @@ def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, op
     expect(front).to_contain_text("Baseline, dominated")
     front.get_by_role("link", name="Set 1, best heave").click()
     expect(page.get_by_role("heading", name=re.compile("^Set 1 against set"))).to_be_visible()
-
-
-def test_a_front_that_cannot_be_read_says_so_and_is_read_as_soon_as_it_can_be(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.two, "ranking"), expected=AWAY)
-    expect(page.get_by_role("grid")).to_be_visible()
-    page.wait_for_load_state("networkidle")  # the other views are fetched behind the first
-    page.context.set_offline(True)
-    page.get_by_role("link", name="Front", exact=True).click()
-    expect(page.get_by_role("heading", name="The front cannot be read")).to_be_visible()
-    expect(page.get_by_text("No front yet")).to_have_count(0)
-    page.context.set_offline(False)
-    expect(page.get_by_role("region", name="Weights")).to_be_visible()
-    expect(page.get_by_text("cannot be")).to_have_count(0)
-
-
-def test_labels_of_a_front_on_a_phone_do_not_overlap_and_the_knee_is_explained(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.two), phone=True)
-    expect(page.locator("svg text.label").first).to_be_visible()
-    boxes = page.locator("svg text.label").evaluate_all(
-        "(labels) => labels.map((label) => label.getBoundingClientRect()).map(({left, top, right, bottom}) => [left, top, right, bottom])"
-    )
-    assert len(boxes) > 1
-    for (left, top, right, bottom), other in combinations(boxes, 2):
-        apart = right <= other[0] or other[2] <= left or bottom <= other[1] or other[3] <= top
-        assert apart, boxes
-    page.get_by_role("button", name="knee", exact=True).first.click()
-    meaning = page.locator("[popover]:popover-open")
-    expect(meaning).to_contain_text("gives the most for what it costs")
-    box = meaning.bounding_box()
-    assert box is not None
-    assert box["x"] >= 0
-    assert box["x"] + box["width"] <= 390

@@ -51,12 +51,6 @@ def on_screen(place: Locator) -> bool:
     return box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
 
 
-def in_sight(place: Locator) -> bool:
-    """Whether the upper edge of a part of the page is in sight."""
-    box = place.bounding_box()
-    return box is not None and 0 <= box["y"] < PHONE["height"]
-
-
 def middle(place: Locator) -> tuple[float, float]:
     box = place.bounding_box()
     assert box is not None
@@ -116,46 +110,6 @@ def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, 
     expect(touched.get_by_text("Drag along P1")).to_be_visible()
     axis.tap()
     expect(axis).to_have_attribute("aria-valuetext", "all")
-
-
-@pytest.mark.slow
-def test_rows_keep_their_names_when_a_table_is_scrolled_sideways(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at("ranking"), phone=True)
-    place, first = page.get_by_role("grid"), page.get_by_role("gridcell").first
-    for scrolled, name in (
-        (place, first),
-        (page.get_by_role("region", name="Parameters of the set"), page.get_by_role("rowheader", name="P1", exact=True)),
-    ):
-        if scrolled is not place:
-            page.goto(shown.at("overview"))
-        expect(name).to_be_visible()
-        left = name.evaluate("cell => cell.getBoundingClientRect().left")
-        scrolled.evaluate("table => { table.scrollLeft = 200; }")
-        assert scrolled.evaluate("table => table.scrollLeft") > 100
-        assert abs(name.evaluate("cell => cell.getBoundingClientRect().left") - left) < 25
-        assert name.evaluate("cell => getComputedStyle(cell).backgroundColor") not in {"transparent", "rgba(0, 0, 0, 0)"}
-        expect(page.get_by_text(re.compile("^More columns lie to the left")).first).to_be_visible()
-    assert too_wide(page) == []
-
-
-def test_names_of_rows_stay_whole_words(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at("overview"), phone=True)
-    for table, head in (("Scores by scenario", "scenario"), ("Parameters of the set", "parameter")):
-        box = page.get_by_role("region", name=table).get_by_role("columnheader", name=head).bounding_box()
-        assert box is not None
-        assert box["width"] > box["height"]  # a letter in each line before
-    assert too_wide(page) == []
-
-
-@pytest.mark.slow
-def test_what_a_button_opens_comes_into_sight(shown: Shown, touched: Page) -> None:
-    touched.goto(shown.at("overview"))
-    touched.get_by_role("button", name="Replay in S2").tap()
-    both = touched.get_by_role("group", name="Both in S2")
-    expect(both).to_be_visible()
-    expect(both).to_be_in_viewport()
-    touched.wait_for_function("() => new Promise((done) => { const y = scrollY; setTimeout(() => done(scrollY === y), 200); })")
-    assert in_sight(both)
 
 
 def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, opening: Opening) -> None:

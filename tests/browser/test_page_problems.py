@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import AWAY, TABS, Opening, away_and_back, barriers, leave, show, too_wide
+from tests.browser.conftest import TABS, Opening, barriers, leave, show, too_wide
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, ROADS, heated, push, replayed, store
 from tests.support.runs import run, submit, working
@@ -95,12 +94,6 @@ def test_pushed_problems_are_listed_with_what_they_are(heater: Heated, opening: 
     expect(page.get_by_role("heading", level=1)).to_have_text("heater")
 
 
-def test_views_of_a_problem_come_back_with_the_server(heater: Heated, opening: Opening) -> None:
-    page = opening(f"{heater.api.url}/#/nowhere", expected=(*AWAY, "409"))
-    for path in ("problems", "problems/heater", "submit?problem=heater", "evaluations/1"):
-        away_and_back(page, f"{heater.api.url}/#/{path}")
-
-
 def test_a_choice_has_an_axis_with_its_words_and_can_be_brushed(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at("evaluations"))
     plot = page.get_by_role("group", name="Parallel coordinates")
@@ -159,12 +152,6 @@ def test_the_ranking_follows_another_score_at_once(heater: Heated, opening: Open
     push(heater.api.database, tmp_path / "again")
 
 
-def test_a_failed_run_is_shown_as_failed(heater: Heated, opening: Opening) -> None:
-    page = opening(f"{heater.at('evaluations')}?failure=frozen")
-    expect(page.get_by_role("gridcell", name="✕ 120").first).to_be_visible()
-    assert set(column(page, "failure")) == {"frozen"}
-
-
 def test_an_evaluation_has_its_measures_and_the_series_of_its_simulator(heater: Heated, opening: Opening) -> None:
     with heater.api.database.read() as connection:
         rows, _ = results.page(connection, heater.campaign.sequence, limit=5)
@@ -179,19 +166,6 @@ def test_an_evaluation_has_its_measures_and_the_series_of_its_simulator(heater: 
     expect(page.get_by_text("Top view of the road")).to_have_count(0)
     expect(page.get_by_text(MANIFEST["scores"]["cost"]["unit"]).first).to_be_visible()
     assert barriers(page) == []
-
-
-def test_an_evaluation_without_declared_series_is_not_simulated_again(
-    opening: Opening, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    folder = tmp_path_factory.mktemp("silent")
-    with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
-        push(api.database, folder / "problem", series={})
-        run(api.database, submit(api.database, **SPEC | {"sensitivity": None}), ComputedBackend(answer=heated))
-        page = opening(f"{api.url}/#/evaluations/1")
-        expect(page.get_by_text("declares no time series")).to_be_visible()
-        assert api.http.get("/api/v1/campaigns").json()["items"][0]["kind"] == "calibration"
-        page.close()
 
 
 def test_a_drive_on_a_road_network_is_replayed_without_declared_series(
@@ -294,22 +268,6 @@ def test_goals_are_chosen_from_the_problem_and_a_baseline_is_pasted(heater: Heat
     assert barriers(page) == []
 
 
-def test_an_overview_shows_the_search_against_the_baseline_and_what_parameters_are(heater: Heated, opening: Opening) -> None:
-    page = opening(heater.at())
-    course = page.get_by_role("figure", name="").filter(has_text="Course of the search")
-    expect(
-        course.get_by_role("img", name="Course of the search: objective / EUR, less is better over iteration")
-    ).to_be_visible()
-    expect(course).to_contain_text("baseline")
-    gain = page.get_by_role("table", name="Parameters of the set").get_by_role("row", name="gain")
-    for text in ("W/K", "0 to 2", "Power for each degree below the set point"):
-        expect(gain).to_contain_text(text)
-    page.goto(heater.at("ranking"))
-    expect(page.get_by_role("columnheader", name="gain")).to_have_attribute(
-        "title", "gain / W/K: Power for each degree below the set point"
-    )
-
-
 def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: Heated, opening: Opening) -> None:
     page = opening(heater.at())
     page.get_by_text("Export", exact=True).first.click()
@@ -354,47 +312,3 @@ def test_a_campaign_is_cloned_run_again_and_exported_from_its_overview(heater: H
     expect(page.get_by_role("row").filter(has_text=again["id"][:8])).to_contain_text("rerun, weights winter 3")
     leave(page, f"{heater.api.url}/")
     heater.api.http.post(f"/api/v1/campaigns/{again['id']}/cancel").raise_for_status()
-
-
-def test_empty_views_lead_to_what_fills_them(heater: Heated, opening: Opening) -> None:
-    waiting = submit(heater.api.database, **SPEC | {"sensitivity": None})
-    page = opening(f"{heater.api.url}/#/compare", expected=("422",))  # the analysis has more intervals than a grid has values
-    page.get_by_role("button", name="Compare the two newest").click()
-    expect(page.get_by_role("heading", name="Settings")).to_be_visible()
-    page.goto(f"{heater.api.url}/#/campaigns/{waiting.id}/influence")
-    page.get_by_role("link", name="Clone with an analysis").click()
-    expect(page.get_by_role("checkbox", name="sensitivity")).to_be_checked()
-    expect(page.get_by_label("population")).to_have_value("40")
-    heater.api.http.post(f"/api/v1/campaigns/{waiting.id}/cancel").raise_for_status()
-
-
-def test_words_of_the_page_lead_to_their_meaning(heater: Heated, opening: Opening) -> None:
-    page = opening(heater.at("savings"))
-    account = heater.api.http.get(f"/api/v1/campaigns/{heater.campaign.id}/accounting").json()
-    tile = page.get_by_role("region", name="Figures").locator(".card").last
-    expect(tile).to_contain_text("a loss" if account["net_seconds"] < 0 else "saved")
-    expect(tile).to_contain_text("analysis")
-    for tab, word in {"savings": "Net saving", "overview": "cells", "trust": "lots"}.items():
-        page.goto(heater.at(tab))
-        page.get_by_role("button", name=word, exact=True).first.press("Enter")
-        address = page.get_by_role("link", name="Glossary", exact=True).get_attribute("href") or ""
-        assert address.startswith("/help/concepts/glossary.html#")
-        page.keyboard.press("Escape")
-
-
-def test_what_is_selected_is_what_is_exported(heater: Heated, opening: Opening) -> None:
-    page = opening(f"{heater.at('evaluations')}?scenario=winter&b.mode=0:1&b.gain=0.5:1.5&outcome=simulated")
-    expect(page.get_by_text("Export what is selected")).to_be_visible()
-    shown = int(page.get_by_text(re.compile(r"^Showing [\d,]+ of [\d,]+ rows$")).inner_text().split()[1].replace(",", ""))
-    with page.expect_download() as table:
-        page.get_by_role("link", name="CSV").click()
-    rows = list(csv.DictReader(table.value.path().read_text().splitlines()))
-    assert len(rows) == shown > 0
-    assert {row["scenario"] for row in rows} == {"winter"}
-    assert {row["mode"] for row in rows} <= {"eco", "normal"}
-    assert all(0.5 <= float(row["gain"]) <= 1.5 for row in rows)
-    page.get_by_role("button", name="Python").click()
-    snippet = page.locator("pre").inner_text()
-    whole: dict[str, Any] = {}
-    exec(snippet, whole)  # what the page offers to be run
-    assert list(whole["table"]["id"]) == [int(row["id"]) for row in rows]

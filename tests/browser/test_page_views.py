@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -150,39 +149,6 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
     page.get_by_role("button", name="Slices").click()
     expect(page.get_by_role("img", name=re.compile("score over P[1-4]: "))).to_have_count(4)
     assert rows_shown(page) == some
-
-
-def test_a_heat_map_shows_fields_with_rows_and_keeps_the_ranges_of_one(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.at('evaluations')}?chart=map&x=P1&y=P2&scenario=S1")
-    plot = page.get_by_role("img", name=re.compile(r"score over P1.* and P2.*: \d+ of 144 fields have rows"))
-    expect(plot).to_be_visible()
-    whole = rows_shown(page)
-    field = plot.locator("g").first
-    [expected] = re.findall(r"([\d,]+) rows", field.locator("title").text_content() or "")
-    field.click()
-    expect(page.get_by_label("P1 from")).to_be_visible()
-    expect(page.get_by_label("P2 to")).to_be_visible()
-    assert int(expected.replace(",", "")) <= rows_shown(page)[0] < whole[0]
-
-
-@pytest.mark.slow
-def test_importance_is_labelled_with_its_method_and_opens_the_scatter_of_a_parameter(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.at('evaluations')}?chart=importance&of=S1")
-    bars = page.get_by_role("img", name=re.compile("Importance in the search: P1 "))
-    expect(bars).to_be_visible(timeout=120_000)  # S1 depends on P1 most of all; the server loads scikit-learn first
-    expect(page.get_by_text("permutation importance")).to_contain_text("held out: R²")
-    expect(page.get_by_role("img", name=re.compile("Importance by the analysis"))).to_be_visible()
-    bars.locator("g").nth(1).click()
-    expect(page.get_by_role("img", name=re.compile("^score over P"))).to_be_visible()
-
-
-def test_every_verdict_of_the_analysis_has_its_reason(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at("influence"))
-    rows = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/influence").json()["items"]
-    table = page.get_by_role("table", name="What decided about each parameter")
-    expect(table.get_by_role("row")).to_have_count(len(rows) + 1)
-    for place, row in enumerate(rows, start=1):
-        expect(table.get_by_role("row").nth(place)).to_contain_text(row["reason"])
 
 
 @pytest.mark.slow
@@ -378,22 +344,3 @@ def test_a_comparison_is_submitted_and_shows_all_of_its_runs(shown: Shown, openi
     expect(page.get_by_role("table", name="Effects of the reduction").get_by_role("row")).to_have_count(4)
     page.get_by_role("link", name="swarm, 6 individuals, exact").first.click()
     expect(page.get_by_role("link", name="Ranking")).to_be_visible()
-
-
-@pytest.mark.slow
-def test_tables_and_charts_are_exported(shown: Shown, opening: Opening, tmp_path: Path) -> None:
-    page = opening(shown.at("curves"))
-
-    def pressed(kind: str) -> bytes:
-        with page.expect_download() as saved:
-            page.get_by_role("button", name=kind, exact=True).first.click()
-        saved.value.save_as(tmp_path / kind)
-        return (tmp_path / kind).read_bytes()
-
-    for tab, numbers in (("influence", b"parameter,unit,matters from"), ("curves", b"iteration,best so far")):
-        page.goto(shown.at(tab))
-        page.get_by_text("As a table, export").first.click()
-        assert [pressed("SVG")[:4], pressed("PNG")[:4]] == [b"<svg", b"\x89PNG"]
-        assert pressed("CSV").startswith(numbers)
-    page.get_by_role("button", name="CLI").click()
-    expect(page.get_by_text(f"drivecal export {shown.campaign.id[:8]} --table generations")).to_be_visible()

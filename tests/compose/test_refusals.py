@@ -65,13 +65,6 @@ def test_a_dispatcher_with_another_token_waits_and_says_so(cluster: Cluster, oth
         assert cluster.restarts(container) == 0
 
 
-def test_a_dispatcher_with_too_little_shared_memory_waits_and_says_so(cluster: Cluster) -> None:
-    with cluster.changed("dispatcher", services={"dispatcher": {"shm_size": "64m"}}):
-        assert_said(
-            cluster, "dispatcher", "there are 64 MB of shared memory in /dev/shm, and Ray needs 80; give the container more"
-        )
-
-
 def test_a_dispatcher_of_another_release_gives_no_work_and_names_both(cluster: Cluster, other_release: str) -> None:
     with cluster.changed("dispatcher", services={"dispatcher": {"volumes": [other_release]}}):
         in_readyz = f"are of another version than the coordinator ({OTHER_RELEASE}): "
@@ -121,31 +114,3 @@ def test_a_node_that_lacks_something_ends_with_a_line_that_says_what(cluster: Cl
     assert "there are 64 MB of shared memory in /dev/shm, and Ray needs 80" in attempt("--shm-size=64m")
     if role == "ray-worker":
         assert "does not accept the token in /run/ray_token; deploy/secrets.sh makes it" in attempt("--shm-size=128m")
-
-
-def test_a_secret_that_is_missing_or_empty_is_named_by_its_file(cluster: Cluster, tmp_path: Path) -> None:
-    folder = tmp_path / "secrets"
-    folder.mkdir()
-
-    def attempt(service: str) -> str:
-        words = ("run", "--rm", "--no-deps", "-T", service)
-        return cluster.compose(*words, check=False, environment={"DRIVECAL_SECRETS": str(folder)})
-
-    assert str(folder / "ray_token") in attempt("ray-head")
-    for name in ("postgres_password", "ray_token", "tokens"):
-        (folder / name).touch(0o644)
-    assert "the cluster's token in /run/secrets/ray_token has 0 characters" in attempt("ray-head")
-    assert "/run/secrets/postgres_password is empty" in attempt("api")
-    assert "/run/secrets/postgres_password is empty" in attempt("dispatcher")
-    (folder / "postgres_password").write_text("anything")
-    assert "/run/secrets/tokens" in attempt("api")
-
-
-def test_an_api_with_another_password_waits_and_says_so(cluster: Cluster, tmp_path: Path) -> None:
-    file = tmp_path / "postgres_password"
-    file.write_text("another one")
-    file.chmod(0o644)
-    with cluster.changed("api", secrets={"postgres_password": {"file": str(file)}}):
-        cluster.until(
-            lambda: "password authentication failed" in cluster.compose("logs", "--no-log-prefix", "api"), "the reason", 60.0
-        )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import uuid
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -14,7 +13,6 @@ from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 
 from drivecal.api import responses
-from drivecal.domain.campaigns import CampaignState
 from drivecal.storage import campaigns
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
@@ -38,26 +36,6 @@ def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: Running
     assert found["spec"]["optimizer"]["population"] == 10
     assert found["spec"]["reduction"]["audit"] == 0.02, "defaults are filled in"
     assert set(found["cells"]) >= {"proposed", "carried_over", "pending", "requested", "repeated", "reused", "certified"}
-
-
-def test_a_dry_run_counts_and_stores_nothing(api: RunningApi) -> None:
-    before = api.http.get("/api/v1/campaigns?limit=1").json()["items"]
-    response = api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL | {"weights": {"S1": 0}})
-    assert response.status_code == 200
-    assert response.json()["calibration_proposed"] == 10 * 3 * 5
-    assert 10 * 5 <= response.json()["calibration_at_most"] < 10 * 3 * 5
-    assert "S1" in response.json()["notes"][0]
-    assert api.http.get("/api/v1/campaigns?limit=1").json()["items"] == before
-
-
-def test_the_same_idempotency_key_gives_the_same_campaign_once(api: RunningApi) -> None:
-    key = uuid.uuid4().hex
-    first = submit(api, SMALL, **{"Idempotency-Key": key})
-    assert submit(api, SMALL, **{"Idempotency-Key": key})["id"] == first["id"]
-    other = api.http.post("/api/v1/campaigns", json=SMALL | {"name": "other"}, headers={"Idempotency-Key": key})
-    assert first["id"] in problem_of(other, 409)["detail"]
-    evaluation = {"parameters": MIDDLE}
-    problem_of(api.http.post("/api/v1/evaluations", json=evaluation, headers={"Idempotency-Key": key}), 409)
 
 
 def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:
@@ -89,44 +67,12 @@ def test_time_that_passes_does_not_change_the_etag_of_a_running_campaign(
     assert second.headers["etag"] == first.headers["etag"]
 
 
-def test_campaigns_are_listed_newest_first_in_pages(api: RunningApi) -> None:
-    ids = [submit(api)["id"] for _ in range(3)]
-    page = api.http.get("/api/v1/campaigns?limit=2").json()
-    assert [one["id"] for one in page["items"]] == [ids[2], ids[1]]
-    following = api.http.get("/api/v1/campaigns", params={"limit": 1, "cursor": page["next_cursor"]}).json()
-    assert [one["id"] for one in following["items"]] == [ids[0]]
-
-
-def test_campaigns_are_listed_by_state(api: RunningApi) -> None:
-    campaign = submit(api)
-    with api.database.transaction() as connection:
-        sequence = campaigns.get(connection, campaign["id"]).sequence
-        campaigns.end(connection, sequence, CampaignState.FAILED, "Ray is gone")
-    found = api.http.get("/api/v1/campaigns?state=failed").json()["items"]
-    assert [(one["id"], one["error"]) for one in found] == [(campaign["id"], "Ray is gone")]
-
-
-def test_cancelling_is_accepted_once_and_again(api: RunningApi) -> None:
-    campaign = submit(api)
-    for _ in range(2):
-        response = api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel")
-        assert response.status_code == 202
-        assert response.json()["state"] == "cancelled"
-    problem_of(api.http.post(f"/api/v1/campaigns/{campaign['id']}/resume"), 409)
-
-
 def test_a_running_campaign_that_is_asked_to_cancel_is_cancelling(api: RunningApi) -> None:
     campaign = submit(api)
     carry_out(api.database, campaign["id"], end=False)
     assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel").json()["state"] == "cancelling"
     with api.database.read() as connection:
         assert campaigns.get(connection, campaign["id"]).requested_action == "cancel"
-
-
-def test_a_queued_campaign_is_paused_and_resumed(api: RunningApi) -> None:
-    campaign = submit(api)
-    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/pause").json()["state"] == "paused"
-    assert api.http.post(f"/api/v1/campaigns/{campaign['id']}/resume").json()["state"] == "queued"
 
 
 def test_a_rerun_takes_over_everything_but_what_is_changed(api: RunningApi) -> None:
@@ -144,18 +90,6 @@ def test_a_rerun_takes_over_everything_but_what_is_changed(api: RunningApi) -> N
     expected = first["spec"]["optimizer"] | {"iterations": 4}
     assert second["spec"]["optimizer"] == expected
     assert second["spec"]["fixed"] == {"P9": 5}
-
-
-def test_a_rerun_with_impossible_weights_is_refused(api: RunningApi) -> None:
-    first = submit(api)
-    carry_out(api.database, first["id"])
-    url = f"/api/v1/campaigns/{first['id']}/rerun"
-    nothing = api.http.post(url, json={"weights": dict.fromkeys(["S1", "S2", "S3", "S4", "S5", "S6"], 0)})
-    assert problem_of(nothing, 422)["errors"][0]["field"] == "weights"
-    unknown = api.http.post(url, json={"weights": {"S7": 1}})
-    assert problem_of(unknown, 422)["errors"][0]["field"] == "weights.S7"
-    missing = api.http.post(url, json={})
-    assert problem_of(missing, 422)["errors"][0]["field"] == "weights"
 
 
 def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None:
@@ -216,18 +150,6 @@ def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
     lines = list(csv.DictReader(io.StringIO(api.http.get(url, params={"format": "csv", "limit": 1}).text)))
     assert [line["score_S1"] for line in lines] == ["4", "3", "2", "1", "0"], "the whole table"
     assert lines[0]["P1"] == "-13.0"
-
-
-def test_solutions_come_in_pages(api: RunningApi) -> None:
-    campaign = submit(api)
-    carry_out(api.database, campaign["id"], individuals=5)
-    url = f"/api/v1/campaigns/{campaign['id']}/solutions"
-    ranks, cursor = [], None
-    for _ in range(3):
-        page = api.http.get(url, params={"limit": 2} | ({"cursor": cursor} if cursor else {})).json()
-        ranks += [one["rank"] for one in page["items"]]
-        cursor = page["next_cursor"]
-    assert (ranks, cursor) == ([1, 2, 3, 4, 5], None)
 
 
 @pytest.mark.parametrize(
@@ -321,24 +243,6 @@ def test_an_influence_map_is_stored_named_and_shown(api: RunningApi) -> None:
     assert parquet.to_pylist() == rows
 
 
-def test_a_campaign_without_a_map_has_no_influence_rows(api: RunningApi) -> None:
-    campaign = submit(api)
-    assert api.http.get(f"/api/v1/campaigns/{campaign['id']}/influence").json() == {"items": [], "next_cursor": None}
-
-
-def test_map_bounds_off_the_grid_are_refused_with_the_nearest_values(api: RunningApi) -> None:
-    document = {"scenarios": {"S1": {"P1": {"lower": -10.2}}, "S9": {}}}
-    errors = problem_of(api.http.post("/api/v1/influence-maps", json=document), 422)["errors"]
-    assert {error["field"] for error in errors} == {"scenarios.S1.P1.lower", "scenarios.S9"}
-    assert "-10.5 or -10" in errors[0]["remedy"]
-
-
-def test_an_unknown_map_is_refused_when_the_campaign_is_submitted_or_tried(api: RunningApi) -> None:
-    document = SMALL | {"sensitivity": {"map": uuid.uuid4().hex}}
-    for url in ("/api/v1/campaigns", "/api/v1/campaigns?validate_only=true"):
-        assert problem_of(api.http.post(url, json=document), 422)["errors"][0]["field"] == "sensitivity.map"
-
-
 def test_a_single_evaluation_shows_its_scenario_at_the_top(api: RunningApi) -> None:
     response = api.http.post("/api/v1/evaluations", json={"parameters": MIDDLE | {"P9": 5.05}, "scenario": "S2"})
     assert response.status_code == 202
@@ -362,13 +266,6 @@ def test_an_evaluation_of_all_scenarios_has_their_mean_score(api: RunningApi) ->
     assert found["objective"] == pytest.approx(15 / 6)
     assert found["outcome"] is None
     assert queued["id"] not in {one["id"] for one in api.http.get("/api/v1/campaigns?limit=1000").json()["items"]}
-
-
-def test_an_evaluation_that_cannot_run_is_refused_by_field(api: RunningApi) -> None:
-    missing = {name: value for name, value in MIDDLE.items() if name != "P3"}
-    document = {"parameters": missing | {"P1": 0.0000000001, "P99": 1}, "scenario": "S9"}
-    errors = problem_of(api.http.post("/api/v1/evaluations", json=document), 422)["errors"]
-    assert {error["field"] for error in errors} == {"scenario", "parameters.P1", "parameters.P3", "parameters.P99"}
 
 
 def test_the_inventory_lists_scenarios_parameters_and_references(api: RunningApi) -> None:

@@ -6,8 +6,6 @@ import csv
 import io
 import json
 import os
-import pty
-import re
 import subprocess
 import sys
 import threading
@@ -59,50 +57,6 @@ def test_a_dry_run_counts_the_runs_and_submits_nothing(run: Run, api: RunningApi
     assert api.http.get("/api/v1/campaigns?limit=1").json() == before
 
 
-@pytest.mark.parametrize("command", [["submit", "-"], ["submit", "-", "--dry-run"]])
-def test_everything_wrong_with_a_file_is_said_on_one_line_each(run: Run, command: list[str]) -> None:
-    result = run(*command, stdin="weights: {S1: 0, S9: 1}\nfixed: {P1: 0.1}\nbaseline: {P2: 0}\n")
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert "drivecal: standard input: line 1: weights.S9:" in result.stderr
-    assert "line 2: fixed.P1: 0.1" in result.stderr
-    assert "Traceback" not in result.stderr
-
-
-def test_a_file_that_cannot_be_read_is_a_usage_error(run: Run, tmp_path: Path) -> None:
-    result = run("submit", str(tmp_path / "nothing.yaml"))
-    assert result.exit_code == 2
-    assert "nothing.yaml: " in result.stderr
-
-
-def test_show_takes_the_first_characters_of_an_id(run: Run, submitted: str) -> None:
-    assert submitted in run("show", submitted[:10]).stdout
-    assert json.loads(run("show", submitted[:10], "--json").stdout)["id"] == submitted
-
-
-@pytest.mark.parametrize(
-    ("command", "identifier"),
-    [
-        *(("show", identifier) for identifier in ("nothing", "../workers", "a b\x00", "é")),
-        *((command, "0" * 32) for command in ("show", "watch", "pause", "resume", "cancel", "solutions", "export")),
-    ],
-)
-def test_an_unknown_campaign_is_not_found(run: Run, command: str, identifier: str) -> None:
-    result = run(command, identifier)
-    assert result.exit_code == 5, result.output
-    assert "`drivecal list`" in result.stderr
-
-
-@pytest.mark.slow
-def test_a_prefix_of_several_ids_is_not_found(run: Run) -> None:
-    for _ in range(17):  # two of them begin with the same character
-        run("submit", "-", stdin="{}")
-    ids = [one["id"] for one in json.loads(run("list", "--limit", "200", "--json").stdout)["items"]]
-    shared = next(first for first in "0123456789abcdef" if sum(one.startswith(first) for one in ids) > 1)
-    result = run("show", shared)
-    assert result.exit_code == 5
-
-
 def test_steering_a_campaign(run: Run, submitted: str) -> None:
     assert json.loads(run("pause", submitted, "--json").stdout)["state"] == "paused"
     assert json.loads(run("resume", submitted, "--json").stdout)["state"] == "queued"
@@ -122,30 +76,6 @@ def test_watching_ends_with_the_campaign_and_its_exit_code(run: Run, api: Runnin
     assert json.loads(result.stdout)["state"] == "succeeded"
     assert result.stderr.startswith("queued  degraded: ")
     assert result.stderr.splitlines()[-1].startswith("succeeded  10/10 cells  simulated 10")
-
-
-def test_watching_a_campaign_that_failed_or_was_cancelled_says_so(run: Run, api: RunningApi, submitted: str) -> None:
-    run("cancel", submitted)
-    assert run("watch", submitted).exit_code == 3
-    failed = json.loads(run("submit", "-", "--json", stdin="{}").stdout)["id"]
-    with api.database.transaction() as connection:
-        campaigns.end(connection, campaigns.get(connection, failed).sequence, CampaignState.FAILED, "no worker starts")
-    result = run("watch", failed)
-    assert result.exit_code == 1
-    assert "no worker starts" in result.stdout
-
-
-def test_waiting_has_an_end(run: Run, submitted: str) -> None:
-    result = run("watch", submitted, "--timeout", "0.2")
-    assert result.exit_code == 6
-    assert f"drivecal watch {submitted}" in result.stderr
-    assert run("submit", "-", "--wait", "--timeout", "0", stdin="{}").exit_code == 6
-    waited = run("evaluate", *SETS, "--timeout", "0")
-    assert waited.exit_code == 6
-    (command,) = re.findall(r"`drivecal (show \w+)`", waited.stderr)
-    shown = run(*command.split(), "--json")
-    assert json.loads(shown.stdout)["parameters"] == {name: float(value) for name, value in (pair.split("=") for pair in SETS)}
-    assert run(*command.split()).stdout.splitlines()[0].endswith(" is queued")
 
 
 def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) -> None:
@@ -176,25 +106,6 @@ def test_several_campaigns_stand_in_one_table(run: Run, api: RunningApi, submitt
 
 
 @pytest.mark.slow
-def test_the_live_table_ends_with_ctrl_c(api: RunningApi, submitted: str) -> None:
-    screen, terminal = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "drivecal.cli", "top", submitted, "--url", api.url],
-        stdout=terminal,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    os.close(terminal)
-    shown = b""
-    while submitted[:8].encode() not in shown:
-        shown += os.read(screen, 1000)
-    process.send_signal(2)
-    _, said = process.communicate(timeout=60)
-    os.close(screen)
-    assert (process.returncode, said) == (0, "")
-
-
-@pytest.mark.slow
 def test_shells_complete_commands_and_ids(api: RunningApi, submitted: str) -> None:
     def completed(words: str) -> list[str]:
         asked = {"_DRIVECAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
@@ -204,37 +115,6 @@ def test_shells_complete_commands_and_ids(api: RunningApi, submitted: str) -> No
 
     assert completed("drivecal to") == ["top"]
     assert completed(f"drivecal show {submitted[:6]}") == [submitted]
-
-
-def test_solutions_are_ranked_by_other_weights(run: Run, api: RunningApi, submitted: str) -> None:
-    assert json.loads(run("solutions", submitted, "--json").stdout)["items"] == []
-    carry_out(api.database, submitted)
-    lines = run("solutions", submitted, "--limit", "2").stdout.splitlines()
-    assert lines[0].split()[:6] == ["rank", "objective", "rating", "S1", "S4", "P1"]
-    assert lines[1].split()[:6] == ["1", "3.5000", "3.625", "4", "3", "-13"]
-    assert len(lines) == 3
-    other = json.loads(run("solutions", submitted, "--weights", "S1=3", "--json").stdout)
-    assert other["items"][0]["objective"] == pytest.approx(3.75)
-    assert run("solutions", submitted, "--weights", "S9=1").exit_code == 2
-    wrong = run("solutions", submitted, "--weights", "S1")
-    assert (wrong.exit_code, "--weights: S1 " in wrong.stderr) == (2, True)
-
-
-@pytest.mark.slow
-def test_a_rerun_needs_an_ended_campaign(run: Run, api: RunningApi, submitted: str) -> None:
-    early = run("rerun", submitted, "--weights", "S1=2")
-    assert early.exit_code == 1
-    assert "is queued" in early.stderr
-    carry_out(api.database, submitted)
-    second = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--name", "heavier", "--json").stdout)
-    assert (second["name"], second["rerun_of"], second["spec"]["weights"]) == ("heavier", submitted, {"S1": 2, "S4": 1})
-    known = json.loads(run("solutions", submitted, "--weights", "S1=2,S4=1", "--json").stdout)["items"][0]["parameters"]
-    begun = json.loads(run("rerun", submitted, "--weights", "S1=2,S4=1", "--from-best", "--json").stdout)
-    assert begun["spec"]["optimizer"]["start_sets"] == [known]
-    assert run("rerun", submitted, "--evaluator", "learned", "--from-best").exit_code == 2
-    third = json.loads(run("rerun", submitted, "--evaluator", "learned", "--json").stdout)
-    assert (third["spec"]["evaluator"], third["rerun_of"]) == ("learned", submitted)
-    assert run("rerun", submitted).exit_code == 2
 
 
 def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:
@@ -314,16 +194,6 @@ def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> Non
     assert result.stdout.startswith("P1=0 P2=1 P3=100")
     assert "S2        simulated      0" in result.stdout
     assert "peak_lateral_acceleration_mps2   1.25" in result.stdout
-
-
-def test_an_evaluation_that_cannot_run_is_a_usage_error(run: Run) -> None:
-    assert "parameters.P11: " in run("evaluate", *SETS[:-1]).stderr
-    assert "parameters.P10, parameters.P11: " in run("evaluate", *SETS[:-2]).stderr
-    assert run("evaluate", *SETS, "--scenario", "S9").exit_code == 2
-    assert run("evaluate", "P1=1", "P1=2").exit_code == 2
-    assert "parameters.P1: " in run("evaluate", "P1=nan").stderr
-    other = ("--vehicle", "hybrid", "--vehicle-parameters", "mass=1800,mas=1", "--driving-function", "frenet")
-    assert "vehicle.parameters.mas: " in run("evaluate", *SETS, *other).stderr
 
 
 def test_influence_maps_are_posted_listed_and_shown(run: Run, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from tests.support.api_process import api_process
 from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.client.client import Client
-from drivecal.domain.errors import UnavailableError
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns
 
@@ -94,45 +92,6 @@ def test_a_commit_whose_answer_is_lost_is_found_by_the_retry(api: RunningApi) ->
     assert count(api.database) == 1
 
 
-def test_a_database_whose_tables_are_gone_is_unavailable(api: RunningApi) -> None:
-    run_sql(api, "DROP SCHEMA public CASCADE; CREATE SCHEMA public")
-    for path in (
-        "campaigns",
-        f"campaigns/{'0' * 32}",
-        f"campaigns/{'0' * 32}/events",
-        "influence-maps",
-        "references",
-        "workers",
-    ):
-        unavailable(api.http.get(f"/api/v1/{path}"))
-    unavailable(post(api.http, "key"))
-    assert api.http.get("/healthz").status_code == 200
-    assert api.http.get("/readyz").status_code == 503
-
-
-def test_the_client_tells_of_a_database_that_stays_away(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    waits: list[float] = []
-    monkeypatch.setattr("time.sleep", waits.append)
-    run_sql(api, "ALTER TABLE campaigns RENAME TO elsewhere")
-    with Client(api.url) as client, pytest.raises(UnavailableError):
-        client.submit(SMALL)
-    assert sum(waits) <= 30.0
-    assert len(waits) > 1
-
-
-def test_fifty_posts_with_one_key_on_a_database_that_fails_now_and_then_make_one_campaign(api: RunningApi) -> None:
-    run_sql(api, AT_COMMIT.format(fault="IF random() < 0.7 THEN PERFORM pg_terminate_backend(pg_backend_pid()); END IF"))
-
-    def insist(_: int) -> str:
-        while (response := post(api.http, "one")).status_code == 503:
-            unavailable(response)
-        return str(response.json()["id"])
-
-    with ThreadPoolExecutor(10) as pool:
-        assert len(set(pool.map(insist, range(50)))) == 1
-    assert count(api.database) == 1
-
-
 @pytest.mark.slow
 def test_a_full_disk_under_sqlite_is_unavailable_until_there_is_room(tmp_path: Path) -> None:
     file = tmp_path / "drivecal.db"
@@ -151,15 +110,3 @@ def test_a_full_disk_under_sqlite_is_unavailable_until_there_is_room(tmp_path: P
     with database.read() as connection:
         assert connection.scalar(text("PRAGMA integrity_check")) == "ok"
     database.dispose()
-
-
-def test_a_sqlite_file_that_was_exchanged_for_an_empty_one_is_unavailable(tmp_path: Path) -> None:
-    file = tmp_path / "drivecal.db"
-    with serving(f"sqlite:///{file}") as api:
-        with api.database.transaction() as connection:
-            connection.execute(text("DROP TABLE events"))
-            connection.execute(text("ALTER TABLE campaigns RENAME TO elsewhere"))
-        unavailable(api.http.get("/api/v1/campaigns"))
-        unavailable(post(api.http, "key"))
-        with api.database.transaction() as connection:
-            connection.execute(text("ALTER TABLE elsewhere RENAME TO campaigns"))

@@ -16,15 +16,12 @@ from typing import Any
 import pytest
 from tests.integration.test_objectives import JERK, NSGA2, TWO, backend
 from tests.support.command import command
-from tests.support.runs import SMALL, run, run_posted
+from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
-from drivecal.contracts.tables import FrontRow
 from drivecal.domain.errors import InvalidInputError
-from drivecal.storage import campaigns
 
-MAPPINGS = {"objectives", "constraints", "scores", "values", "answers", "parameters", "weights"}
 SPEC = SMALL | {"objectives": TWO, "optimizer": NSGA2, "reduction": {"mode": "exact"}}
 
 
@@ -104,15 +101,6 @@ def test_the_summary_tells_the_whole(ended: Ended) -> None:
     assert summary.hypervolume == volumes[-1] == pytest.approx(area)
 
 
-def test_ranks_of_the_summary_are_those_under_its_weights(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        for weights in (None, {JERK: 9.0}):
-            summary, rows = client.front_summary(ended.first, weights), client.front(ended.first, weights)
-            assert summary.extremes == {name: row.rank for row in rows for name in row.best_in}
-            assert summary.knee == next((row.rank for row in rows if row.knee), None)
-        assert client.front_summary(ended.first, {JERK: 9.0}).extremes != client.front_summary(ended.first).extremes
-
-
 def test_everything_stored_may_add_to_the_front(ended: Ended) -> None:
     with Client(ended.api.url) as client:
         own, whole = client.front_summary(ended.first), client.front_summary(ended.first, everything=True)
@@ -165,26 +153,6 @@ def test_a_trade_off_calls_no_difference_within_the_tolerance_better_or_worse(en
     assert all(("stays within its tolerance of 0.5" in text) is within for within, text in told)
 
 
-def test_files_hold_the_same_rows(ended: Ended) -> None:
-    exported = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front", params={"format": "csv"})
-    assert exported.status_code == 200
-    listed = list(csv.DictReader(io.StringIO(exported.text)))
-    with Client(ended.api.url) as client:
-        rows, downloaded = client.front(ended.first), client.frame(ended.first, "front")
-        assert rows.to_arrow() == downloaded.to_arrow()
-        judged = client.evaluated_sets(ended.first).to_arrow()
-        assert judged == client.frame(ended.first, "front/evaluated").to_arrow()
-        ranked = client.solutions(ended.first, limit=1000)
-        assert ranked.to_arrow() == client.frame(ended.first, "solutions").to_arrow()
-    assert list(ranked.to_pandas()["objective"]) == [each.objective for each in ranked.items]
-    frame = rows.to_pandas()
-    assert [float(row["objective_comfort"]) for row in listed] == [row.objectives["comfort"] for row in rows]
-    assert list(frame[f"objective_{JERK}"]) == [row.objectives[JERK] for row in rows]
-    assert "weights" not in listed[0]
-    assert {name for name in FrontRow.model_fields if name not in MAPPINGS} <= listed[0].keys()
-    assert [row["answer_S1"] for row in listed] == [row.answers["S1"] for row in rows]
-
-
 def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
     query = f"/api/v1/campaigns/{ended.first}/front/evaluated"
     listed = ended.api.http.get(query, params={"limit": 1000}).json()["items"]
@@ -235,12 +203,6 @@ def test_rows_say_how_each_scenario_was_answered(ended: Ended) -> None:
     others = [row for row in whole if row.iteration is None]
     assert others
     assert all(set(row.answers.values()) == {"stored"} for row in others)
-
-
-@pytest.mark.parametrize("weights", ["comfort=-1", "gap=1", f"comfort=0,{JERK}=0", "comfort"])
-def test_unusable_weights_are_refused(ended: Ended, weights: str) -> None:
-    answer = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front", params={"weights": weights})
-    assert answer.status_code == 422
 
 
 def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Path) -> None:
@@ -306,21 +268,3 @@ def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: En
         page = client.review(campaign["id"])
     assert [pair.name for pair in between.constraints] == [JERK]
     assert f"{float(amount):.6g}" in page
-
-
-def test_a_rerun_that_ends_below_a_stored_set_is_amber(ended: Ended) -> None:
-    weights = {"S1": 4, "S2": 1, "S3": 1}
-    small = {"weights": weights, "optimizer": {"iterations": 1, "population": 4, "seed": 5}}
-    answer = ended.api.http.post(f"/api/v1/campaigns/{ended.first}/rerun", json=small)
-    assert answer.status_code == 202, answer.text
-    with ended.api.database.read() as connection:
-        stored = campaigns.get(connection, answer.json()["id"])
-    run(ended.api.database, stored, backend())
-    with Client(ended.api.url) as client:
-        known = client.solutions(ended.first, weights, limit=1).items[0].objective
-        best, trust = client.campaign(stored.id).best, client.trust(stored.id)
-    assert best is not None
-    assert known > best.objective
-    [earlier] = [reason for reason in trust.reasons if reason.about == "earlier"]
-    assert earlier.light == trust.light == "amber"
-    assert f"{known:.6g}" in earlier.text

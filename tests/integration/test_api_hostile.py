@@ -109,28 +109,6 @@ def test_a_body_that_does_not_fit_is_refused_and_nothing_is_stored(api: RunningA
     assert stored(api) == before
 
 
-@pytest.mark.parametrize(
-    ("content", "field"),
-    [
-        (b'{"weights": {"S1": NaN}}', "weights.S1"),
-        (b'{"weights": {"S1": -1}}', "weights.S1"),
-        (b'{"weights": {"S1": 0, "S2": 0, "S3": 0, "S4": 0, "S5": 0, "S6": 0}}', "weights"),
-        (b'{"weights": {"S7": 1}}', "weights.S7"),
-        (b'{"catalogue": ["S1", "S7"]}', "catalogue[1]"),
-        (b'{"fixed": {"P99": 1}}', "fixed.P99"),
-        (b'{"optimizer": {"population": 1e30}}', "optimizer.population"),
-        (b'{"parameters": [{"name": "P1", "lower": 1, "upper": 0, "step": 1}]}', "parameters[0].upper"),
-        (b'{"driving_function": "other"}', "driving_function"),
-        (b'{"reduction": {"certified": 1}}', "reduction.certified"),
-    ],
-)
-def test_the_field_that_is_wrong_is_named_with_a_remedy(api: RunningApi, content: bytes, field: str) -> None:
-    errors = refused(post(api, "/api/v1/campaigns", content))["errors"]
-    assert [error["field"] for error in errors] == [field]
-    assert errors[0]["message"]
-    assert errors[0]["remedy"]
-
-
 @pytest.mark.parametrize("path", POSTS)
 @pytest.mark.parametrize(
     "content_type", ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data", "", "é;;=", "json"]
@@ -138,16 +116,6 @@ def test_the_field_that_is_wrong_is_named_with_a_remedy(api: RunningApi, content
 def test_a_body_that_is_not_declared_as_json_is_refused(api: RunningApi, path: str, content_type: str) -> None:
     response = api.http.post(path, content=b"{}", headers={b"Content-Type": content_type.encode("latin-1")})
     assert refused(response)["status"] == 415
-
-
-@pytest.mark.slow("sqlite")
-@pytest.mark.parametrize("path", GETS)
-@pytest.mark.parametrize(
-    "identifier",
-    ["\0", "é", "...", "a" * 5000, "0" * 31, "F" * 32, "٣", "1e5", "-1", "9" * 19, "9" * 5000, "%", "\n", " "],
-)
-def test_an_odd_id_is_not_found(api: RunningApi, path: str, identifier: str) -> None:
-    assert refused(api.http.get(path.format(quote(identifier, safe=""))))["status"] == 404
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,7 @@ from tests.support.server import RunningApi, new_database, serving
 from tests.support.values import MIDDLE
 
 from drivecal.api import submission
-from drivecal.contracts.specification import CampaignSpecification, SensitivitySpecification
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.domain.setups import canonical_json, digest
-from drivecal.storage import campaigns
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])
@@ -41,19 +38,6 @@ def test_fifty_posts_at_once_with_one_key_make_one_campaign(api: RunningApi) -> 
     assert len(accepted) in {10, 40}, "the first body that came is the one that counts"
     listed = api.http.get("/api/v1/campaigns?limit=1000").json()["items"]
     assert [campaign["id"] for campaign in listed] == [accepted[0]["id"]]
-
-
-@pytest.mark.slow("sqlite")
-def test_fifty_evaluations_at_once_with_one_key_are_one(api: RunningApi) -> None:
-    body = {"parameters": MIDDLE, "scenario": "S1"}
-
-    def post(_: int) -> httpx.Response:
-        return api.http.post("/api/v1/evaluations", json=body, headers={"Idempotency-Key": "evaluation"})
-
-    with ThreadPoolExecutor(20) as pool:
-        responses = list(pool.map(post, range(50)))
-    assert {response.status_code for response in responses} == {202}
-    assert len({response.json()["id"] for response in responses}) == 1
 
 
 REQUESTS: list[tuple[str, dict[str, Any]]] = [
@@ -93,50 +77,6 @@ def test_a_retry_of_a_rerun_is_known_again_whatever_became_of_the_first_campaign
     posted.append(api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers))
     assert [answer.status_code for answer in posted] == [202, 202]
     assert posted[0].json()["id"] == posted[1].json()["id"]
-
-
-EARLIER: dict[str, Any] = {
-    "sensitivity": SensitivitySpecification().model_dump(mode="json"),
-    "reduction": {"mode": "influence"},
-}
-"""Defaults of the releases before predictions were the default."""
-
-
-@pytest.mark.parametrize(
-    ("given", "meant"),
-    [
-        ({}, EARLIER),
-        ({"reduction": {"audit": 0.1}}, EARLIER | {"reduction": {"mode": "influence", "audit": 0.1}}),
-        ({"sensitivity": None}, EARLIER | {"sensitivity": None}),
-        ({"sensitivity": {"samples": 4}, "reduction": {"mode": "exact"}}, {}),
-    ],
-)
-def test_a_request_of_an_earlier_release_is_known_again_after_the_defaults_changed(
-    api: RunningApi, given: dict[str, Any], meant: dict[str, Any]
-) -> None:
-    body = {"optimizer": {"population": 10, "iterations": 2}, **given}
-    stored = CampaignSpecification.model_validate(body | meant)
-    document = {"path": "campaigns", "body": stored.model_dump(mode="json")}
-    key = uuid.uuid4().hex
-    with api.database.transaction() as connection:
-        earlier = campaigns.insert(
-            connection,
-            name="earlier",
-            spec=stored.model_dump(mode="json"),
-            idempotency_key=key,
-            body_digests=[digest(canonical_json(document).encode())],
-        )
-    again = api.http.post("/api/v1/campaigns", json=body, headers={"Idempotency-Key": key})
-    assert (again.status_code, again.json()["id"]) == (202, earlier.id)
-    assert again.json()["spec"] == stored.model_dump(mode="json"), "it keeps the meaning that it had"
-    other = api.http.post("/api/v1/campaigns", json=body | {"weights": {"S1": 2}}, headers={"Idempotency-Key": key})
-    assert other.status_code == 409
-
-
-def test_the_earlier_defaults_are_another_request_than_todays(api: RunningApi) -> None:
-    key = {"Idempotency-Key": uuid.uuid4().hex}
-    assert api.http.post("/api/v1/campaigns", json={}, headers=key).status_code == 202
-    assert api.http.post("/api/v1/campaigns", json=EARLIER, headers=key).status_code == 409
 
 
 @pytest.mark.slow("sqlite")

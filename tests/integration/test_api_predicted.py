@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 from tests.integration.test_predicted_campaigns import SPACE, slowly
@@ -61,14 +59,6 @@ def test_counts_by_outcome_are_those_of_the_exported_cells(ended: Ended) -> None
     assert all(row["lot"] and 0 <= float(row["confidence"]) <= 1 for row in predicted)
 
 
-def test_the_iterations_count_predicted_cells(ended: Ended) -> None:
-    generations = ended.api.http.get(ended.campaign.links["generations"]).json()["items"]
-    outcomes = Counter((row["iteration"], row["outcome"]) for row in ended.rows)
-    for generation in generations:
-        assert generation["predicted"] == outcomes[str(generation["iteration"]), Outcome.PREDICTED]
-        assert generation["requested"] == sum(generation[outcome] for outcome in Outcome)
-
-
 def test_the_account_has_what_predictions_saved_and_what_they_cost(ended: Ended) -> None:
     account = Accounting.model_validate(ended.api.http.get(f"{ended.campaign.links['self']}/accounting").json())
     assert sum(scenario.predicted for scenario in account.scenarios) == ended.campaign.cells.predicted
@@ -92,28 +82,6 @@ def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:
     solutions = ended.api.http.get(ended.campaign.links["solutions"], params={"limit": 1000}).json()["items"]
     assert solutions
     assert not {(str(solution["iteration"]), str(solution["individual"])) for solution in solutions} & predicted
-
-
-def test_metrics_count_the_outcome(ended: Ended) -> None:
-    text = ended.api.http.get("/metrics").text
-    line = next(
-        line for line in text.splitlines() if line.startswith('drivecal_cells_total{outcome="predicted",stage="calibration"}')
-    )
-    assert float(line.split()[-1]) == ended.campaign.cells.predicted
-
-
-@pytest.mark.slow
-def test_the_command_line_shows_lots_and_shares(ended: Ended, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("DRIVECAL_URL", ended.api.url)
-    shown = command("show", ended.campaign.id).stdout.splitlines()
-    for scenario, lots in ended.campaign.released.items():
-        counts = [lots.asked, lots.lots, lots.rejected, lots.predicted, lots.sampled, lots.different]
-        assert [scenario, *map(str, counts)] in [line.split()[:7] for line in shown]
-    dumped = json.loads(command("show", ended.campaign.id, "--json").stdout)
-    assert dumped["cells"]["predicted"] == ended.campaign.cells.predicted
-    assert command("report", ended.campaign.id, "-o", str(tmp_path / "report")).exit_code == 0
-    balance = dict(row[:2] for row in csv.reader((tmp_path / "report/tables/balance.csv").read_text().splitlines()))
-    assert float(balance["saved by predicted cells"]) > 0
 
 
 def test_the_cost_of_a_validation_is_what_it_simulates_at_most(ended: Ended) -> None:

@@ -14,9 +14,7 @@ from tests.support.command import command
 from tests.support.server import RunningApi, serving
 
 from drivecal.api.app import create_app
-from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
-from drivecal.domain.errors import NotAuthorisedError
 
 WRITE, READ = "writer-0123456789abcdef", "reader-0123456789abcdef"
 TOKENS = f"writer write {WRITE}\nreader read {READ}\n"
@@ -102,34 +100,6 @@ def test_the_page_itself_is_open_to_be_read_and_nothing_else(api: RunningApi) ->
     assert api.http.post("/page/nothing.js").status_code == 401
 
 
-def test_health_is_open_and_says_nothing_else(api: RunningApi) -> None:
-    assert api.http.get("/healthz").json() == {"status": "alive"}
-    closed = api.http.get("/readyz")
-    assert (closed.status_code, closed.json()) == (503, {"ready": False, "problems": []})
-    assert api.http.get("/readyz", headers=bearer(READ)).json()["problems"]
-
-
-def test_a_token_that_may_write_submits_and_one_that_may_read_checks_and_reads(api: RunningApi) -> None:
-    posted = api.http.post("/api/v1/campaigns", json=SMALL, headers=bearer(WRITE))
-    assert posted.status_code == 202
-    location = posted.headers["location"]
-    assert api.http.get(location, headers=bearer(READ)).json()["id"] == posted.json()["id"]
-    assert api.http.post(f"{location}/cancel", headers=bearer(READ)).status_code == 403
-    assert api.http.get(location, headers=bearer(WRITE)).json()["state"] == "queued"
-    assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL, headers=bearer(READ)).status_code == 200
-    compared = {"optimizers": [{"kind": "genetic"}], "populations": [10], "seeds": [1, 2, 3]}
-    assert api.http.post("/api/v1/comparisons?validate_only=true", json=compared, headers=bearer(READ)).status_code == 200
-    assert api.http.post("/api/v1/comparisons", json=compared, headers=bearer(READ)).status_code == 403
-
-
-def test_the_document_says_that_a_token_is_asked_for(api: RunningApi) -> None:
-    document = api.http.get("/openapi.json", headers=bearer(READ)).json()
-    assert document["components"]["securitySchemes"]["token"]["scheme"] == "bearer"
-    assert document["security"] == [{"token": []}]
-    open_routes = {path for path, methods in document["paths"].items() for one in methods.values() if one.get("security") == []}
-    assert open_routes == OPEN
-
-
 def test_the_command_says_which_token_is_missing_or_wrong(
     api: RunningApi, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -150,14 +120,6 @@ def test_the_command_says_which_token_is_missing_or_wrong(
     assert (told.exit_code, "reader" in told.stderr) == (4, True)
     monkeypatch.setenv("DRIVECAL_TOKEN", WRITE)
     assert command("submit", "campaign.json").exit_code == 0
-
-
-def test_the_client_shows_its_token(api: RunningApi) -> None:
-    with Client(api.url, token=WRITE) as client:
-        assert client.scenarios().items
-        assert client.submit(SMALL).state == "queued"
-    with Client(api.url) as client, pytest.raises(NotAuthorisedError):
-        client.scenarios()
 
 
 def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import random
-from pathlib import Path
 from typing import Any
 
-import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
 from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
 from drivecal.contracts.specification import CampaignSpecification
@@ -59,25 +55,6 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert ended.baseline is not None
     assert by_kind["baseline"] == [ended.baseline.model_dump()]
     assert len(kinds) <= 30
-
-
-@pytest.mark.slow
-def test_what_is_told_of_a_campaign_that_was_killed_again_and_again_is_told_once(tmp_path: Path) -> None:
-    found = []
-    for name in ("calm", "killed"):
-        database = migrated(f"sqlite:///{tmp_path / name}.db")
-        campaign, draw, kills = analysed(database), random.Random(5), 0
-        while not get(database, campaign).state.ended:
-            working = dispatcher(database, ComputedBackend(draw.randrange(99), answer=influenced))
-            for _ in range(draw.randrange(1, 9) if name == "killed" else 5_000):
-                working.step()
-                if get(database, campaign).state.ended:
-                    break
-            kills += 1
-        assert kills > (8 if name == "killed" else 0)
-        found.append([(kind, {**data, "id": None}) for kind, data in told(database, campaign)])
-        database.dispose()
-    assert found[0] == found[1]
 
 
 def test_rejected_lots_of_references_are_told_once_by_scenario(database: Database) -> None:

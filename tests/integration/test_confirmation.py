@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.deaths import ends_in_spite_of_deaths, live, mortal
+from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, get, post_map, request, rows_of, run, step_until, submit
+from tests.support.runs import dispatcher, everything, post_map, rows_of, run, step_until, submit
 
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
@@ -178,25 +178,3 @@ def test_a_dispatcher_killed_at_any_moment_of_it_changes_nothing(tmp_path: Path)
     assert ends[0][0][0][-1][0] > ITERATIONS, "several sets were tried"
     assert len(ends[0][1]) == 1
     assert ends[0][2] == list(range(ITERATIONS))
-
-
-@pytest.mark.slow
-def test_a_verdict_is_told_once_however_often_dispatchers_die_after_it(database: Database) -> None:
-    campaign = ask(database, 50, population=10)
-    assert live(
-        database, campaign, mortal(database, lambda: bool(get(database, campaign).notes), ComputedBackend(answer=spoiled))
-    )
-    live(database, campaign, mortal(database, lambda: not get(database, campaign).notes, ComputedBackend(answer=spoiled)))
-    ended = run(database, campaign, ComputedBackend(answer=spoiled))
-    assert told(database, campaign, "note") == list(ended.notes)
-
-
-def test_a_campaign_that_was_paused_while_it_confirms_goes_on(database: Database) -> None:
-    campaign = ask(database, 50)
-    working = dispatcher(database, ComputedBackend(answer=spoiled))
-    step_until(database, campaign, ITERATIONS, working)
-    request(database, campaign, "pause")
-    for _ in range(5):
-        working.step()
-    request(database, campaign, "resume")
-    assert run(database, campaign, ComputedBackend(answer=spoiled)).notes[0].startswith("confirmed by simulation")

@@ -7,7 +7,6 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +20,11 @@ from tests.support.server import RunningApi, serving
 from drivecal.configuration.settings import Settings
 from drivecal.server import serving as serving_module
 from drivecal.storage import processes
-from drivecal.storage.engine.database import PROMPT
 from drivecal.storage.engine.tables import processes as process_table
 from drivecal.storage.engine.types import now
 
 PROMISED_SECONDS = 5.0
-SPARE_SECONDS = 15.0
+SPARE_SECONDS = 60.0
 """For a busy machine."""
 SMALL = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 READING = ["/api/v1/campaigns", "/api/v1/campaigns/" + "0" * 32, "/api/v1/workers", "/api/v1/references"]
@@ -69,7 +67,7 @@ def recovers(api: RunningApi) -> None:
     until(lambda: ask(api, "/api/v1/campaigns").status_code == 200, "the recovery of the API", 30)
     working(api)
     assert ask(api, "/readyz").json() == {"ready": True, "problems": []}
-    assert api.http.post("/api/v1/campaigns", json=SMALL, timeout=30).status_code == 202
+    assert api.http.post("/api/v1/campaigns", json=SMALL, timeout=300).status_code == 202
     assert "drivecal_database_up 1.0" in ask(api, "/metrics").text
 
 
@@ -140,36 +138,11 @@ def test_a_server_whose_database_does_not_answer_hears_signals(
     assert any("database" in reason for reason in lacking)
 
 
-@pytest.mark.slow
-def test_a_server_that_is_only_busy_is_waited_for(postgres: KillablePostgres, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.api.app.PROMPT", replace(PROMPT, lock=30))
-    with serving(postgres.new_database()) as api, api.database.transaction() as connection:
-        connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")
-        waiting: list[httpx.Response] = []
-        thread = threading.Thread(target=lambda: waiting.append(ask(api, "/api/v1/references")))
-        thread.start()
-        assert ask(api, "/api/v1/campaigns").status_code == 200
-        thread.join(2.5)
-        connection.rollback()
-        thread.join()
-        assert waiting[0].status_code == 200
-
-
 def test_a_lock_that_somebody_keeps_is_not_waited_for_longer_than_promised(postgres: KillablePostgres) -> None:
     with serving(postgres.new_database()) as api, api.database.transaction() as connection:
         connection.exec_driver_sql("LOCK TABLE setups IN ACCESS EXCLUSIVE MODE")
         answer = ask(api, "/api/v1/references")
         assert refuses(answer)
-
-
-@pytest.mark.slow
-def test_a_server_that_was_killed_and_started_again_is_found_again(api: RunningApi, postgres: KillablePostgres) -> None:
-    postgres.kill()
-    try:
-        says_so_everywhere(api)
-    finally:
-        postgres.start()
-    recovers(api)
 
 
 @pytest.mark.slow

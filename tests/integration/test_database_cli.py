@@ -73,17 +73,6 @@ def test_a_restored_database_is_one_that_nobody_serves_and_that_was_empty(url: s
     assert len(refused.stderr.splitlines()) == 1
 
 
-def test_a_backup_that_is_there_is_kept(url: str, tmp_path: Path) -> None:
-    file = tmp_path / "backup.db"
-    assert db("backup", file, "--database-url", url).exit_code == 0
-    content = file.read_bytes()
-    refused = db("backup", file, "--database-url", url)
-    assert refused.exit_code == 1
-    assert "--force" in refused.stderr
-    assert file.read_bytes() == content
-    assert db("backup", file, "--database-url", url, "--force").exit_code == 0
-
-
 def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: str) -> None:
     assert db("check", "--database-url", url).exit_code == 0
     whole = json.loads(db("check", "--full", "--database-url", url, "--json").stdout)
@@ -99,11 +88,3 @@ def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: 
     assert not report["whole"]
     [found] = [one for one in report["checks"] if one["problems"]]
     assert found["name"] == "references"
-
-
-def test_how_far_a_copy_is_is_told_on_stderr(url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.cli.commands.db.TOLD_SECONDS", 0.0)
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 8)
-    written = db("backup", tmp_path / "backup.db", "--database-url", url, "--json")
-    assert "drivecal: pages: " in written.stderr
-    assert json.loads(written.stdout)["database"]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import random
-from datetime import datetime, timedelta, tzinfo
 from pathlib import Path
-from typing import Self
 
 import pytest
 from sqlalchemy import func, select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
-from tests.support.runs import dispatcher, everything, finish, nothing_matters, post_map, request, step_until, submit
+from tests.support.runs import dispatcher, everything, post_map, request, submit
 
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -145,61 +143,6 @@ def test_a_campaign_that_was_killed_again_and_again_ends_like_one_that_was_not(t
     assert found[0] == found[1]
 
 
-def test_a_campaign_with_a_name_that_an_earlier_release_took_is_carried_out(database: Database) -> None:
-    submitted = submit(
-        database, name="old \u202e\x9b", optimizer={"kind": "genetic", "population": 10, "iterations": 1, "seed": 1}
-    )
-    assert submitted.spec["name"] == "old \u202e\x9b"
-    assert finish(database, submitted, dispatcher(database)).state is CampaignState.SUCCEEDED
-
-
-class _Clock(datetime):
-    """The system's clock, set to another time by `offset`."""
-
-    offset = timedelta()
-
-    @classmethod
-    def now(cls, tz: tzinfo | None = None) -> Self:
-        return super().now(tz) + cls.offset
-
-
-@pytest.mark.slow
-def test_a_clock_that_jumps_in_the_middle_changes_no_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.storage.engine.types.datetime", _Clock)
-    found = []
-    for name, jumps in (("calm", ()), ("jumping", (3, -3))):
-        database = migrated(f"sqlite:///{tmp_path / name}.db")
-        campaign = submit(database, stored_map=post_map(database, TRUE_MAP), reduction={"audit": 0.2})
-        working = dispatcher(database, ComputedBackend(5))
-        for iteration, hours in enumerate(jumps, start=2):
-            step_until(database, campaign, iteration, working)
-            monkeypatch.setattr(_Clock, "offset", timedelta(hours=hours))
-            working.step()
-        assert finish(database, campaign, working).state is CampaignState.SUCCEEDED
-        found.append(everything(database, campaign))
-        database.dispose()
-    assert found[0] == found[1]
-
-
-@pytest.mark.slow
-def test_reuse_by_a_true_map_answers_as_the_simulation_would(tmp_path: Path) -> None:
-    scores = {}
-    for mode in ("off", "exact", "influence"):
-        opened = migrated(f"sqlite:///{tmp_path / mode}.db")
-        campaign = submit(opened, stored_map=post_map(opened, TRUE_MAP), reduction={"mode": mode, "audit": 0.0})
-        ended = _run(opened, campaign)
-        cells, *_ = everything(opened, campaign)
-        scores[mode] = [(cell[:4], cell[5]) for cell in cells]
-        counts = ended.cells
-        assert (counts.repeated > 0, counts.reused > 0) == {
-            "off": (False, False),
-            "exact": (True, False),
-            "influence": (True, True),
-        }[mode]
-        opened.dispose()
-    assert scores["off"] == scores["exact"] == scores["influence"]
-
-
 def test_every_copy_names_the_simulated_evaluation_that_answers_it(database: Database) -> None:
     campaign = submit(database, stored_map=post_map(database, TRUE_MAP))
     _run(database, campaign)
@@ -232,19 +175,6 @@ def test_a_rerun_with_other_weights_and_the_same_seed_is_answered_mostly_from_th
     assert len(keys) == len(set(keys)) == first.cells.simulated + other.cells.simulated
 
 
-def test_a_wrong_map_is_found_out_by_the_samples_and_its_lots_are_simulated(database: Database) -> None:
-    wrong = post_map(database, nothing_matters())
-    ended = _run(database, submit(database, stored_map=wrong, reduction={"audit": 0.0, "max_error": 0.02}))
-    for scenario in ("S1", "S2", "S3"):
-        rate = ended.error_rate[scenario]
-        assert rate.wrong > 0
-        assert rate.lots > 1, "a wrong sample stops nothing: the next batch has a lot of its own"
-        assert 0 < rate.rejected <= rate.lots
-        assert not rate.stopped
-        assert any(f"{scenario} ({rate.rejected} of {rate.lots})" in note for note in ended.notes)
-    assert ended.cells.reused < ended.cells.audited
-
-
 def _sometimes_broken(scenario: str, cell: Cell) -> CellResult:
     if cell.parameters["P1"] == 0.5 and scenario == "S2":
         return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
@@ -265,23 +195,6 @@ def test_cells_without_a_result_are_failed_ranked_last_and_nobodys_reference(dat
         if row.id in failed:
             assert (row.score, row.failure, row.run_id) == (None, "crash", None)
         assert row.outcome is Outcome.FAILED or row.reference not in failed
-
-
-def test_two_campaigns_at_the_same_time_share_the_runs_of_equal_cells(database: Database) -> None:
-    one = submit(database)
-    backend = ComputedBackend()
-    working = dispatcher(database, backend)
-    while _get(database, one).cells.simulated < 20:
-        working.step()
-    other = submit(database)
-    while not (_get(database, one).state.ended and _get(database, other).state.ended):
-        working.step()
-    alone, beside = everything(database, one), everything(database, other)
-    assert alone[3] == beside[3]
-    with database.read() as connection:
-        stored = len(connection.execute(select(runs.c.id)).all())
-    assert stored == _get(database, one).cells.simulated
-    assert len(backend.sent) < 2 * stored
 
 
 def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Path) -> None:

@@ -17,14 +17,14 @@ from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.execution.backend import Finished, Lost, Slot
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.storage import campaigns, evaluations, events, results
+from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.invariants import check_counters
@@ -200,40 +200,10 @@ def test_a_campaign_in_which_everything_fails_ends_early_with_the_cause(
     assert simulated.runs < 3 * 800, "each cell of the first generation would be tried three times"
 
 
-def test_the_end_is_the_same_after_a_kill_between_the_results_and_the_end(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    campaign = submit(database, optimizer={"kind": "random", "population": 100, "iterations": 2, "seed": 1})
-    with monkeypatch.context() as patch:  # the process that stores the results dies before it can end the campaign
-        patch.setattr("drivecal.campaigns.stages.stage.CampaignStage._refuse_failures", lambda _: None)
-        running = dispatcher(database, Simulated(broken=2.0))
-        for _ in range(2_000):
-            running.step()
-            with database.read() as connection:
-                first = evaluations.first_simulated(connection, campaign.sequence, StageName.CALIBRATION, ALL_FAILED)
-            if first == [Outcome.FAILED] * ALL_FAILED:
-                break
-    later = Simulated(broken=2.0)
-    ended = run(database, campaign, later)
-    assert ended.state is CampaignState.FAILED
-    assert "no licence" in (ended.error or "")
-    assert later.runs == 0
-
-
 def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
     ended = run(database, submit(database), Simulated(broken=0.7))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.failed > ALL_FAILED
-
-
-@pytest.mark.slow
-def test_failures_that_come_back_before_slow_results_end_nothing(database: Database) -> None:
-    simulated = Simulated(broken=0.7)
-    campaign = submit(database, optimizer={"kind": "random", "population": 200, "iterations": 1, "seed": 1})
-    ended = run(database, campaign, simulated, SlowResults(answer=simulated))
-    assert ended.state is CampaignState.SUCCEEDED
-    assert ended.cells.failed > ALL_FAILED
-    assert ended.cells.simulated > 0
 
 
 def test_slow_workers_end_a_stage_without_results_all_the_same(database: Database) -> None:

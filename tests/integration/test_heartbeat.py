@@ -131,15 +131,6 @@ def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_l
         _ends(heartbeat, DatabaseError, "another drivecal server")
 
 
-def test_an_unexpected_error_is_told_and_ends_the_main_thread(database: Database, caplog: pytest.LogCaptureFixture) -> None:
-    def broken() -> None:
-        raise ZeroDivisionError("a bug")
-
-    with heartbeat_of(database, renew_lock=broken) as heartbeat:
-        _ends(heartbeat, ZeroDivisionError, "a bug")
-    assert "Traceback" in caplog.text
-
-
 STUCK = """
 import sys, time
 from drivecal.dispatch import heartbeat

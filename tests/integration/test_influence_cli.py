@@ -91,27 +91,3 @@ def test_comparing_lists_the_pairs_that_differ_and_the_share_that_agrees(run: Ru
     assert (found["pairs"], found["agreeing"]) == (6, 2)
     assert found["differences"][0]["second"]["upper"] == 1
     assert json.loads(run("influence", analysed, "--compare", analysed, "--json").stdout)["share"] == 1
-
-
-def test_comparing_with_a_posted_map_says_what_only_one_of_them_knows(run: Run, analysed: str) -> None:
-    document = "catalogue: [S1]\nscenarios: {S1: {P2: {influential: false}, P4: {upper: 20}}}"
-    posted = json.loads(run("influence-maps", "post", "-", "--json", stdin=document).stdout)["id"]
-    printed = run("influence", analysed, "--compare", posted).stdout
-    assert "1 of 1 pairs (100.0%)" in printed
-    assert "S1 P1, P3; S2 P1, P2, P3" in printed
-    assert "S1 P4" in printed
-
-
-def test_a_campaign_without_a_map_says_so(run: Run, api: RunningApi, analysed: str) -> None:
-    bare = campaign(api, {"sensitivity": None})
-    assert run("influence", bare).exit_code == 0
-    assert json.loads(run("influence", bare, "--json").stdout) == []
-    refused = run("influence", analysed, "--compare", bare)
-    assert refused.exit_code == 1
-    assert bare in refused.stderr
-
-
-def test_what_is_neither_campaign_nor_map_is_not_found(run: Run, analysed: str) -> None:
-    for arguments in (["influence", "0" * 32], ["influence", analysed, "--compare", "nothing"]):
-        result = run(*arguments)
-        assert result.exit_code == 5

@@ -107,29 +107,6 @@ def test_results_survive_a_longer_and_reordered_list_of_choices(database: Databa
     assert (second.cells.repeated, second.cells.simulated) == (4, 0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "field", "said"),
-    [
-        ({"baseline": BASELINE | {"mode": "fast"}}, "baseline.mode", "eco, sport, winter"),
-        ({"baseline": BASELINE | {"mode": 1}}, "baseline.mode", "eco, sport, winter"),
-        ({"baseline": BASELINE | {"speed": "eco"}}, "baseline.speed", "number"),
-        ({"baseline": BASELINE | {"speed": 50.5}}, "baseline", "speed <= limit"),
-        ({"optimizer": {"start_sets": [BASELINE, BASELINE | {"gears": 6}]}}, "optimizer.start_sets[1]", "gears * 10 <= limit"),
-        ({"robustness": {"sets": [BASELINE | {"gears": 6}]}}, "robustness.sets[0]", "gears * 10 <= limit"),
-        ({"fixed": {"mode": "fast"}}, "fixed.mode", "eco, sport, winter"),
-        ({"fixed": {"limit": 5}}, "constraints", "gears * 10 <= limit"),
-        ({"parameters": [{"name": "mode", "choices": ["eco", "fast"]}]}, "parameters[0].choices", "eco, sport, winter"),
-        ({"parameters": [{"name": "mode", "lower": 0, "upper": 2, "step": 1}]}, "parameters[0].choices", "eco, sport, winter"),
-        ({"sensitivity": {"intervals": 500}}, "sensitivity.intervals", "limit"),
-    ],
-)
-def test_what_does_not_fit_is_refused_at_its_field(changes: dict[str, Any], field: str, said: str) -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        resolve(CampaignSpecification.model_validate(WANTED | changes))
-    texts = {problem.field: f"{problem.message}; {problem.remedy}" for problem in refused.value.problems}
-    assert said in texts[field]
-
-
 def test_texts_reach_every_answer_table_and_file(database: Database, tmp_path: Path) -> None:
     app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
     with TestClient(app, base_url="http://127.0.0.1") as http:
@@ -183,13 +160,6 @@ def test_texts_reach_every_answer_table_and_file(database: Database, tmp_path: P
             columns = pq.read_table(io.BytesIO(parquet.content))
             assert columns["mode"].to_pylist() == [line["mode"] for line in lines]
             assert columns["speed"].to_pylist() == [float(line["speed"]) for line in lines]
-
-
-@pytest.mark.parametrize(("kind", "ordered"), [("genetic", False), ("swarm", True), ("cma_es", True), ("optuna", False)])
-def test_a_submission_says_how_constraints_and_choices_are_searched(kind: str, ordered: bool) -> None:
-    notes = resolve(CampaignSpecification.model_validate(WANTED | {"optimizer": {"kind": kind}})).notes
-    assert any("speed <= limit, gears * 10 <= limit" in note for note in notes)
-    assert any("mode, tyre" in note for note in notes) == ordered
 
 
 def test_an_optimizer_that_declares_nothing_is_refused_for_what_it_may_not_know(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
-import yaml
 from tests.support.computed import ComputedBackend
-from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.problems import store
-from tests.support.runs import everything, get, run
-from tests.support.serve import Server, serving, until
-from tests.support.user_problems import rows
+from tests.support.runs import run
 
 from drivecal.analysis.front import hypervolume, non_dominated
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import front_of
-from drivecal.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -91,10 +84,6 @@ DTLZ2 = Known("dtlz2", 3, 1.1, 1.1**3 - pi / 6)
 KNOWN = pytest.mark.parametrize("known", [ZDT1, DTLZ2], ids=lambda known: known.name)
 
 
-def started(folder: Path) -> AbstractContextManager[Server]:
-    return serving(folder, workers=2, DRIVECAL_BACKEND="processes", DRIVECAL_BUNDLE_CACHE=str(folder / "cache"))
-
-
 def measures(scenario: str, parameters: Mapping[str, Any]) -> dict[str, float]:
     namespace: dict[str, Any] = {}
     exec(MODEL, namespace)
@@ -132,53 +121,3 @@ def test_a_campaign_searches_as_the_bare_optimizer_does(known: Known, tmp_path: 
         gains = np.concatenate([gains, told])
         bare.append(hypervolume(gains[non_dominated(gains)], np.full(known.objectives, -known.reference)) or 0.0)
     assert grown == pytest.approx(bare, rel=1e-8)
-
-
-@pytest.mark.slow
-def test_a_search_of_three_objectives_ends_alike_in_spite_of_deaths(tmp_path: Path) -> None:
-    search = SEARCH | {"population": 16, "iterations": 6}
-    document = DTLZ2.campaign(optimizer=search, constraints=[{"measure": "f2", "at_most": 4.0}], reduction={"mode": "exact"})
-
-    def find(database: Database, campaign: StoredCampaign) -> Any:
-        ended = get(database, campaign)
-        front = front_of(database, ended, resolved_spec(ended))
-        return everything(database, campaign), front.points.tolist(), front.hypervolumes()
-
-    def backend(seed: int) -> ComputedBackend:
-        return ComputedBackend(seed=seed, answer=evaluated)
-
-    ends = ends_in_spite_of_deaths(tmp_path, lambda database: begin(database, DTLZ2, document), backend, find, stride=7)
-    assert len(ends) > 5
-    assert all(end == ends[0] for end in ends)
-    _, front, growth = ends[0]
-    assert len(front) > 2
-    assert [volume for _, volume, _ in growth] == sorted(volume for _, volume, _ in growth)
-
-
-@pytest.mark.slow
-@KNOWN
-def test_a_killed_search_ends_with_the_front_of_an_uninterrupted_one(
-    known: Known, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "home"))
-    folder = tmp_path / "problem"
-    folder.mkdir()
-    (folder / "problem.yaml").write_text(yaml.safe_dump(known.problem, sort_keys=False))
-    (folder / "model.py").write_text(MODEL)
-    with started(tmp_path) as server, Client(server.url) as client:
-        client.push_problem(folder)
-        whole = client.wait(client.submit(known.campaign()).id)
-        assert (whole.state, whole.error) == ("succeeded", None)
-        expected = client.front(whole.id), client.front_summary(whole.id), rows(client, whole.id)
-        assert 0.7 * known.largest < (expected[1].hypervolume or 0) <= known.largest
-        killed = client.submit(known.campaign()).id
-        until(lambda: (client.campaign(killed).iteration or 0) >= 5, "five generations are over")
-        family = server.family()
-        server.process.kill()
-        for process in family:
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
-        server.process.wait()
-    with started(tmp_path) as server, Client(server.url) as client:
-        assert client.wait(killed).state == "succeeded"
-        assert (client.front(killed), client.front_summary(killed), rows(client, killed)) == expected

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from sqlalchemy import update
 from tests.support.computed import ComputedBackend
 from tests.support.runs import get, influenced, nothing_matters, post_map, run, submit
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.submission import expected, rerun
-from drivecal.campaigns.resolve.maps import doubts
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.events import EventKind
-from drivecal.reduction.audit import clopper_pearson
 from drivecal.storage import events
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import campaigns
 
 LIMITS = Limits.of(load_settings())
 VALIDATION = {"samples": 20, "references": 3, "largest": 20}
@@ -73,30 +68,3 @@ def test_the_preview_of_a_campaign_warns_as_well(database: Database) -> None:
         assert any(study.id in note for note in notes)
     predicted = CampaignSpecification.model_validate(document | {"reduction": {"mode": "predicted"}})
     assert not any(study.id in note for note in expected(database, limits, predicted).notes)
-
-
-def test_audits_count_where_they_are_certain_and_what_an_earlier_release_stopped_counts_in_any_case(
-    database: Database,
-) -> None:
-    stored = post_map(database, nothing_matters())
-    audited = run(
-        database,
-        submit(database, stored_map=stored, catalogue=["S1"], reduction={"audit": 1.0, "max_error": 0.001}),
-        ComputedBackend(answer=influenced),
-    )
-    rate = audited.error_rate["S1"]
-    lower, _ = clopper_pearson(rate.wrong, rate.audited)
-    assert lower > 0.1
-    assert audited.ended_at is not None
-    later = audited.ended_at + timedelta(seconds=1)
-    with database.read() as connection:
-        (note,) = doubts(connection, stored, 0.1, later)
-        assert doubts(connection, stored, 0.1, audited.ended_at) == []
-        assert doubts(connection, stored, lower, later) == []
-    assert audited.id in note
-    with database.transaction() as connection:
-        stopped = {"S1": rate.model_copy(update={"stopped": True}).model_dump(mode="json")}
-        connection.execute(update(campaigns).where(campaigns.c.sequence == audited.sequence).values(error_rate=stopped))
-    with database.read() as connection:
-        (note,) = doubts(connection, stored, 1.0, later)
-    assert "stopped" in note

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
 from tests.support.runs import finish, get, request
 
 from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
@@ -25,7 +23,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
-from drivecal.storage import campaigns, generations, results
+from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -81,15 +79,6 @@ def test_a_cancel_overtakes_a_pause_that_still_waits_for_workers(database: Datab
     assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
 
 
-def test_a_resume_takes_back_a_pause_that_still_waits_for_workers(database: Database) -> None:
-    campaign, backend, dispatcher = _busy(database)
-    request(database, campaign, "pause")
-    dispatcher.step()
-    request(database, campaign, "resume")
-    backend.held = False
-    assert finish(database, campaign, dispatcher).state is CampaignState.SUCCEEDED
-
-
 def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(database: Database) -> None:
     campaign, _, _ = _busy(database)
     request(database, campaign, "cancel")
@@ -97,16 +86,6 @@ def test_a_cancelled_campaign_that_is_taken_up_again_asks_for_nothing_more(datab
     fresh = ComputedBackend()
     ended = finish(database, campaign, _dispatcher(database, fresh))
     assert (ended.state, ended.cells.proposed, fresh.sent) == (CampaignState.CANCELLED, before, [])
-
-
-def test_a_paused_campaign_is_cancelled_at_once(database: Database) -> None:
-    campaign, backend, dispatcher = _busy(database)
-    request(database, campaign, "pause")
-    backend.held = False
-    while get(database, campaign).state is not CampaignState.PAUSED:
-        dispatcher.step()
-    request(database, campaign, "cancel")
-    assert finish(database, campaign, dispatcher).state is CampaignState.CANCELLED
 
 
 class _LostAnswer:
@@ -205,16 +184,6 @@ def test_a_run_outside_the_space_of_a_map_answers_nothing_inside_it(database: Da
     assert ended.cells.reused > 0
 
 
-def test_a_campaign_without_a_single_result_fails_and_says_so(database: Database) -> None:
-    def hopeless(scenario: str, cell: Cell) -> CellResult:
-        del scenario
-        return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
-
-    ended = finish(database, _submit(database), _dispatcher(database, ComputedBackend(answer=hopeless)))
-    assert ended.state is CampaignState.FAILED
-    assert "segmentation fault" in str(ended.error)
-
-
 def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) -> None:
     def drifting(scenario: str, cell: Cell) -> CellResult:
         del scenario
@@ -228,52 +197,3 @@ def test_simulations_that_do_not_repeat_themselves_are_told(database: Database) 
     ended = finish(database, again, _dispatcher(database, ComputedBackend(answer=drifting)))
     assert ended.cells.unrepeatable == ended.cells.simulated
     assert any(note.startswith(f"{ended.cells.unrepeatable} ") for note in ended.notes)
-
-
-class _Unreliable:
-    """A database whose transactions fail now and then: before their body, or after their commit."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self.count = self.failures = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._database, name)
-
-    @contextmanager
-    def transaction(self) -> Iterator[Connection]:
-        self.count += 1
-        if self.count % 7 == 0:
-            self.failures += 1
-            raise UnavailableError("the database does not answer")
-        with self._database.transaction() as connection:
-            yield connection
-        if self.count % 5 == 0:
-            self.failures += 1
-            raise UnavailableError("the answer to the commit was lost")
-
-
-def test_transactions_that_fail_before_or_after_their_commit_change_no_result(tmp_path: Path) -> None:
-    found = []
-    for name in ("calm", "unreliable"):
-        database = migrated(f"sqlite:///{tmp_path / name}.db")
-        campaign = _submit(database)
-        used: Any = database if name == "calm" else _Unreliable(database)
-        dispatcher = _dispatcher(used, ComputedBackend())
-        for _ in range(5_000):
-            if get(database, campaign).state.ended:
-                break
-            try:
-                dispatcher.step()
-            except UnavailableError:
-                dispatcher._forget_jobs()
-        assert name == "calm" or used.failures > 10
-        with database.read() as connection:
-            rows = [
-                (row.iteration, row.individual, row.scenario, row.outcome, row.score, row.rating)
-                for row in results.stream(connection, campaign.sequence)
-            ]
-            figures, _ = generations.page(connection, campaign.sequence)
-        found.append((get(database, campaign).state, rows, figures, get(database, campaign).cells))
-        database.dispose()
-    assert found[0] == found[1]

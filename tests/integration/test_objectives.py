@@ -246,28 +246,6 @@ def driven(scenario: str, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
 
 
-@pytest.mark.slow
-def test_a_killed_search_over_real_runs_ends_with_the_same_bits(database: Database) -> None:
-    spec: dict[str, Any] = {
-        "objectives": TWO,
-        "parameters": "highway",
-        "catalogue": ["S1"],
-        "optimizer": NSGA2 | {"population": 6, "iterations": 3},
-        "reduction": {"mode": "off"},
-    }
-    whole = run(database, submit(database, **spec), ComputedBackend(answer=driven))
-    killed = submit(database, **spec)
-    deaths = 0
-    while not get(database, killed).state.ended:
-        working = dispatcher(database, ComputedBackend(seed=deaths, answer=driven))
-        for _ in range(3):
-            working.step()
-        deaths += 1
-    assert deaths > 2
-    assert everything(database, killed) == everything(database, whole)
-    assert vectors(database, killed) == vectors(database, whole)
-
-
 def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
     spec: dict[str, Any] = {
         "objectives": TWO,
@@ -288,10 +266,3 @@ def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
         jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in answers)
         assert member.solution.judgement is not None
         assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))
-
-
-@pytest.mark.slow
-def test_a_default_given_in_words_changes_nothing(database: Database) -> None:
-    plain = run(database, submit(database, reduction={"mode": "off"}))
-    worded = run(database, submit(database, objectives=[{"score": "comfort"}], reduction={"mode": "off"}))
-    assert everything(database, plain) == everything(database, worded)

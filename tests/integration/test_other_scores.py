@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import pytest
 from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
@@ -191,66 +190,6 @@ def test_a_formula_of_a_later_push_ranks_what_is_stored(asked: Asked, database: 
     store(database, MANIFEST)
     own = items(asked, f"{asked.first}/solutions", limit=100)
     assert items(asked, f"{asked.first}/solutions", limit=100, score="cost@mine") == own
-
-
-@pytest.mark.parametrize(
-    ("score", "said"), [("gain@mine", "one of cost"), ("cost@nothing", "problem list"), ("cost@theirs", "score, y")]
-)
-def test_a_score_that_no_push_declares_for_these_measures_is_refused(
-    asked: Asked, database: Database, score: str, said: str
-) -> None:
-    store(database, MANIFEST | {"scores": PUSHED_LATER})
-    theirs = {"cost": {"formula": "noise", "direction": "minimise", "range": [0, 1]}}
-    store(database, MANIFEST | {"problem": "theirs", "measures": {"noise": "dB"}, "scores": theirs})
-    answered = asked.http.get(f"{asked.first}/solutions", params={"score": score})
-    assert answered.status_code == 422
-    (error,) = answered.json()["errors"]
-    assert (error["field"], said in error["remedy"]) == ("score", True)
-
-
-@pytest.mark.slow
-def test_a_rerun_under_another_formula_names_better_stored_sets(asked: Asked, database: Database) -> None:
-    digest = store(database, MANIFEST | {"scores": PUSHED_LATER})
-    changes: dict[str, Any] = {
-        "weights": {},
-        "problem": "mine",
-        "optimizer": {"kind": "random", "population": 2, "iterations": 1, "seed": 5},
-    }
-    accepted = asked.http.post(f"{asked.first}/rerun", json=changes).raise_for_status().json()
-    path = f"/api/v1/campaigns/{accepted['id']}"
-    with database.read() as connection:
-        queued = campaigns.get(connection, accepted["id"])
-    ended = run(database, queued, ComputedBackend(answer=simulated))
-    assert ended.best is not None
-    reasons = asked.http.get(f"{path}/trust").raise_for_status().json()["reasons"]
-    [text] = [reason["text"] for reason in reasons if reason["about"] == "earlier"]
-    score = f"cost@{digest}"
-    assert f"--score {score}`" in text
-    [best] = items(asked, f"{asked.first}/solutions", limit=1, score=score)
-    assert best["objective"] < ended.best.objective
-    wanted = changes | {"optimizer": {**changes["optimizer"], "start_sets": [best["parameters"]]}}
-    accepted = asked.http.post(f"{asked.first}/rerun", json=wanted).raise_for_status().json()
-    with database.read() as connection:
-        queued = campaigns.get(connection, accepted["id"])
-    seeded = run(database, queued, ComputedBackend(answer=simulated))
-    assert seeded.best is not None
-    assert seeded.best.objective == best["objective"]
-    reasons = asked.http.get(f"/api/v1/campaigns/{accepted['id']}/trust").json()["reasons"]
-    assert [reason for reason in reasons if reason["about"] == "earlier"] == []
-
-
-def test_files_have_the_other_score_too(asked: Asked) -> None:
-    answered = asked.http.get(f"{asked.first}/solutions", params={"score": "gain", "format": "parquet"}).raise_for_status()
-    table = pq.read_table(io.BytesIO(answered.content))
-    assert table["objective"].to_pylist() == [row["objective"] for row in items(asked, f"{asked.other}/solutions", limit=100)]
-
-
-def test_an_unknown_score_is_refused_with_those_that_exist(asked: Asked) -> None:
-    answered = asked.http.get(f"{asked.first}/solutions", params={"score": "gains"})
-    assert answered.status_code == 422
-    (error,) = answered.json()["errors"]
-    assert error["field"] == "score"
-    assert "cost, gain" in str(error)
 
 
 def test_measures_are_columns_of_evaluations_if_they_are_asked_for(asked: Asked) -> None:

@@ -5,15 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from tests.support.comparisons import runs_of
 from tests.support.fake_backend import FakeBackend
-from tests.support.problems import LIMITS, store, submit_checked
+from tests.support.problems import store, submit_checked
 from tests.support.runs import finish, get, request
 
-from drivecal.api import submission
-from drivecal.campaigns.cells.tracing import request_trace
-from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.specification import EvaluationSpecification, RerunSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.campaigns import CampaignState
@@ -118,28 +113,6 @@ def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) ->
         assert campaigns.get(connection, campaign.id).state is CampaignState.CANCELLED
 
 
-@pytest.mark.slow
-def test_evaluations_comparisons_and_reruns_are_asked_too(database: Database) -> None:
-    first = ended(database, submit(database, reduction={"mode": "exact"}), on("1.0"))
-    wanted = {"problem": "mine", "parameters": {"value": 7.0}}
-    single = submission.evaluate(database, LIMITS, EvaluationSpecification.model_validate(wanted), None)
-    assert ended(database, single, on("3.0")).cells.simulated == 2
-    rerun = submission.rerun(database, LIMITS, first.id, RerunSpecification.model_validate({"weights": {"city": 2}}), None)
-    assert ended(database, rerun, on("1.0")).cells.repeated == CELLS
-    compared = {
-        "problem": "mine",
-        "optimizers": [{"kind": "random"}, {"kind": "genetic"}],
-        "populations": [6],
-        "seeds": [1, 2, 3],
-        "iterations": 2,
-        "reductions": ["exact"],
-        "sensitivity": None,
-    }
-    tag = submission.compare(database, LIMITS, ComparisonSpecification.model_validate(compared), "key")
-    runs = [ended(database, run, on("4.0")) for run in runs_of(database, tag)]
-    assert {(run.state, (run.resolution or {}).get("tools")) for run in runs} == {(CampaignState.SUCCEEDED, "4.0")}
-
-
 def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> None:
     analysis = {"intervals": 3, "samples": 4, "threshold": 0.02}
     made = ended(database, submit(database, sensitivity=analysis), on("1.0"))
@@ -149,23 +122,3 @@ def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> 
     other = ended(database, submit(database, **named), on("2.0"))
     assert other.state is CampaignState.FAILED
     assert "map" in (other.error or "")
-
-
-@pytest.mark.slow
-def test_a_time_series_is_made_with_the_tools_of_its_result(database: Database) -> None:
-    first = ended(database, submit(database), on("1.0"))
-    with database.transaction() as connection:
-        number = next(results.stream(connection, first.sequence)).id
-        traced = request_trace(connection, number)
-    assert ended(database, traced, on("2.0")).state is CampaignState.FAILED
-
-
-def test_a_campaign_of_an_earlier_release_does_not_mix_answers(database: Database) -> None:
-    campaign = submit(database)
-    begun = begin(database, campaign, dispatcher(database, on("1.0")))
-    with database.transaction() as connection:  # which ran no probe
-        without = {name: part for name, part in (begun.resolution or {}).items() if name != "tools"}
-        campaigns.set_resolution(connection, campaign.sequence, without)
-    failed = ended(database, campaign, on("2.0"))
-    assert failed.state is CampaignState.FAILED
-    assert "submit" in (failed.error or "")

@@ -14,10 +14,9 @@ from tests.support.server import RunningApi, serving
 
 from drivecal.client import Client
 from drivecal.client.problems import read_bundle
-from drivecal.domain.errors import NotAuthorisedError, NotFoundError
+from drivecal.domain.errors import NotFoundError
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "problems" / "python-function"
-AUTHOR, WRITER = "author-0123456789abcdef", "writer-0123456789abcdef"
 
 
 @pytest.fixture
@@ -71,23 +70,3 @@ def test_the_client_takes_a_folder_an_archive_and_its_bytes(api: RunningApi, tmp
             client.problem("nothing")
         with pytest.raises(NotFoundError, match="did you mean python-function"):
             client.problem("pyton-function")
-
-
-def test_without_the_servers_home_folder_a_push_is_refused(
-    api: RunningApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path / "other"))
-    assert command("problem", "push", str(EXAMPLE), "--url", api.url).exit_code == 4
-    with Client(api.url) as client, pytest.raises(NotAuthorisedError):
-        client.push_problem(EXAMPLE)
-
-
-def test_on_a_server_with_tokens_the_token_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "tokens").write_text(f"bea author {AUTHOR}\nanna write {WRITER}\n")
-    monkeypatch.setenv("DRIVECAL_HOME", str(tmp_path))
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as running:
-        for token, code in ((WRITER, 4), (AUTHOR, 0)):
-            monkeypatch.setenv("DRIVECAL_TOKEN", token)
-            assert command("problem", "push", str(EXAMPLE), "--url", running.url).exit_code == code
-        monkeypatch.setenv("DRIVECAL_TOKEN", WRITER)
-        assert command("problem", "show", "python-function", "--url", running.url).exit_code == 0

@@ -49,9 +49,6 @@ campaigns_of_a_history = st.builds(
 )
 
 
-MIXED = ("influence", "certified", "predicted", "influence")
-
-
 class KilledError(Exception):
     """Stands for the end of the process."""
 
@@ -101,14 +98,6 @@ def test_whatever_is_pruned_and_killed_the_rest_is_whole_and_answers_as_before(
 ) -> None:
     with fresh() as database:
         prune_a_history(database, history, keep_best, killed_after)
-
-
-@pytest.mark.slow
-def test_on_postgresql_the_rest_is_whole_and_answers_as_before(postgres_url: str) -> None:
-    database = migrated(postgres_url)
-    history = [Told(kind, 1 + number % 2, number < 3, 0 if number == 3 else None) for number, kind in enumerate(MIXED)]
-    assert prune_a_history(database, history, 1, 10, is_killed=True) > 0
-    database.dispose()
 
 
 def prune_a_history(

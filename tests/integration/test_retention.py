@@ -80,14 +80,6 @@ def test_a_campaign_that_may_use_the_results_keeps_them(database: Database, old:
     assert problems(database) == []
 
 
-def test_a_campaign_that_another_reruns_stays_whole(database: Database, old: StoredCampaign) -> None:
-    again = run(database, submit(database, **SMALL))
-    set_column(database, again, "rerun_of", old.id)
-    assert [spared.id for spared in planned(database, 0).selection.spared] == [old.id]
-    set_column(database, again, "ended_at", (now() - 2 * CUTOFF).strftime("%Y-%m-%d %H:%M:%S.%f"))
-    assert len(planned(database, 0).selection.prunable) == 2
-
-
 @pytest.mark.parametrize("field", ["rerun_of", "validation_of"])
 def test_a_campaign_that_one_names_after_the_plan_stays_whole(database: Database, old: StoredCampaign, field: str) -> None:
     plan = planned(database, 0)
@@ -100,16 +92,6 @@ def test_a_campaign_that_one_names_after_the_plan_stays_whole(database: Database
     with pytest.raises(ConflictError):
         carry_out(database, plan)
     assert answers(database, old) == before
-
-
-def test_a_campaign_that_fails_before_its_setups_are_known_keeps_nothing(database: Database, old: StoredCampaign) -> None:
-    plan = planned(database, 0)
-    failed = submit(database, **SMALL)
-    moment = now().strftime("%Y-%m-%d %H:%M:%S.%f")
-    for column, value in {"state": "failed", "started_at": moment, "ended_at": moment}.items():
-        set_column(database, failed, column, value)
-    carry_out(database, plan)
-    assert get(database, old).pruned_at is not None
 
 
 def test_a_campaign_that_is_starting_is_waited_for(
@@ -129,16 +111,6 @@ def test_a_campaign_that_is_starting_is_waited_for(
     carry_out(database, plan)
     assert len(waits) == 2
     assert get(database, old).pruned_at is not None
-
-
-def test_a_pruning_ends_though_another_has_removed_the_campaign(database: Database, old: StoredCampaign) -> None:
-    set_column(database, old, "deleted_at", now().strftime("%Y-%m-%d %H:%M:%S.%f"))
-    plans = [planned(database, 0) for _ in range(2)]
-    for plan in plans:
-        carry_out(database, plan)
-    assert problems(database) == []
-    with database.read() as connection:
-        assert connection.scalar(text("SELECT count(*) FROM campaigns")) == 0
 
 
 @pytest.mark.usefixtures("old")

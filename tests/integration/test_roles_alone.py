@@ -8,16 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.support.databases import migrated
 from tests.support.serve import until
 from tests.support.server import free_port
 
-from drivecal.api.live.dispatcher_health import judge
-from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
-
-TOKEN = "0123456789abcdef"
 
 
 def environment(folder: Path, **settings: str) -> dict[str, str]:
@@ -40,21 +34,6 @@ def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_pa
     assert done.returncode == 1
     assert f"database_password_file: {tmp_path / 'password'}" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_an_api_for_everybody_names_the_file_of_tokens_that_is_missing(tmp_path: Path) -> None:
-    words = ("drivecal.api", "--host", "0.0.0.0", "--port", str(free_port()))
-    done = run(tmp_path, *words, DRIVECAL_TOKENS_FILE=str(tmp_path / "tokens"))
-    assert done.returncode == 1
-    assert f"{tmp_path / 'tokens'}: " in done.stderr
-
-
-@pytest.mark.slow
-def test_a_dispatcher_does_not_begin_on_a_database_that_is_not_migrated(tmp_path: Path) -> None:
-    done = run(tmp_path, "drivecal.dispatch")
-    assert done.returncode == 1
-    assert "`drivecal db upgrade`" in done.stderr
 
 
 @pytest.mark.slow
@@ -85,25 +64,3 @@ def test_a_node_without_the_clusters_token_ends_with_one_line_that_says_so(tmp_p
     assert done.returncode == 1
     assert str(tmp_path / "ray_token") in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_a_dispatcher_without_the_clusters_token_waits_for_it_and_says_so_where_it_is_asked(tmp_path: Path) -> None:
-    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
-
-    def problems() -> str:
-        with database.read() as connection:
-            return " ".join(judge(processes.read(connection, processes.DISPATCHER), now()).problems)
-
-    settings = {"DRIVECAL_RAY_ADDRESS": f"127.0.0.1:{free_port()}", "RAY_AUTH_TOKEN_PATH": str(tmp_path / "ray_token")}
-    process = subprocess.Popen([sys.executable, "-m", "drivecal.dispatch"], env=environment(tmp_path, **settings), cwd=tmp_path)
-    try:
-        until(
-            lambda: "waiting for workers: RAY_AUTH_TOKEN_PATH: the cluster's token cannot be read" in problems(), "the reason"
-        )
-        (tmp_path / "ray_token").write_text(TOKEN)
-        until(lambda: "does not answer: Connection refused" in problems(), "that the token is there now")
-    finally:
-        process.terminate()
-        assert process.wait(60) == 0
-    database.dispose()

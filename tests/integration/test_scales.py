@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from tests.support.comparisons import finish_comparison, submit_comparison
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import WITH_ANALYSIS, nothing_matters, post_map, rows_of, run, submit
 from tests.support.scales import COST
@@ -117,48 +114,3 @@ def test_validations_count_differences_in_steps_of_the_scale() -> None:
     points = compared(np.array([0.0, 1.0, -1.0, 2.0]), COMFORT)
     assert (points["wrong"], points["different"], points["histogram"]) == (1, 3, {"-1": 1, "0": 1, "1": 1, "2": 1})
     assert ValidationRow.model_fields["histogram_step"].default == COMFORT.bin
-
-
-def smooth(scenario: str, cell: Cell) -> CellResult:
-    """A cost without steps, and a cliff."""
-    p = cell.parameters
-    cost = 40.0 * abs(p["P1"] - 0.4) + (20.0 if scenario == "S1" else 5.0) * p["P2"] ** 2 + 3.3
-    failed = p["P1"] + p["P2"] > 1.8
-    return CellResult(
-        cell.id, 0.0 if failed else cost, 0 if failed else cost, {"cost": cost}, "collision" if failed else None, 7_000.0
-    )
-
-
-PREDICTED: dict[str, Any] = {
-    "catalogue": ["S1", "S2"],
-    "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.01} for i in range(1, 12)],
-    "fixed": {f"P{i}": 0.5 for i in range(3, 12)},
-    "optimizer": {"kind": "random", "population": 800, "iterations": 3, "seed": 2},
-    "reduction": {"mode": "predicted", "confirm": 0},
-}
-
-
-@pytest.mark.slow
-def test_costs_without_steps_are_predicted_within_the_tolerance(database: Database) -> None:
-    ended = run(database, submit(database, **PREDICTED), ComputedBackend(answer=smooth))
-    rows = [row for row in rows_of(database, ended) if row.outcome == "predicted"]
-    assert len(rows) > 200
-    truth = [smooth(row.scenario, Cell(0, row.parameters.floats)) for row in rows]
-    wrong = sum(
-        abs((row.score or 0.0) - (100.0 if true.failure else true.score or 0.0)) > 2 + 1e-6
-        for row, true in zip(rows, truth, strict=True)
-    )
-    assert wrong <= 0.05 * sum(each.inspected for each in ended.released.values())
-    assert ended.best is not None
-    with database.read() as connection:
-        prediction = explain(connection, rows[0].id).prediction
-    assert prediction is not None
-    assert prediction.neighbours
-
-
-def test_a_comparison_prefers_the_lowest_optimum(database: Database) -> None:
-    given: dict[str, Any] = {"optimizers": [{"kind": "random"}, {"kind": "genetic"}], "populations": [6], "seeds": [1, 2, 3]}
-    answer = finish_comparison(database, submit_comparison(database, **given), ComputedBackend(answer=costly))
-    optima = [run.simulated_best for run in answer.runs if run.simulated_best is not None]
-    assert (len(optima), answer.direction) == (6, "minimise")
-    assert [run.success for run in answer.runs] == [value <= min(optima) + 1e-9 for value in optima]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from collections import Counter
 from math import hypot
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from tests.support.effort import tries
 from tests.support.runs import WITH_ANALYSIS, dispatcher
 
 from drivecal.campaigns.resolve.maps import map_from_document
-from drivecal.campaigns.resolve.resolved_spec import specification_of
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -130,13 +128,6 @@ def test_a_campaign_killed_in_its_analysis_ends_like_one_that_was_not(tmp_path: 
     assert found[0] == found[1]
 
 
-def _interval_cells(database: Database, campaign: StoredCampaign) -> dict[int, int]:
-    """Cells by round of the stage."""
-    with database.read() as connection:
-        rounds = [row.iteration for row in results.stream(connection, campaign.sequence) if row.stage is StageName.SENSITIVITY]
-    return dict(Counter(rounds))
-
-
 def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_runs(tmp_path: Path) -> None:
     maps, runs = [], []
     for sequential in (True, False):
@@ -156,36 +147,6 @@ def test_a_sequential_analysis_finds_the_bounds_of_the_whole_design_with_fewer_r
     assert runs[0] < runs[1]
 
 
-@pytest.mark.slow
-def test_an_analysis_that_was_stored_before_there_was_a_sequential_one_makes_all_its_runs(database: Database) -> None:
-    specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
-    del specification["sensitivity"]["sequential"]
-    with database.transaction() as connection:
-        stored = campaigns.insert(connection, name="stored", spec=specification)
-    first = dispatcher(database, ComputedBackend(answer=_answer))
-    for _ in range(8):
-        first.step()
-    assert _get(database, stored).counts(StageName.SENSITIVITY).pending > 0
-    ended = _run(database, stored)
-    assert ended.state is CampaignState.SUCCEEDED
-    assert _interval_cells(database, ended)[0] == 2 * 8 * (1 + 4 * (2 * 5 - 1))
-
-
-@pytest.mark.slow
-def test_a_campaign_that_was_stored_before_there_was_a_confirmation_has_none(database: Database) -> None:
-    specification = CampaignSpecification.model_validate(WITH_ANALYSIS).model_dump(mode="json")
-    del specification["reduction"]["confirm"]
-    with database.transaction() as connection:
-        stored = campaigns.insert(connection, name="stored", spec=specification)
-    assert specification_of(stored).reduction.confirm == 0
-    ended = _run(database, stored)
-    with database.read() as connection:
-        rows = list(results.stream(connection, ended.sequence))
-    assert (
-        max(row.iteration for row in rows if row.stage is StageName.CALIBRATION) == WITH_ANALYSIS["optimizer"]["iterations"] - 1
-    )
-
-
 def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(database: Database) -> None:
     alone = _run(database, _submit(database, optimizer=None))
     assert alone.state is CampaignState.SUCCEEDED
@@ -202,29 +163,3 @@ def test_an_analysis_of_its_own_ends_with_a_map_that_a_later_campaign_names(data
     together = _run(database, _submit(database))
     assert together.counts(StageName.SENSITIVITY).simulated == 0, "the same analysis repeats what is stored"
     assert together.best == ended.best
-
-
-@pytest.mark.slow
-def test_failed_runs_cost_their_effects_and_not_the_analysis(database: Database) -> None:
-    def broken(scenario: str, cell: Cell) -> CellResult:
-        if scenario == "S2" and cell.parameters["P4"] == 0.5:
-            return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault")
-        return _answer(scenario, cell)
-
-    ended = _run(database, _submit(database), ComputedBackend(answer=broken))
-    assert ended.state is CampaignState.SUCCEEDED
-    assert ended.counts(StageName.SENSITIVITY).failed > 0
-    assert _map(database, ended).influence("S2", "P3").influential
-
-
-@pytest.mark.slow
-def test_a_scenario_that_always_scores_zero_is_unknown_which_counts_as_influential(database: Database) -> None:
-    def hopeless(scenario: str, cell: Cell) -> CellResult:
-        return CellResult(cell.id, 0.0, 0, {}, "collision", 7.0) if scenario == "S2" else _answer(scenario, cell)
-
-    ended = _run(database, _submit(database), ComputedBackend(answer=hopeless))
-    found = _map(database, ended)
-    assert all(found.influence("S2", f"P{i}").influential for i in range(1, 5))
-    with database.read() as connection:
-        stored = influence_maps.get(connection, ended.influence_map_id or "none")
-    assert all(one["unknown"] for one in stored.scenarios["S2"].values())

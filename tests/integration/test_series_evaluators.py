@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.databases import migrated
-from tests.support.runs import WITH_ANALYSIS, dispatcher, everything, get, influenced, run
+from tests.support.runs import WITH_ANALYSIS, influenced, run
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -18,11 +16,10 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Rating
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator, Series
-from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -67,13 +64,6 @@ def rerun(database: Database, first: StoredCampaign, evaluator: str, backend: Co
     return run(database, submission.rerun(database, LIMITS, first.id, changes, None), backend)
 
 
-def fresh(path: Path) -> tuple[Database, StoredCampaign]:
-    """A database with a campaign by the reference scale."""
-    opened = migrated(f"sqlite:///{path}")
-    specification = CampaignSpecification.model_validate(MAPPED)
-    return opened, run(opened, submission.submit(opened, LIMITS, specification, None), ComputedBackend(answer=influenced))
-
-
 @pytest.mark.slow
 def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_metrics(database: Database) -> None:
     specification = CampaignSpecification.model_validate(MAPPED)
@@ -97,28 +87,3 @@ def test_runs_are_simulated_again_for_it_once_and_nothing_is_for_who_rates_by_me
     assert back.counts(StageName.SENSITIVITY).simulated == 0
     assert back.best == first.best
     assert [verdict for verdict in verify(database, full=True) if verdict.problems] == []
-
-
-@pytest.mark.slow
-def test_what_another_campaign_has_simulated_again_meanwhile_is_not_seen(tmp_path: Path) -> None:
-    """Nor does a dispatcher's end change anything, nor the order in which workers answer."""
-    found = []
-    for accompanied in (False, True):
-        opened, first = fresh(tmp_path / f"{accompanied}.db")
-        slow = submission.rerun(opened, LIMITS, first.id, RerunSpecification(weights={}, evaluator="seeing"), None)
-        one = dispatcher(opened, ComputedBackend(accompanied, seen))
-        one.step()
-        with opened.transaction() as connection:
-            campaigns.request_action(connection, slow.id, "pause")
-        while get(opened, slow).state is not CampaignState.PAUSED:
-            one.step()
-        if accompanied:
-            fast = rerun(opened, first, "seeing", ComputedBackend(5, seen))
-            assert fast.cells.simulated > 0
-        with opened.transaction() as connection:
-            campaigns.request_action(connection, slow.id, "resume")
-        run(opened, slow, ComputedBackend(9 + accompanied, seen))
-        cells, figures, counts, best, rates, notes = everything(opened, slow)
-        found.append(([cell[:-1] for cell in cells], figures, counts, best, rates, notes))
-        opened.dispose()
-    assert found[0] == found[1]

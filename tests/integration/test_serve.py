@@ -55,7 +55,7 @@ def is_counted(http: httpx.Client, measured: str) -> bool:
 
 def test_every_line_of_the_log_is_a_document_and_says_what_it_is_about(server: Server) -> None:
     headers = {"X-Request-ID": "from-the-test", "Authorization": f"Bearer {TOKEN}"}
-    with httpx.Client(base_url=server.url, headers=headers, timeout=30.0) as http:
+    with httpx.Client(base_url=server.url, headers=headers, timeout=300) as http:
         evaluation = http.post("/api/v1/evaluations", json={"parameters": MIDDLE, "scenario": "S1"})
         assert (evaluation.status_code, evaluation.headers["x-request-id"]) == (202, "from-the-test")
         number = evaluation.json()["id"]

@@ -17,7 +17,6 @@ from tests.support.server import RunningApi, serving
 
 from drivecal.client.client import Client
 from drivecal.contracts.work import Cell, CellResult, DriveRequest
-from drivecal.report.data import collect
 
 
 def fragile(setup: DriveRequest, cell: Cell) -> CellResult:
@@ -79,39 +78,6 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
     assert float(table[0]["P1"]) == rows[0]["parameters"]["P1"]
 
 
-@pytest.mark.slow
-def test_a_study_that_was_made_is_shown_and_is_compared_with_the_same_in_another_vehicle(
-    run: Run, api: RunningApi, ended: str
-) -> None:
-    options = ("--steps", "3", "--samples", "4", "--delta", "0.03", "--solutions", "3", "--within", "7")
-    assert run("robustness", ended, *options).exit_code == 0
-    study = newest(api)
-    again = run("robustness", ended, "--delta", "0.03", "--json")
-    assert newest(api) == study, "settings that are not named may be any"
-    assert json.loads(again.stdout) == api.http.get(f"/api/v1/campaigns/{study['id']}/robustness").json()["items"]
-    run("robustness", ended, "--delta", "0.02", "--steps", "1", "--samples", "1")
-    assert newest(api) != study
-
-    result = run("robustness", study["id"], "--vehicle", "hybrid")
-    assert result.exit_code == 0, result.output
-    assert result.stdout.startswith("settings that differ: vehicle single_track ")
-    assert "3 sets" in result.stdout
-    other = newest(api)
-    sets = [row["parameters"] for row in json.loads(again.stdout)]
-    assert other["spec"]["robustness"] == study["spec"]["robustness"] | {"sets": sets, "solutions": 0}, (
-        "with all of its settings"
-    )
-    assert (study["spec"]["robustness"]["of"], other["spec"]["vehicle"]["model"]) == (ended, "hybrid")
-    run("robustness", study["id"], "--vehicle", "hybrid")
-    assert newest(api) == other
-    found = json.loads(run("robustness", study["id"], "--compare", other["id"], "--json").stdout)
-    assert list(found["settings"]) == ["vehicle"]
-    first = run("robustness", ended, "--delta", "0.02", "--steps", "1", "--compare", other["id"])
-    assert "delta 0.02 -> 0.03, steps 1 -> 3, samples 1 -> 4" in first.stdout
-    posted = api.http.post("/api/v1/campaigns", json=SMALL | {"catalogue": ["S1"]}).json()["id"]
-    assert f"`drivecal robustness {posted}`" in run("robustness", ended, "--compare", posted).stderr
-
-
 def test_what_cannot_be_compared_is_refused_before_anything_is_driven(run: Run, api: RunningApi, ended: str) -> None:
     before = newest(api)["id"]  # a campaign that still runs changes
     for options in (("--vehicle", "hybird"), ("--compare", "nobody")):
@@ -119,19 +85,6 @@ def test_what_cannot_be_compared_is_refused_before_anything_is_driven(run: Run, 
         assert refused.exit_code != 0
         assert options[1] in refused.stderr
         assert newest(api)["id"] == before
-
-
-@pytest.mark.slow
-def test_a_study_of_fewer_sets_than_asked_for_says_why(run: Run, api: RunningApi, ended: str) -> None:
-    options = ("--steps", "1", "--samples", "1", "--solutions", "1000")
-    few = run("robustness", ended, *options)
-    assert few.stdout.splitlines()[-1].endswith(
-        " the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
-    )
-    study = api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"]
-    more = run("robustness", study, *options, "--within", "7")
-    assert len(more.stdout.splitlines()) > len(few.stdout.splitlines())
-    assert api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["name"] == "searched (robustness)"
 
 
 def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) -> None:
@@ -150,52 +103,11 @@ def test_validate_shows_tables_1_and_2(run: Run, api: RunningApi, ended: str) ->
     assert 1 - 0.025 ** (1 / rows[1]["bases"]) < rows[1]["upper_95"]
 
 
-def test_where_nothing_can_be_reduced_there_is_nothing_to_validate_and_that_is_no_error(run: Run, api: RunningApi) -> None:
-    stored = post_map(api.database, {"S1": {"P1": {"influential": True}}})
-    posted = api.http.post("/api/v1/campaigns", json=SMALL | {"sensitivity": {"map": stored}, "catalogue": ["S1"]}).json()["id"]
-    assert run("watch", posted).exit_code == 0
-    result = run("validate", posted)
-    assert result.exit_code == 0
-    assert "S1" in result.stdout
-
-
 def test_a_campaign_without_a_map_has_nothing_to_validate(run: Run, api: RunningApi) -> None:
     posted = api.http.post("/api/v1/campaigns", json=SMALL | {"catalogue": ["S1"]}).json()["id"]
     result = run("validate", posted)
     assert result.exit_code == 1
     assert posted in result.stderr
-
-
-@pytest.mark.parametrize("of", ["0" * 32, "nobody"])
-def test_the_solutions_of_a_campaign_that_is_not_there_are_refused_by_name(api: RunningApi, of: str) -> None:
-    answer = api.http.post("/api/v1/campaigns", json=SMALL | {"optimizer": None, "robustness": {"of": of}})
-    assert answer.status_code == 422
-    assert [one["field"] for one in answer.json()["errors"]] == ["robustness.of"]
-
-
-@pytest.mark.slow
-def test_a_report_has_the_studies_that_other_campaigns_made(run: Run, api: RunningApi, ended: str) -> None:
-    url = f"/api/v1/campaigns/{ended}"
-    made = []
-    for options in (
-        ("robustness", ended, "--again", "--steps", "2", "--samples", "2", "--solutions", "2"),
-        ("robustness", ended, "--again", "--steps", "2", "--samples", "2", "--solutions", "2", "--condition", "mean"),
-        ("validate", ended, "--again", "--samples", "5", "--references", "2"),
-    ):
-        assert run(*options).exit_code == 0
-        made.append(api.http.get("/api/v1/campaigns?limit=1").json()["items"][0]["id"])
-    found = api.http.get(f"{url}/studies").json()["items"]
-    assert [one["campaign"] for one in found[:3]] == made[::-1]
-    assert [one["stage"] for one in found[:3]] == ["validation", "robustness", "robustness"]
-    assert [one["settings"].get("condition") for one in found[:3]] == [None, "mean", "max"]
-    assert api.http.get(f"/api/v1/campaigns/{made[0]}/studies").json()["items"][0]["campaign"] == made[0]
-
-    with Client(api.url) as client:
-        collected = collect(client, ended)
-    assert [one.study.campaign for one in collected.robustness][:2] == [made[1], made[0]]
-    assert collected.validation[0].study.campaign == made[2]
-    rows = api.http.get(f"/api/v1/campaigns/{made[1]}/robustness").json()["items"]
-    assert [row.model_dump(mode="json") for row in collected.robustness[0].rows] == rows
 
 
 def test_the_optima_are_the_best_solutions_with_their_regions(
@@ -254,53 +166,3 @@ def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(ap
     assert [one["name"] for one in found["parameters"]] == list(
         api.http.get(f"/api/v1/campaigns/{ended}").json()["best"]["parameters"]
     )
-
-
-@pytest.fixture(scope="module")
-def predicted(api: RunningApi) -> str:
-    """A calibration with released predictions."""
-    document: dict[str, Any] = SMALL | {
-        "catalogue": ["S1", "S2"],
-        "name": "predicted",
-        "parameters": [{"name": f"P{i}", "lower": 0, "upper": 1, "step": 0.05} for i in range(1, 12)],
-        "optimizer": {"kind": "genetic", "population": 400, "iterations": 4, "seed": 3},
-        "reduction": {"mode": "predicted", "certified": False},
-    }
-    with Client(api.url) as client:
-        campaign = client.submit(document)
-        for state in client.watch(campaign.id):
-            assert state.error is None
-        assert client.campaign(campaign.id).cells.predicted
-    return campaign.id
-
-
-@pytest.mark.slow
-def test_released_predictions_are_validated_apart_from_maps(run: Run, api: RunningApi, predicted: str) -> None:
-    result = run("validate", predicted[:12], "--predicted")
-    assert result.exit_code == 0, result.output
-    assert newest(api)["id"] in result.stderr
-    campaign = api.http.get(f"/api/v1/campaigns/{predicted}").json()
-    lines = [line.split() for line in result.stdout.splitlines()]
-    assert lines[0][:3] == ["scenario", "released", "simulated"]
-    shown = {line[0]: (line[1], line[2]) for line in lines[1:] if line[0] in campaign["released"]}
-    assert shown == {name: (str(entry["predicted"]),) * 2 for name, entry in campaign["released"].items()}
-    made = newest(api)
-    again = run("validate", predicted, "--predicted", "--json")
-    assert newest(api) == made
-    rows = json.loads(again.stdout)
-    assert [row["limit"] for row in rows] == [0.05, 0.05]
-    assert all(row["beyond"] == row["different"] <= row["compared"] == row["released"] for row in rows)
-    few = json.loads(run("validate", predicted, "--predicted", "--samples", "7", "--json").stdout)
-    assert [row["compared"] for row in few] == [min(7, row["released"]) for row in rows]
-    with Client(api.url) as client:
-        report = collect(client, predicted)
-    assert (len(report.validation), len(report.predictions)) == (0, 2)
-    assert run("validate", predicted).exit_code != 0, "it has no influence map"
-
-
-@pytest.mark.parametrize("source", ["nobody", "searched"])
-def test_a_campaign_without_predictions_cannot_have_them_validated(api: RunningApi, ended: str, source: str) -> None:
-    named = ended if source == "searched" else source
-    answer = api.http.post("/api/v1/campaigns", json=SMALL | {"optimizer": None, "validation": {"of": named}})
-    assert answer.status_code == 422
-    assert answer.json()["errors"][0]["field"] == "validation.of"

@@ -13,7 +13,6 @@ from tests.support.databases import migrated
 from tests.support.effort import tries
 from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
-from drivecal.analysis.validation import STREAM
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, DriveRequest
@@ -170,13 +169,6 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
 
 
 @pytest.mark.slow
-def test_a_campaign_whose_calibration_found_nothing_has_nothing_to_examine(database: Database) -> None:
-    ended = run(database, submit(database, robustness=ROBUST), ComputedBackend())
-    assert ended.state is CampaignState.SUCCEEDED
-    assert study(database, ended)["complete"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(tries(1, 2)))
 def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: Path, seed: int) -> None:
     draw, found = random.Random(seed), []
@@ -271,39 +263,3 @@ def test_the_expected_runs_hold_the_studies() -> None:
     expected = resolve(CampaignSpecification.model_validate(document)).expected_runs()
     assert expected.robustness == 5 * 3 * (1 + 6 * 8)
     assert expected.validation == 10 * 5 * 3
-
-
-def test_a_validation_that_an_earlier_version_began_goes_on_with_its_own_sets(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its cells are stored: with today's stream their numbers would belong to other sets, and the effects covered would be others."""
-    outcomes = []
-    for versions in ((1, 1), (1, STREAM), (STREAM, STREAM)):
-        opened = migrated(f"sqlite:///{tmp_path / '-'.join(map(str, versions))}.db")
-        everywhere, above = {"influential": True}, {"influential": True, "lower": 1.0, "upper": 1.0}
-        scenarios = {"S1": {f"P{i}": above if i <= 2 else everywhere for i in range(1, 12)}}
-        stored_map, wanted = post_map(opened, scenarios), {"samples": 8, "references": 3, "largest": 8, "seed": 3}
-        campaign = submit(opened, stored_map=stored_map, catalogue=["S1"], optimizer=None, validation=wanted)
-        monkeypatch.setattr("drivecal.campaigns.stages.validation.STREAM", versions[0])
-        working = dispatcher(opened, ComputedBackend(answer=influenced))
-        while not get(opened, campaign).counts(StageName.VALIDATION).simulated:
-            working.step()
-        assert not get(opened, campaign).state.ended
-        if versions[0] == 1:
-            with opened.transaction() as connection:
-                begun = studies.get(connection, campaign.sequence, StageName.VALIDATION)
-                assert begun is not None
-                del begun["stream"]
-                studies.save(connection, campaign.sequence, StageName.VALIDATION, begun)
-        monkeypatch.setattr("drivecal.campaigns.stages.validation.STREAM", versions[1])
-        ended = run(opened, campaign, ComputedBackend(answer=influenced))
-        assert ended.error is None
-        with opened.read() as connection:
-            sets = [row.parameters for row in results.stream(connection, campaign.sequence)]
-        outcomes.append((study(opened, ended, StageName.VALIDATION), sets))
-        opened.dispose()
-    (earlier, earlier_sets), (resumed, resumed_sets), (today, today_sets) = outcomes
-    assert (resumed, resumed_sets) == (earlier, earlier_sets)
-    assert (earlier["stream"], today["stream"]) == (1, 2)
-    assert today_sets != earlier_sets
-    assert today["items"][0]["bases"] != earlier["items"][0]["bases"]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 import json
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import timedelta
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import pyarrow.parquet as pq
 import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.problems import REPLAY, ROADS, replayed, store
@@ -21,11 +18,9 @@ from tests.support.runs import dispatcher, get, run, submit
 from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
 
-from drivecal.cli.views import traces as files
 from drivecal.client import Client
-from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, results, traces
@@ -177,20 +172,6 @@ def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
     assert ask(api, number).status_code == 200
 
 
-def test_who_may_only_read_sees_traces_and_has_none_driven(tmp_path: Path) -> None:
-    (tmp_path / "tokens").write_text("writer write writer-0123456789abcdef\nreader read reader-0123456789abcdef\n")
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", tokens_file=str(tmp_path / "tokens")) as api:
-        api.http.headers["Authorization"] = "Bearer writer-0123456789abcdef"
-        number = evaluated(api)["items"][0]["id"]
-        reader = {"Authorization": "Bearer reader-0123456789abcdef"}
-        refused = ask(api, number, **reader)
-        assert refused.status_code == 403
-        assert work(api).sent == []
-        assert [ask(api, number, **headers).status_code for headers in ({}, reader)] == [202, 202]
-        work(api)
-        assert ask(api, number, **reader).status_code == 200
-
-
 def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> None:
     numbers = [evaluated(api, P9=value)["items"][0]["id"] for value in (1, 2, 3)]
     for number in numbers:
@@ -212,20 +193,6 @@ def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> No
     assert ask(api, numbers[1]).status_code == 202
     work(api)
     assert ask(api, numbers[1]).status_code == 200
-
-
-def test_time_series_are_saved_as_what_the_file_is_called(tmp_path: Path) -> None:
-    trace = TraceAnswer.model_validate(document(computed("S1", Cell(1, MIDDLE))))
-    for suffix in files.SUFFIXES:
-        files.save(trace, tmp_path / f"run{suffix}")
-        with pytest.raises(InvalidInputError, match=rf"nowhere/run{re.escape(suffix)}"):
-            files.save(trace, tmp_path / "nowhere" / f"run{suffix}")
-    with (tmp_path / "run.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["slow_speed_mps"]) for row in rows] == SERIES["speed_mps"]
-    table = pq.read_table(tmp_path / "run.parquet")
-    assert table.column_names == list(rows[0]) == ["time_s", "s_m", "speed_mps", "slow_s_m", "slow_speed_mps"]
-    assert TraceAnswer.model_validate_json((tmp_path / "run.json").read_text()) == trace
 
 
 def test_a_scenario_has_what_one_needs_to_draw_it(api: RunningApi) -> None:

@@ -57,7 +57,7 @@ def api_process(database_url: str, folder: Path, **settings: str) -> Iterator[Ap
 
 
 def _wait(http: httpx.Client, started: subprocess.Popen[bytes], log: Path) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while time.monotonic() < deadline:
         if started.poll() is not None:
             raise AssertionError(log.read_text())

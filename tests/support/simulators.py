@@ -103,7 +103,7 @@ def opened(
     kind: str, folder: Path, declared: Declared = DECLARED, data: Mapping[str, Any] = DATA, **section: Any
 ) -> Iterator[SimulatorSession]:
     """Opens a session of scenario `S`."""
-    settings = {"timeout": 60.0, "memory_mb": 1000} | section
+    settings = {"timeout": 300.0, "memory_mb": 1000} | section
     session = simulator(kind).open(settings, "S", data, folder, declared)
     try:
         yield session
@@ -166,7 +166,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def eventually(condition: Callable[[], object], seconds: float = 60.0) -> None:
+def eventually(condition: Callable[[], object], seconds: float = 300.0) -> None:
     """Waits until a condition holds."""
     deadline = time.monotonic() + seconds
     while not condition():

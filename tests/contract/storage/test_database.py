@@ -96,7 +96,7 @@ def test_fifty_requests_get_their_turns_beside_a_process_that_writes_without_a_p
     begun, ends = PROCESSES.Event(), PROCESSES.Event()
     writer = PROCESSES.Process(target=_write_without_a_pause, args=(url, 1.0, begun, ends))
     writer.start()
-    prompt = Database.open(url, replace(PROMPT, lock=10))
+    prompt = Database.open(url, replace(PROMPT, lock=300))
 
     def write(number: int) -> None:
         with prompt.transaction() as connection:
@@ -118,16 +118,16 @@ def test_processes_with_many_writers_keep_none_from_writing(tmp_path: Path) -> N
     url = f"sqlite:///{tmp_path / 'drivecal.db'}"
     databases = [Database.open(url) for _ in range(2)]  # they share nothing, as in two processes
     databases[0].upgrade()
-    written, end = [0, 0], time.monotonic() + 2.5
+    written, end = [0, 0], time.monotonic() + 300
 
     def write(number: int) -> None:
-        while time.monotonic() < end:
+        while min(written) < 20 and time.monotonic() < end:
             with databases[number].transaction():
                 written[number] += 1
 
     with ThreadPoolExecutor(9) as pool:
         list(pool.map(write, [0] * 8 + [1]))
-    assert min(written) >= 2
+    assert min(written) >= 20
     for database in databases:
         assert database._turns is not None
         assert database._turns._locked is None, "the queue is left"

@@ -22,7 +22,7 @@ def fill():
     return last
 
 last = fill()
-deadline = time.monotonic() + 20
+deadline = time.monotonic() + 300
 while own.memory_info().rss >> 20 > 150 and time.monotonic() < deadline:
     time.sleep(0.1)
 print(own.memory_info().rss >> 20)

@@ -383,9 +383,8 @@ def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
 ) -> None:
     class Sleeping(ScriptedSession):
         def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
-            began = time.perf_counter()
             time.sleep(0.5)
-            return RunOutcome({"a": 1.0}, start_seconds=time.perf_counter() - began if is_start else 0.0)
+            return RunOutcome({"a": 1.0}, start_seconds=1000.0 if is_start else 0.0)
 
     class SleepingSimulator(ScriptedSimulator):
         def open(self, *_: Any) -> SimulatorSession:
@@ -397,4 +396,4 @@ def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
         (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
         assert result.wall_milliseconds is not None
         assert result.milliseconds < 500
-        assert (result.wall_milliseconds < 500) == is_start
+        assert (result.wall_milliseconds >= 500) != is_start

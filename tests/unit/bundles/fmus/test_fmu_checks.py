@@ -329,11 +329,11 @@ def test_an_fmu_of_a_stranger_is_checked_in_seconds() -> None:
         .replace("<EnumerationType", f"{enumeration}<EnumerationType", 1)
         .replace("<ModelVariables>", f"<ModelVariables>{inputs}")
     )
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(InvalidInputError) as refusal:
         notes(problem(constants={f"a{index}": 1 for index in range(20)}), hostile)
     assert len(refusal.value.problems) == MOST_PROBLEMS
-    assert time.monotonic() - start < 20.0
+    assert time.process_time() - start < 20.0
 
 
 def test_new_fields_are_part_of_a_setup_only_if_they_are_used() -> None:
