@@ -1,0 +1,47 @@
+"""Docstrings, comments and pages are free of phrases that make a reader stop."""
+
+from __future__ import annotations
+
+import pytest
+from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
+
+CEILINGS = {
+    "services/drivecal": 399,
+    "services/web": 80,
+    "shared/drivecal": 211,
+    "workers/drivecal": 135,
+    "docs": 116,
+    "deploy": 2,
+    "tests": 1153,
+}
+"""Largest number of unclear phrases by folder: 0 once the folder is mended."""
+
+
+@pytest.mark.parametrize("folder", CEILINGS)
+def test_a_folder_has_no_more_unclear_phrases_than_before(folder: str) -> None:
+    phrases = phrases_in(folder)
+    listing = f".venv/bin/python tests/architecture/plain_words.py {folder}"
+    assert len(phrases) <= CEILINGS[folder], f"`{listing}` lists {len(phrases)}; at most {CEILINGS[folder]} are allowed"
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern"),
+    [
+        ("Whether it is there.", OPENER),
+        ("`name`: of the file.", PARAMETER),
+        ("The file of\nwhich it is.", "of which"),
+        ("So many rows.", "so many"),
+        ("Rows from the second on.", "from ... on"),
+        ("Names of those that ended.", "those that"),
+        ("The folder beside it.", "beside"),
+        ("If nobody waits.", "nobody"),
+        ("The one that ended.", "one that"),
+    ],
+)
+def test_an_unclear_phrase_is_noticed(text: str, pattern: str) -> None:
+    assert pattern in {found for _, found in patterns_in(1, text, is_docstring=True)}
+
+
+def test_every_pattern_is_tried_and_code_is_left_alone() -> None:
+    assert len(PROSE) + len(NAMES) + 2 == 11
+    assert list(patterns_in(1, "Returns `those that` ended.", is_docstring=True)) == []
