@@ -39,9 +39,9 @@ from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats
+from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence
-from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.thresholds import SensitivitySettings
 
 TARGET = Path(".drivecal/bench/sensitivity.json")
 SPACE = ParameterSpace(FRENET.spaces["highway"])

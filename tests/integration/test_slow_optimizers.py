@@ -14,7 +14,7 @@ from tests.support.runs import dispatcher, everything, finish, get, request, run
 
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.domain.campaigns import CampaignState
-from drivecal.optimizers.random_search import RandomSearch
+from drivecal.optimizers.population import RandomSearch
 from drivecal.plugins.ports import Proposal
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -16,8 +16,7 @@ True
 
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings, SwarmSettings
 from drivecal.optimizers.genetic import GeneticAlgorithm
-from drivecal.optimizers.random_search import RandomSearch
-from drivecal.optimizers.start import start_population
+from drivecal.optimizers.population import RandomSearch, start_population
 from drivecal.optimizers.swarm import ParticleSwarm
 
 __all__ = [

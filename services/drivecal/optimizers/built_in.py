@@ -11,8 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.genetic import GeneticAlgorithm, pairs_per_generation
-from drivecal.optimizers.random_search import RandomSearch
-from drivecal.optimizers.start import start_population
+from drivecal.optimizers.population import RandomSearch, start_population
 from drivecal.optimizers.swarm import ParticleSwarm
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Optimizer
 

@@ -8,8 +8,8 @@ from pydantic import ConfigDict, Field
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import Beginning, BuiltIn
-from drivecal.optimizers.checks import searchable
-from drivecal.optimizers.ranking import ranking
+from drivecal.optimizers.population import ranking
+from drivecal.optimizers.repair import searchable
 from drivecal.optimizers.replayed import Replayed, named, require
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats
 

@@ -9,7 +9,7 @@ from pydantic import ConfigDict
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import ONE_OBJECTIVE, Beginning, BuiltIn
-from drivecal.optimizers.checks import searchable
+from drivecal.optimizers.repair import searchable
 from drivecal.optimizers.replayed import Replayed, named, require, stop_if_abandoned
 from drivecal.plugins.ports import Ability, DeclaringOptimizerPlugin, Floats
 

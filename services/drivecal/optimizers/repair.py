@@ -1,17 +1,103 @@
-"""Constraints kept by repair: an optimizer's infeasible individual is replaced by a feasible one near it.
+"""Abilities of optimizers, checks of what they are given and propose, and constraints kept by repair.
 
-The replacement is a pure function of the individual and the space, so that a resumed campaign repairs as before, and an individual that is
-carried over is not requested again. The optimizer is told the replacement's result.
+An infeasible individual is replaced by a feasible one near it. The replacement is a pure function of the individual and the space, so
+that a resumed campaign repairs as before, and an individual that is carried over is not requested again. The optimizer is told the
+replacement's result.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel
 
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Kind
-from drivecal.plugins.ports import Floats, Optimizer, Proposal
+from drivecal.plugins.ports import UNDECLARED, Ability, DeclaringOptimizerPlugin, Floats, Optimizer, OptimizerPlugin, Proposal
+
+
+def supported(plugin: OptimizerPlugin) -> frozenset[Ability]:
+    """Returns the abilities of a plug-in; one that declares none has `UNDECLARED`."""
+    return plugin.supports if isinstance(plugin, DeclaringOptimizerPlugin) else UNDECLARED
+
+
+def lacking(plugin: OptimizerPlugin, wanted: Collection[Ability]) -> list[Ability]:
+    """Returns the wanted abilities that a plug-in does not have."""
+    return sorted(set(wanted) - supported(plugin))
+
+
+def create_optimizer(
+    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], start: Indices | None = None
+) -> Optimizer:
+    """Creates an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
+    if isinstance(plugin, DeclaringOptimizerPlugin):
+        return plugin.create(settings, n_values, start, kinds)
+    return plugin.create(settings, n_values, start)
+
+
+def restore_optimizer(
+    plugin: OptimizerPlugin, settings: BaseModel, n_values: Indices, kinds: Sequence[Kind], state: Mapping[str, Any]
+) -> Optimizer:
+    """Restores an optimizer; see `drivecal.plugins.ports.OptimizerPlugin`."""
+    if isinstance(plugin, DeclaringOptimizerPlugin):
+        return plugin.restore(settings, n_values, state, kinds)
+    return plugin.restore(settings, n_values, state)
+
+
+Individuals = TypeVar("Individuals", bound=npt.NDArray[Any])
+
+
+def searchable(n_values: Indices) -> Indices:
+    """Grid sizes, shape (n_searched,). Raises InvalidInputError if there is nothing to search."""
+    if n_values.size == 0:
+        raise InvalidInputError(Problem("fixed", "every parameter is fixed", "leave at least one to be searched"))
+    if n_values.min() < 2:
+        raise InvalidInputError(Problem("parameters", "a searched parameter has fewer than two values", "name it in `fixed`"))
+    return n_values.astype(np.int64)
+
+
+def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tuple[Floats, Floats]:
+    """Copies of both. Raises ValueError if there is no finite number or NaN for each of `count` individuals."""
+    for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):
+        if values.shape != (count,) or np.isinf(values).any():
+            raise ValueError(f"{name} must be {count} numbers, finite or NaN")
+    return objectives.astype(np.float64), tie_breakers.astype(np.float64)
+
+
+def checked_vectors(objectives: Floats, violations: Floats, count: int) -> tuple[Floats, Floats]:
+    """Copies of both. Raises ValueError if there is no row of finite numbers or NaN, and no violation, for each of `count` individuals."""
+    for name, values in (("objectives", objectives), ("violations", violations)):
+        if values.shape[:1] != (count,) or np.isinf(values).any():
+            raise ValueError(f"{name} must be of {count} individuals, finite or NaN")
+    return objectives.astype(np.float64), violations.astype(np.float64)
+
+
+def checked_proposal(name: str, proposal: Proposal, count: int, n_values: Indices, before: Indices | None) -> Proposal:
+    """Returns a proposal of the optimizer `name`. Raises InvalidInputError unless it has `count` individuals of the space, and those
+    that are not `changed` are what they were `before`."""
+    population, changed = proposal.population, proposal.changed
+    message = ""
+    if population.shape != (count, len(n_values)) or population.dtype.kind not in "iu":
+        message = f"its population is {population.dtype} of shape {population.shape}, not whole numbers of shape {(count, len(n_values))}"
+    elif changed.shape != (count,) or changed.dtype != np.bool_:
+        message = f"`changed` is {changed.dtype} of shape {changed.shape}, not a truth value for each of {count} individuals"
+    elif ((population < 0) | (population >= n_values)).any():
+        message = "it proposes indices beyond the grid"
+    elif not (changed.all() if before is None else np.array_equal(population[~changed], before[~changed])):
+        message = "it changes individuals that it does not call changed"
+    if message:
+        raise InvalidInputError(Problem(f"optimizer {name}", message, "correct the plug-in"))
+    return proposal
+
+
+def fitting(saved: Individuals, own: npt.NDArray[Any]) -> Individuals:
+    """`saved` individuals. Raises InvalidInputError if they are of a population of another size or of another space than `own`."""
+    if saved.shape != own.shape:
+        remedy = "resume with the settings and the parameters it was saved with"
+        raise InvalidInputError(Problem("optimizer", f"the saved population is {saved.shape}, not {own.shape}", remedy))
+    return saved
+
 
 Feasible = Callable[[Indices], npt.NDArray[np.bool_]]
 """Returns which rows of grid indices, shape (n, n_searched), keep the constraints, shape (n,)."""

@@ -16,8 +16,8 @@ import numpy as np
 
 from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.checks import checked_answers, checked_vectors, fitting
-from drivecal.optimizers.state import dump_floats, load_floats
+from drivecal.optimizers.population import dump_floats, load_floats
+from drivecal.optimizers.repair import checked_answers, checked_vectors, fitting
 from drivecal.plugins.ports import Floats, Proposal
 
 _is_abandoned: ContextVar[Callable[[], bool]] = ContextVar("is_abandoned", default=lambda: False)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.checks import checked_answers, fitting, searchable
-from drivecal.optimizers.ranking import fitness, ranking
-from drivecal.optimizers.state import dump_floats, dump_generator, load_floats, load_generator
+from drivecal.optimizers.population import dump_floats, dump_generator, fitness, load_floats, load_generator, ranking
+from drivecal.optimizers.repair import checked_answers, fitting, searchable
 from drivecal.plugins.ports import Floats, Proposal
 
 

@@ -14,8 +14,7 @@
 
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ParameterInfluence, ScenarioInfluence
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings, Threshold
 
 __all__ = [
     "MuSigmaThresholds",

@@ -1,16 +1,99 @@
-"""State of the analysis of a scenario, and its result."""
+"""State and result of the analysis of a scenario: what is cut, what confirms it, and the analysis that decided, in words.
+
+Non-influential intervals are cut from both ends inwards until the first influential one. Intervals share their edges, so that every
+step between neighbouring values lies in exactly one of them: a change between the last value of one interval and the first of the next
+cannot be missed. What is cut are the values strictly outside the kept intervals.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
+from typing import Literal
 
 import numpy as np
 
+from drivecal.contracts.tables import DecidedBy
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import EVERYWHERE, Influence
-from drivecal.domain.parameters import Indices, ParameterSpace
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.sensitivity.cutting import Region, cut
-from drivecal.sensitivity.effects import EffectStatistics, Floats, measures, smallest_nonzero
-from drivecal.sensitivity.thresholds import Threshold, Verdict, verdict
+from drivecal.sensitivity.designs import EffectStatistics, Floats, measures, smallest_nonzero
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, Verdict, verdict
+
+
+def interval_edges(n_values: int, intervals: int) -> Indices:
+    """The grid indices where equal intervals meet, shape (intervals + 1,), from 0 to n_values - 1; strictly increasing if they fit."""
+    return (2 * np.arange(intervals + 1) * (n_values - 1) + intervals) // (2 * intervals)
+
+
+def intervals_of(parameter: Parameter, intervals: int) -> int:
+    """Returns the number of intervals of a parameter: of an integer at most its steps; of a choice one, for it is cut as a whole or not at
+    all: its values have no order.
+    """
+    if parameter.kind == "choice":
+        return 1
+    return min(intervals, parameter.n_values - 1) if parameter.kind == "integer" else intervals
+
+
+def check_intervals(space: ParameterSpace, intervals: int) -> None:
+    """Raises InvalidInputError naming every parameter whose grid has fewer steps than there would be intervals, and what would fit."""
+    fitting = min((each.n_values - 1 for each in space.searched if each.kind in {"grid", "continuous"}), default=1)
+    problems = [
+        Problem(
+            "sensitivity.intervals",
+            f"{intervals} intervals are finer than the grid of {parameter.name}, which has {parameter.n_values} values",
+            f"give at most {fitting}",
+        )
+        for parameter in space.searched
+        if parameter.n_values - 1 < intervals_of(parameter, intervals)
+    ]
+    if problems:
+        raise InvalidInputError(*problems)
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Intervals that may be cut: so many from the lower end (`below`), from the upper end (`above`), or all of them (`whole`)."""
+
+    column: int
+    side: Literal["below", "above", "whole"]
+    intervals: int
+
+    def bounds(self, edges: Indices) -> tuple[int, int]:
+        """The first and the last grid index that are cut."""
+        if self.side == "below":
+            return 0, int(edges[self.intervals]) - 1
+        if self.side == "above":
+            return int(edges[-1 - self.intervals]) + 1, int(edges[-1])
+        return 0, int(edges[-1])
+
+    def given_back(self) -> Region | None:
+        """Returns the regions left to confirm if the whole region is influential.
+
+        Its inner half, rounded up, is given back: influence is likelier next to the influential intervals, and halving costs a few
+        more analyses only if giving back everything would lose most of what is cut. The rest must be confirmed by an analysis of
+        its own. A whole range has no inner half and is given back as a whole: no place in it is known to be the influential one.
+        """
+        left = 0 if self.side == "whole" else self.intervals // 2
+        return Region(self.column, self.side, left) if left else None
+
+
+def cut(column: int, influential: Sequence[bool]) -> list[Region]:
+    """The regions of one parameter that may be cut, from which of its intervals are influential, in order from lower to upper."""
+    if not any(influential):
+        return [Region(column, "whole", len(influential))]
+    below = list(influential).index(True)
+    above = list(reversed(influential)).index(True)
+    regions = [Region(column, "below", below)] if below else []
+    return [*regions, Region(column, "above", above)] if above else regions
+
+
+def most_confirmations(intervals: int) -> int:
+    """Confirming analyses of one parameter at most, over all rounds: each halving of a region takes one, and the whole range another."""
+    halvings = [below.bit_length() + (intervals - 1 - below).bit_length() for below in range(intervals)]
+    return 1 + max(halvings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,3 +260,69 @@ class ScenarioState:
 
     def _verdict(self, effects: Floats, steps: Floats) -> Verdict:
         return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold, self._scale)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The deciding analysis, and its figures against the threshold in a sentence."""
+
+    by: DecidedBy
+    reason: str
+
+
+def decision(result: ParameterInfluence, *, unknown: bool) -> Decision:
+    """Returns what decided about a parameter. `unknown`: no run of the scenario was better than a failed one."""
+    if unknown:
+        return Decision("unknown", "no run of the scenario was better than a failed one, so it counts as influential")
+    strongest = _strongest(result.intervals)
+    place, interval = f"interval {strongest + 1} of {len(result.intervals)}", result.intervals[strongest]
+    whole, overall = _over_the_whole_range(result), result.overall
+    if result.influence.influential:
+        if interval.influential:
+            return Decision("intervals", f"{place} {_reaches(interval)}")
+        if whole is not None and whole.influential:
+            return Decision("confirmation", f"no interval reaches the threshold, but the whole range {_reaches(whole)}")
+        return Decision("global", f"no interval reaches the threshold, but the global analysis {_reaches(overall or interval)}")
+    below = [] if whole is None else [f"the whole range {_misses(whole)}"]
+    if not interval.influential:
+        return Decision(
+            "intervals",
+            " and ".join([f"no interval reaches the threshold: {place}, the strongest, {_misses(interval)}", *below]),
+        )
+    below += [] if overall is None else [f"the global analysis {_misses(overall)}"]
+    return Decision("global", f"{place} {_reaches(interval)}, but {' and '.join(below)}")
+
+
+def _over_the_whole_range(result: ParameterInfluence) -> Verdict | None:
+    """Returns the last analysis over the parameter's whole range; None without one."""
+    return next((done.verdict for done in reversed(result.confirmations) if done.region.side == "whole"), None)
+
+
+def _strongest(intervals: tuple[Verdict, ...]) -> int:
+    """Returns the place of the interval with the largest s_rel, of the influential ones if there are any."""
+    influential = [place for place, verdict in enumerate(intervals) if verdict.influential]
+    measured = [place for place in influential if intervals[place].threshold is not None]
+    candidates = measured or influential or list(range(len(intervals)))
+
+    def strength(place: int) -> float:
+        s_rel = intervals[place].measures.s_rel
+        return -1.0 if isnan(s_rel) else s_rel
+
+    return max(candidates, key=strength)
+
+
+def _reaches(verdict: Verdict) -> str:
+    if verdict.threshold is None:
+        return "has fewer than two known effects, which counts as influential"
+    return f"reaches the threshold: {_figures(verdict)}"
+
+
+def _misses(verdict: Verdict) -> str:
+    return f"stays below it: {_figures(verdict)}"
+
+
+def _figures(verdict: Verdict) -> str:
+    measures, threshold = verdict.measures, verdict.threshold
+    if isinstance(threshold, MuSigmaThresholds):
+        return f"|mu| {abs(measures.mu):.3g} (threshold {threshold.mu:.3g}), sigma {measures.sigma:.3g} (threshold {threshold.sigma:.3g})"
+    return f"s_rel {measures.s_rel:.3g} (threshold {0.0 if threshold is None else threshold:.3g})"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
-from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.genetic import BitEncoding
 
 sizes = st.integers(2, 5000)
 grids = st.lists(sizes, min_size=1, max_size=12).map(lambda found: np.array(found, dtype=np.int64))

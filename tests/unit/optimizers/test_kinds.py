@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from tests.support.effort import tries
 
 from drivecal.domain.parameters import Indices, Kind
-from drivecal.optimizers import abilities
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.nsga import NSGA2, NSGA3
 from drivecal.optimizers.optuna_samplers import OPTUNA
+from drivecal.optimizers.repair import create_optimizer, lacking, restore_optimizer
 from drivecal.plugins.ports import DeclaringOptimizerPlugin, Floats, Optimizer
 
 N_VALUES = np.array([2 * 10**15 + 1, 10**9 + 1, 2, 7, 201])
@@ -56,15 +56,15 @@ def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(
     plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]
 ) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 12, "seed": 3, **chosen})
-    whole = drive(abilities.create(plugin, settings, N_VALUES, KINDS, START), 6)
+    whole = drive(create_optimizer(plugin, settings, N_VALUES, KINDS, START), 6)
     assert whole[0][:2].tolist() == START.tolist()
     for population in whole:
         assert population.min() >= 0
         assert (population < N_VALUES).all()
-    first = abilities.create(plugin, settings, N_VALUES, KINDS, START)
+    first = create_optimizer(plugin, settings, N_VALUES, KINDS, START)
     drive(first, 3)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
-    rest = drive(abilities.restore(plugin, settings, N_VALUES, KINDS, state), 3)
+    rest = drive(restore_optimizer(plugin, settings, N_VALUES, KINDS, state), 3)
     assert [population.tolist() for population in rest] == [population.tolist() for population in whole[3:]]
 
 
@@ -73,7 +73,7 @@ def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(
 def test_it_gets_closer_than_its_start(plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]) -> None:
     settings = plugin.settings.model_validate({"kind": plugin.name, "population": 20, "seed": 1, **chosen})
     iterations = tries(12, 40) if plugin.name == "optuna" else 40  # its models take longer with every answer
-    told = drive(abilities.create(plugin, settings, N_VALUES, KINDS), iterations)
+    told = drive(create_optimizer(plugin, settings, N_VALUES, KINDS), iterations)
     assert max(closeness(population).max() for population in told[1:]) > closeness(told[0]).max()
 
 
@@ -107,14 +107,14 @@ class Plain:
 
 
 def test_an_optimizer_that_declares_nothing_searches_grids_and_integers() -> None:
-    assert abilities.lacking(Plain(), {"grid", "integer"}) == []
-    assert abilities.lacking(Plain(), {"continuous", "choice", "constraints", "grid"}) == [
+    assert lacking(Plain(), {"grid", "integer"}) == []
+    assert lacking(Plain(), {"continuous", "choice", "constraints", "grid"}) == [
         "choice",
         "constraints",
         "continuous",
     ]
-    assert abilities.lacking(GENETIC, {"continuous", "choice", "constraints", "grid"}) == []
-    optimizer = abilities.create(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"])
+    assert lacking(GENETIC, {"continuous", "choice", "constraints", "grid"}) == []
+    optimizer = create_optimizer(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"])
     state = optimizer.state()
-    restored = abilities.restore(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"], state)
+    restored = restore_optimizer(Plain(), GENETIC.settings(population=4), np.array([5, 5]), ["grid", "integer"], state)
     assert restored.ask().population.tolist() == optimizer.ask().population.tolist()

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivecal.optimizers.genetic import mutate, pairs_per_generation, recombine
-from drivecal.optimizers.ranking import ranking
-from drivecal.optimizers.start import Design, start_population
+from drivecal.optimizers.population import Design, ranking, start_population
 
 seeds = st.integers(0, 2**32)
 numbers = st.lists(st.sampled_from([0.0, 0.5, 1.0, float("nan")]), min_size=1, max_size=30)

@@ -18,9 +18,9 @@ from tests.support.effort import examples
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
-from drivecal.optimizers.checks import checked_proposal
-from drivecal.optimizers.encoding import BitEncoding
-from drivecal.optimizers.ranking import ranking
+from drivecal.optimizers.genetic import BitEncoding
+from drivecal.optimizers.population import ranking
+from drivecal.optimizers.repair import checked_proposal
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin, Proposal
 
 HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])

@@ -18,7 +18,7 @@ from tests.support.effort import tries
 
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM
-from drivecal.optimizers.encoding import BitEncoding
+from drivecal.optimizers.genetic import BitEncoding
 from drivecal.plugins.ports import Floats, OptimizerPlugin
 
 SEEDS = range(30)

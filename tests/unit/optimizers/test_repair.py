@@ -15,11 +15,10 @@ from tests.support.effort import examples
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.optimizers import abilities
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.optuna_samplers import OPTUNA
-from drivecal.optimizers.repair import Repair, RepairingOptimizer
+from drivecal.optimizers.repair import Repair, RepairingOptimizer, create_optimizer, restore_optimizer
 from drivecal.plugins.ports import DeclaringOptimizerPlugin
 
 SPACE = ParameterSpace(
@@ -160,11 +159,11 @@ def test_every_optimizer_keeps_constraints_and_resumes_exactly(
         return told
 
     def created() -> RepairingOptimizer:
-        return RepairingOptimizer(abilities.create(plugin, options, SPACE.n_values, SPACE.kinds), REPAIR)
+        return RepairingOptimizer(create_optimizer(plugin, options, SPACE.n_values, SPACE.kinds), REPAIR)
 
     whole = drive(created(), 6)
     first = created()
     drive(first, 3)
     state = json.loads(json.dumps(first.state(), allow_nan=False))
-    restored = RepairingOptimizer(abilities.restore(plugin, options, SPACE.n_values, SPACE.kinds, state), REPAIR)
+    restored = RepairingOptimizer(restore_optimizer(plugin, options, SPACE.n_values, SPACE.kinds, state), REPAIR)
     assert drive(restored, 3) == whole[3:]

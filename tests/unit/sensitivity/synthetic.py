@@ -9,7 +9,7 @@ import numpy as np
 
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats
+from drivecal.sensitivity.designs import Floats
 
 Score = Callable[[Indices], Floats]
 Box = Mapping[int, tuple[float, float]]

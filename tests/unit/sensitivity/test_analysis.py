@@ -20,9 +20,8 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import MuSigmaThresholds
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings
 
 SPACE = space_of(41, 101, 61)
 SETTINGS = SensitivitySettings("lines", 8, 12, "auto", 5, sequential=False)

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from drivecal.sensitivity.effects import EffectStatistics, Floats, measures
-from drivecal.sensitivity.radial import COLUMNS, SHORTEST, SobolRows, radial_design
+from drivecal.sensitivity.designs import COLUMNS, SHORTEST, EffectStatistics, Floats, SobolRows, measures, radial_design
 
 SAMPLES = 4096
 A = np.array([0.0, 1.0, 4.5, 9.0])

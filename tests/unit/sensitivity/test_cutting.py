@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.sensitivity.cutting import Region, cut, interval_edges, most_confirmations
+from drivecal.sensitivity.scenario import Region, cut, interval_edges, most_confirmations
 
 flags = st.lists(st.booleans(), min_size=1, max_size=20)
 

@@ -11,10 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.domain.influence import EVERYWHERE, Influence
-from drivecal.sensitivity.cutting import Region
-from drivecal.sensitivity.decisions import decision
-from drivecal.sensitivity.effects import EffectStatistics, measures
-from drivecal.sensitivity.scenario import ParameterInfluence, RegionConfirmation
+from drivecal.sensitivity.designs import EffectStatistics, measures
+from drivecal.sensitivity.scenario import ParameterInfluence, Region, RegionConfirmation, decision
 from drivecal.sensitivity.thresholds import MuSigmaThresholds, Verdict
 
 NOWHERE = Influence(influential=False)

@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 from tests.support.effort import examples
 
 from drivecal.domain.parameters import Indices
-from drivecal.sensitivity.cutting import interval_edges
-from drivecal.sensitivity.effects import Design
-from drivecal.sensitivity.lines import lines_design, regions_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, auxiliary_points, paper_design, radial_design
+from drivecal.sensitivity.designs import (
+    COLUMNS,
+    Design,
+    SobolRows,
+    auxiliary_points,
+    lines_design,
+    paper_design,
+    radial_design,
+    regions_design,
+)
+from drivecal.sensitivity.scenario import interval_edges
 
 
 @dataclass(frozen=True)

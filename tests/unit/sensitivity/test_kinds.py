@@ -15,10 +15,8 @@ from tests.unit.sensitivity.synthetic import drive
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats
-from drivecal.sensitivity.lines import lines_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
-from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.designs import COLUMNS, Floats, SobolRows, lines_design, radial_design
+from drivecal.sensitivity.thresholds import SensitivitySettings
 
 SPACE = ParameterSpace(
     (

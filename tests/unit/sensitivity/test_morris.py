@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from drivecal.sensitivity.effects import Floats, measures
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
+from drivecal.sensitivity.designs import COLUMNS, Floats, SobolRows, measures, radial_design
 
 INPUTS = 20
 GRID = np.full(INPUTS, 1001)

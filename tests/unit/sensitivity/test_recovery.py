@@ -11,8 +11,7 @@ from tests.unit.sensitivity.synthetic import Box, Score, drive, space_of, stairc
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import ParameterSpace
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import Threshold
+from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold
 
 SPACE = space_of(59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201)
 """Grids as in Table 6."""

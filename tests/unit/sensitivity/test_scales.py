@@ -12,10 +12,9 @@ from tests.unit.sensitivity.synthetic import Score, drive, space_of, staircase
 from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats
+from drivecal.sensitivity.designs import Floats
 from drivecal.sensitivity.scenario import ScenarioInfluence, tells_nothing
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import Threshold, automatic
+from drivecal.sensitivity.thresholds import SensitivitySettings, Threshold, automatic
 
 SPACE = space_of(101, 101, 101)
 

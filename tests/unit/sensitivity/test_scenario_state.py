@@ -9,9 +9,8 @@ import numpy as np
 from tests.unit.sensitivity.synthetic import space_of
 
 from drivecal.domain.influence import EVERYWHERE, Influence
-from drivecal.sensitivity.cutting import interval_edges
-from drivecal.sensitivity.effects import Floats
-from drivecal.sensitivity.scenario import ScenarioState
+from drivecal.sensitivity.designs import Floats
+from drivecal.sensitivity.scenario import ScenarioState, interval_edges
 
 QUIET, LOUD = np.zeros(4), np.full(4, 1.0)
 STEPS = np.full(4, 0.5)

@@ -16,9 +16,8 @@ from tests.unit.sensitivity.synthetic import Box, Score, drive, space_of, stairc
 from drivecal.domain.influence import EVERYWHERE
 from drivecal.domain.parameters import Indices
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.effects import Floats, measures
-from drivecal.sensitivity.settings import SensitivitySettings
-from drivecal.sensitivity.thresholds import MuSigmaThresholds, Threshold, is_surely_influential, verdict
+from drivecal.sensitivity.designs import Floats, measures
+from drivecal.sensitivity.thresholds import MuSigmaThresholds, SensitivitySettings, Threshold, is_surely_influential, verdict
 
 SPACE = space_of(41, 101, 61)
 BOXES: dict[str, Box] = {"S1": {0: (0.4, 0.9)}, "S2": {1: (0, 0.5), 2: (0.25, 0.7)}}

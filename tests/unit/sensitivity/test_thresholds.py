@@ -11,15 +11,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.sensitivity.cutting import interval_edges
-from drivecal.sensitivity.effects import Floats, measures
-from drivecal.sensitivity.lines import lines_design
-from drivecal.sensitivity.radial import COLUMNS, SobolRows, radial_design
-from drivecal.sensitivity.settings import SensitivitySettings, caveats
+from drivecal.sensitivity.designs import COLUMNS, Floats, SobolRows, lines_design, measures, radial_design
+from drivecal.sensitivity.scenario import interval_edges
 from drivecal.sensitivity.thresholds import (
     MuSigmaThresholds,
+    SensitivitySettings,
     Threshold,
     automatic,
+    caveats,
     miss_probability,
     tolerance_text,
     tolerated_changes,

@@ -37,7 +37,7 @@ from drivecal.domain.roads import reference_line
 from drivecal.domain.scales import COMFORT
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
 from drivecal.domain.setups import BundleSetup, DrivenSetup
-from drivecal.optimizers.abilities import supported
+from drivecal.optimizers.repair import supported
 from drivecal.plugins import registry
 from drivecal.storage import processes
 from drivecal.storage.engine.database import Database

@@ -32,8 +32,7 @@ from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.reduction.audit import clopper_pearson
-from drivecal.sensitivity.decisions import decision
-from drivecal.sensitivity.scenario import ScenarioInfluence
+from drivecal.sensitivity.scenario import ScenarioInfluence, decision
 from drivecal.storage.engine.types import finite
 from drivecal.storage.references import influence_maps
 from drivecal.storage.references.influence_maps import StoredInfluenceMap

@@ -24,14 +24,13 @@ from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
-from drivecal.optimizers import abilities
-from drivecal.optimizers.repair import Repair, RepairingOptimizer
+from drivecal.optimizers.repair import Repair, RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin, Vehicle
 from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
-from drivecal.sensitivity.settings import SensitivitySettings
+from drivecal.sensitivity.thresholds import SensitivitySettings
 
 ORDERING = ("swarm", "cma_es", "nsga2", "nsga3")
 """Built-in optimizers that move through the values of a parameter in their order."""
@@ -51,12 +50,12 @@ class Optimization:
 
     def begin(self, area: SearchArea, constraints: Constraints, start: Indices | None) -> Optimizer:
         """Returns a new optimizer of an area whose proposals keep the constraints; `start`: rows of its first population."""
-        optimizer = abilities.create(self.plugin, self.settings, area.n_values, area.kinds, start)
+        optimizer = create_optimizer(self.plugin, self.settings, area.n_values, area.kinds, start)
         return _repairing(optimizer, area, constraints)
 
     def restore(self, area: SearchArea, constraints: Constraints, state: Mapping[str, Any]) -> Optimizer:
         """Returns the optimizer that continues from `state`."""
-        optimizer = abilities.restore(self.plugin, self.settings, area.n_values, area.kinds, state)
+        optimizer = restore_optimizer(self.plugin, self.settings, area.n_values, area.kinds, state)
         return _repairing(optimizer, area, constraints)
 
 
@@ -292,10 +291,10 @@ def check_abilities(
         return
     wanted: set[Ability] = {*constraints.space.kinds, *(("constraints",) if constraints else ())}
     name = optimization.plugin.name
-    if goals is not None and goals.is_vector and "objectives" not in abilities.supported(optimization.plugin):
+    if goals is not None and goals.is_vector and "objectives" not in supported(optimization.plugin):
         message = f"{name} searches by a single number, without constraints on results"
         diagnostics.add("optimizer.kind", message, "choose nsga2, nsga3 or optuna, or give one objective and no constraints")
-    for ability in abilities.lacking(optimization.plugin, wanted):
+    for ability in lacking(optimization.plugin, wanted):
         concerned = [parameter.name for parameter in constraints.space.searched if parameter.kind == ability]
         message = f"{name} does not support {ability} parameters ({', '.join(concerned)})"
         if ability == "constraints":

@@ -27,7 +27,7 @@ from drivecal.domain.errors import NoResultError
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import Indices
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.optimizers.checks import checked_proposal
+from drivecal.optimizers.repair import checked_proposal
 from drivecal.plugins.ports import Optimizer, Proposal
 from drivecal.reduction.assignment import Policy, RequestedCell
 from drivecal.reduction.narrowing import begun_area

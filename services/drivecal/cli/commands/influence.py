@@ -16,7 +16,7 @@ from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.report.rows import by_scenario, fixed, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
-from drivecal.sensitivity.settings import caveats
+from drivecal.sensitivity.thresholds import caveats
 
 WIDTH = 20
 """Characters in the picture of a parameter's range."""

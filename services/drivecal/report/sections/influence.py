@@ -8,7 +8,7 @@ from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.markup import paragraph, table
 from drivecal.report.rows import Emphasized, by_scenario
-from drivecal.sensitivity.settings import caveats
+from drivecal.sensitivity.thresholds import caveats
 
 
 def parts(

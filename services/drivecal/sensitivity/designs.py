@@ -1,0 +1,342 @@
+"""Radial designs from Sobol' points (Campolongo, Saltelli and Cariboni 2011, the paper's [23]), designs along axes, and elementary
+effects.
+
+From each base point one step is made along each parameter, to the auxiliary point's value. Base and auxiliary points are the first and
+the last columns of one Sobol' sequence; the auxiliary one lies four rows further, because early rows are equal in many columns. The
+sequence is scrambled by the seed (Owen), so that seeds give independent designs.
+
+The step law: a step is at least a quarter of the explored box, and never zero. Where it is shorter after snapping to the grid, it is
+drawn again among the values that are far enough, from further columns of the same sequence; the base point stays. So, given the base
+point, every value that is far enough is equally likely. Later rows of the same column would not do: they are digital shifts of earlier
+ones, so that what is drawn again would depend on what was rejected (and with it the mean step, by 6 %).
+
+Along the parameters' axes, many boxes of one parameter share the same base points. An analysis of one parameter in one box needs two
+runs per effect that differ in that parameter alone. A radial design gives the effects of all parameters; complexity reduction uses one
+of them. Here every base point has, for each parameter and box, two points inside the box, with the base point's values of all others
+and with the step law of the radial design.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import nan, sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from drivecal.domain.parameters import Indices
+from drivecal.domain.scales import COMFORT
+
+Floats = npt.NDArray[np.float64]
+Unordered = npt.NDArray[np.bool_]
+"""Parameters that are choices, shape (n_searched,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """Points to run and which two of them make each elementary effect.
+
+    `points`: grid indices, shape (n, n_searched). `first`, `second`: rows of `points`, and `steps`: the signed step from one to the
+    other in units of the parameter's full range, never 0; all of one shape, whose last axis is the samples. A change between choices, which
+    have no order, is a step of the full range. Parameters with fewer intervals than others have NaN steps in the rest.
+    """
+
+    points: Indices
+    first: Indices
+    second: Indices
+    steps: Floats
+
+    def effects(self, scores: Floats, span: float = COMFORT.span) -> Floats:
+        """Elementary effects, shaped as `steps`, from the points' scores, shape (n,); NaN if one of the two runs failed.
+
+        Changes of the score are divided by the `span` of its scale: an effect of 1 is the whole scale over the whole range.
+        """
+        changes: Floats = (scores[self.second] - scores[self.first]) / span
+        return changes / self.steps
+
+
+class DesignBuilder:
+    """Collects the points and pairs of a design."""
+
+    def __init__(self, n_values: Indices, unordered: Unordered | None = None) -> None:
+        """`n_values`: grid sizes of the searched parameters; `unordered`: which of them are choices; shape (n_searched,)."""
+        self._n_values = n_values
+        self._unordered = np.zeros(len(n_values), dtype=np.bool_) if unordered is None else unordered
+        self._points: list[Indices] = []
+        self._pairs: list[tuple[int, Indices, Indices]] = []
+        self._count = 0
+
+    def add_points(self, points: Indices) -> Indices:
+        """Adds runs, shape (n, n_searched); gives their row numbers, shape (n,)."""
+        rows = np.arange(self._count, self._count + len(points))
+        self._points.append(points)
+        self._count += len(points)
+        return rows
+
+    def add_pairs(self, column: int, first: Indices, second: Indices) -> None:
+        """Adds one analysis of r effects of the parameter in `column`: pairs of rows, shape (r,), that differ only in that column."""
+        self._pairs.append((column, first, second))
+
+    def add_gaps(self, column: int, samples: int, count: int) -> None:
+        """Adds `count` analyses without effects, in place of intervals that the parameter in `column` does not have."""
+        nothing = np.zeros(samples, dtype=np.int64)
+        self._pairs += [(column, nothing, nothing)] * count
+
+    def design(self, *shape: int) -> Design:
+        """The design, its analyses in the order in which they were added, shaped (*shape, r)."""
+        points = np.concatenate(self._points)
+        points.flags.writeable = False  # scenarios share them, and effects are computed from them later
+        first = np.stack([pair for _, pair, _ in self._pairs])
+        second = np.stack([pair for _, _, pair in self._pairs])
+        columns = np.array([column for column, _, _ in self._pairs])[:, np.newaxis]
+        moves = points[second, columns] - points[first, columns]
+        steps = np.where(self._unordered[columns], np.sign(moves), moves / (self._n_values[columns] - 1))
+        steps[first == second] = np.nan
+        full = (*shape, first.shape[-1])
+        return Design(points, first.reshape(full), second.reshape(full), steps.reshape(full))
+
+
+@dataclass(frozen=True, slots=True)
+class EffectStatistics:
+    """Statistics of r elementary effects of a parameter: mean, mean of magnitudes, standard deviation, and number.
+
+    Fewer than two effects have no standard deviation: all figures are NaN then.
+    """
+
+    mu: float
+    mu_star: float
+    sigma: float
+    n_effects: int
+
+    @property
+    def s_rel(self) -> float:
+        """The relative sensitivity sqrt(mu^2 + sigma^2), which is about the root mean square of the effects."""
+        return sqrt(self.mu**2 + self.sigma**2)
+
+
+def measures(effects: Floats) -> EffectStatistics:
+    """Returns the statistics of an analysis' effects, shape (r,); NaN effects of failed runs do not count."""
+    known = effects[~np.isnan(effects)]
+    if known.size < 2:
+        return EffectStatistics(nan, nan, nan, known.size)
+    mean, magnitude = float(known.mean()), float(np.abs(known).mean())
+    return EffectStatistics(mean, magnitude, float(known.std(ddof=1)), known.size)
+
+
+def smallest_nonzero(statistics: Sequence[EffectStatistics]) -> float | None:
+    """The smallest s_rel that is not zero, None if all are: with few samples a threshold below it means any change at all."""
+    return min((effect.s_rel for effect in statistics if effect.s_rel > 0), default=None)
+
+
+SHIFT = 4
+"""Rows between a base point and its auxiliary point."""
+SHORTEST = 0.25
+"""The shortest step as a share of the box: shorter ones inflate the effects of a discrete score."""
+
+
+COLUMNS = 3
+"""Columns per parameter: the base point's, the auxiliary point's, and those for drawing again."""
+
+
+class SobolRows:
+    """The rows of a scrambled Sobol' sequence, drawn as they are needed; the same for the same `key`."""
+
+    def __init__(self, dimensions: int, *key: int) -> None:
+        """`key`: non-negative numbers that name the sequence, the seed first."""
+        from scipy.stats import qmc  # takes more than a second, which commands that only look things up need not pay
+
+        self._engine = qmc.Sobol(dimensions, rng=np.random.Generator(np.random.PCG64(list(key))))
+        self._rows: Floats = np.empty((0, dimensions))
+
+    def upto(self, count: int) -> Floats:
+        """Returns at least the first `count` rows, shape (>= count, dimensions), in [0, 1)."""
+        while len(self._rows) < count:  # by powers of two, as the sequence wants it
+            more = self._engine.random(max(8, len(self._rows)))
+            self._rows = np.concatenate([self._rows, more])
+        return self._rows
+
+
+def snapped(unit: Floats, lower: Indices, upper: Indices) -> Indices:
+    """Grid indices from `lower` to `upper`, both included and all equally likely, for numbers in [0, 1)."""
+    indices: Indices = lower + np.floor(unit * (upper - lower + 1)).astype(np.int64)
+    return indices
+
+
+def shortest_shares(unordered: Unordered | None, shortest: float = SHORTEST) -> float | Floats:
+    """Returns the shortest step as a share of the box; by parameter if there are choices, between which every change is as long."""
+    return shortest if unordered is None else np.where(unordered, 0.0, shortest)
+
+
+def shortest_steps(lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST) -> Indices:
+    """The shortest step in grid steps, at least one."""
+    steps: Indices = np.maximum(1, np.ceil(shortest * (upper - lower)).astype(np.int64))
+    return steps
+
+
+def auxiliary_points(
+    rows: SobolRows, offset: int, base: Indices, lower: Indices, upper: Indices, shortest: float | Floats = SHORTEST
+) -> Indices:
+    """End points of each base point's step along each parameter, shape (r, d), as `base`.
+
+    Parameter c takes column `offset` + c of `rows`, and if it is drawn again column `offset` + d + c. `lower`, `upper`: the box, shape
+    (d,), at least one grid step wide everywhere. Raises ValueError if it is not.
+    """
+    if np.any(upper <= lower):
+        raise ValueError("no step can be made in a box that holds one value of a parameter")
+    samples, dimensions = base.shape
+    limits = shortest_steps(lower, upper, shortest)
+    drawn = rows.upto(samples + SHIFT)[SHIFT : SHIFT + samples, offset : offset + 2 * dimensions]
+    points = snapped(drawn[:, :dimensions], lower, upper)
+    # values below the base point and above it that are far enough; at least one, the shortest step being half the box at most
+    below = np.maximum(0, base - limits - lower + 1)
+    above = np.maximum(0, upper - limits - base + 1)
+    place = np.floor(drawn[:, dimensions:] * (below + above)).astype(np.int64)
+    again = np.where(place < below, lower + place, upper + 1 - (below + above) + place)
+    return np.where(np.abs(points - base) < limits, again, points)
+
+
+def radial_points(
+    rows: SobolRows, lower: Indices, upper: Indices, samples: int, shortest: float | Floats = SHORTEST
+) -> tuple[Indices, Indices]:
+    """Base and auxiliary points in a box, both of shape (samples, d), from `rows` of `COLUMNS` d dimensions."""
+    base = snapped(rows.upto(samples)[:samples, : len(lower)], lower, upper)
+    return base, auxiliary_points(rows, len(lower), base, lower, upper, shortest)
+
+
+def radial_design(
+    n_values: Indices,
+    rows: SobolRows,
+    lower: Indices,
+    upper: Indices,
+    samples: int,
+    shortest: float = SHORTEST,
+    unordered: Unordered | None = None,
+) -> Design:
+    """r (n_p + 1) runs in the box from `lower` to `upper`, shape (n_p,); effects of shape (n_p, r)."""
+    builder = DesignBuilder(n_values, unordered)
+    for column, first, second in add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered, shortest)):
+        builder.add_pairs(column, first, second)
+    return builder.design(len(n_values))
+
+
+def add_radial(
+    builder: DesignBuilder,
+    rows: SobolRows,
+    lower: Indices,
+    upper: Indices,
+    samples: int,
+    shortest: float | Floats = SHORTEST,
+) -> list[tuple[int, Indices, Indices]]:
+    """Adds the runs of a radial design; gives per parameter its column and the rows of its pairs, each of shape (samples,)."""
+    base, auxiliary = radial_points(rows, lower, upper, samples, shortest)
+    first = builder.add_points(base)
+    blocks = []
+    for column in range(base.shape[1]):
+        stepped = base.copy()
+        stepped[:, column] = auxiliary[:, column]
+        blocks.append((column, first, builder.add_points(stepped)))
+    return blocks
+
+
+def paper_design(
+    n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int, unordered: Unordered | None = None
+) -> Design:
+    """The paper's own design of the interval analyses (Section II-A, Equation 3): for each parameter and interval, a whole radial design
+    with the parameter confined to the interval, the others over their range.
+
+    n_p n_Int r (n_p + 1) runs. Each analysis has Sobol' points of its own. Of each, the effects of the confined parameter count,
+    shape (n_p, n_Int, r); the others' runs feed the reference table only, as in the paper.
+    """
+    builder, most = DesignBuilder(n_values, unordered), max(map(len, edges)) - 1
+    for column, marks in enumerate(edges):
+        for interval in range(len(marks) - 1):
+            lower, upper = np.zeros_like(n_values), n_values - 1
+            lower[column], upper[column] = marks[interval], marks[interval + 1]
+            rows = SobolRows(COLUMNS * len(n_values), seed, tag, column, interval + 1)
+            pairs = add_radial(builder, rows, lower, upper, samples, shortest_shares(unordered))
+            builder.add_pairs(*pairs[column])
+        builder.add_gaps(column, samples, most - len(marks) + 1)
+    return builder.design(len(n_values), most)
+
+
+BASE, PAIRS = 1, 2
+"""Key of a design's sequence: base points, or the pairs of a box."""
+
+
+def base_points(n_values: Indices, samples: int, *key: int) -> Indices:
+    """Sobol' points over the full space, shape (samples, n_searched)."""
+    unit = SobolRows(len(n_values), *key, BASE).upto(samples)[:samples]
+    return snapped(unit, np.zeros_like(n_values), n_values - 1)
+
+
+def pairs_inside(
+    own: Indices, mine: npt.NDArray[np.bool_], lower: int, upper: int, *key: int, shortest: float = SHORTEST
+) -> tuple[Indices, Indices]:
+    """Two values of one parameter per base point, both of shape (samples,), inside [lower, upper], at least a step apart.
+
+    `own`: the base points' values, which serve as the first where `mine` says that they lie in this box; shape (samples,).
+    """
+    rows = SobolRows(COLUMNS, *key, PAIRS)
+    box = np.array([lower]), np.array([upper])
+    first = np.where(mine, own, snapped(rows.upto(len(own))[: len(own), 0], *box))
+    return first, auxiliary_points(rows, 1, first[:, np.newaxis], *box, shortest)[:, 0]
+
+
+def lines_design(
+    n_values: Indices, edges: Sequence[Indices], samples: int, seed: int, tag: int, unordered: Unordered | None = None
+) -> Design:
+    """The intervals between `edges` of every parameter on shared base points: r (1 + n_p (2 n_Int - 1)) runs.
+
+    Effects have shape (n_p, n_Int, r); parameters may have fewer intervals than others. In the interval where a base point lies, it is
+    one of the two; on a shared edge it belongs to the upper interval.
+    """
+    base = base_points(n_values, samples, seed, tag)
+    builder, most = DesignBuilder(n_values, unordered), max(map(len, edges)) - 1
+    base_rows = builder.add_points(base)
+    for column, marks in enumerate(edges):
+        home = np.minimum(np.searchsorted(marks, base[:, column], side="right") - 1, len(marks) - 2)
+        for interval, (lower, upper) in enumerate(pairwise(marks.tolist())):
+            mine = home == interval
+            shortest = _shortest(column, unordered)
+            key = (seed, tag, column, interval)
+            first, second = pairs_inside(base[:, column], mine, lower, upper, *key, shortest=shortest)
+            first_rows = base_rows.copy()
+            first_rows[~mine] = builder.add_points(_moved(base[~mine], column, first[~mine]))
+            builder.add_pairs(column, first_rows, builder.add_points(_moved(base, column, second)))
+        builder.add_gaps(column, samples, most - len(marks) + 1)
+    return builder.design(len(n_values), most)
+
+
+def regions_design(
+    n_values: Indices,
+    regions: Sequence[tuple[int, int, int]],
+    samples: int,
+    seed: int,
+    tag: int,
+    unordered: Unordered | None = None,
+) -> Design:
+    """Returns an analysis per (column, lower, upper) in `regions`, on shared base points: 2 r runs each; effects (n_regions, r).
+
+    A base point inside a region is the first of the two, so that regions share these runs; what is asked twice is
+    answered by the reference table. Equal regions have equal points, whatever else is in the list.
+    """
+    base = base_points(n_values, samples, seed, tag)
+    builder = DesignBuilder(n_values, unordered)
+    for column, lower, upper in regions:
+        own = base[:, column]
+        mine = (own >= lower) & (own <= upper)
+        first, second = pairs_inside(own, mine, lower, upper, seed, tag, column, shortest=_shortest(column, unordered))
+        rows = builder.add_points(_moved(base, column, first))
+        builder.add_pairs(column, rows, builder.add_points(_moved(base, column, second)))
+    return builder.design(len(regions))
+
+
+def _shortest(column: int, unordered: Unordered | None) -> float:
+    """Returns the shortest step of a parameter as a share of a box; between choices every change is as long."""
+    return 0.0 if unordered is not None and unordered[column] else SHORTEST
+
+
+def _moved(points: Indices, column: int, values: Indices) -> Indices:
+    moved = points.copy()
+    moved[:, column] = values
+    return moved
