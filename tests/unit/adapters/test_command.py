@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import DECLARED, eventually, hung, lost, opened, running, scratch_of, write_script
+from tests.support.simulators import eventually, hung, lost, opened, running, scratch_of, write_script
 
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.scratch import GRANTED
-from drivecal.domain.errors import NotFoundError, UnavailableError
+from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import VERSIONS
 
@@ -82,19 +82,6 @@ def test_a_fault_leaves_no_temporary_files_to_the_next_run(tmp_path: Path) -> No
             assert "exit code 4" in lost(session, {"x": 1}, Breakdown.CRASH)
 
 
-def test_a_flood_of_output_does_not_block(tmp_path: Path) -> None:
-    write(tmp_path, "head -c 5000000 /dev/zero; head -c 5000000 /dev/zero >&2")
-    with opened("command", tmp_path, command=COMMAND) as session:
-        assert session.evaluate({"x": 2}).measures == {"y": 4.0}
-
-
-def test_a_failure_needs_no_measures(tmp_path: Path) -> None:
-    write(tmp_path, 'echo \'{"failure": "collision"}\' > "$results"; exit 0')
-    with opened("command", tmp_path, command=COMMAND) as session:
-        outcome = session.evaluate({"x": 2})
-    assert (outcome.failure, outcome.measures) == ("collision", {})
-
-
 def test_each_run_starts_in_an_empty_folder_with_links_to_the_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     bundle = tmp_path / "bundle"
@@ -141,14 +128,6 @@ def test_the_scratch_folder_is_removed(tmp_path: Path) -> None:
         folder = scratch_of(session).folder
         assert json.loads((folder / "scenario.json").read_text()) == {"k": 3}
     eventually(lambda: not folder.exists())
-
-
-def test_a_command_that_does_not_exist_cannot_be_opened(tmp_path: Path) -> None:
-    with (
-        pytest.raises(UnavailableError, match="no-such-program"),
-        opened("command", tmp_path, DECLARED, command=["no-such-program"]),
-    ):
-        pass
 
 
 def test_kinds_have_versions_and_unknown_ones_are_named() -> None:

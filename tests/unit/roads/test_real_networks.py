@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sumolib
-from tests.support.networks import GAMES, REAL, real, real_corridor, real_network
+from tests.support.networks import GAMES, REAL, real_corridor, real_network
 
 from drivecal.domain.roads import pose_on, to_cartesian
 from drivecal.roads.corridor import LARGEST_DIFFERENCE, SHORT
@@ -113,7 +113,3 @@ def test_lengths_of_all_lanes_keep_the_bound_of_routes(file: str) -> None:
         for lane in edge.lanes:
             size = float(lengths(lane.shape)[-1])
             assert abs(lane.length - size) <= LARGEST_DIFFERENCE * max(size, SHORT)
-
-
-def test_the_files_are_as_large_as_real_ones() -> None:
-    assert real("motorway").stat().st_size > 1_000_000

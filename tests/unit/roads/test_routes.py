@@ -9,7 +9,6 @@ import pytest
 from tests.support.networks import built, crossing, edge, entrance, generated, node, roundabout
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import to_cartesian
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import read_network
 
@@ -47,13 +46,6 @@ def test_on_the_main_road_the_acceleration_lane_is_a_track_that_begins_and_ends(
     assert np.isnan(road.centres[0]).tolist() == [True, False, False]
     middle = len(road.stations) // 2
     assert road.centres[middle, 0] < road.centres[middle, 1] < road.centres[middle, 2]
-
-
-def test_pieces_of_a_track_follow_each_other() -> None:
-    for options in ((), ("--no-internal-links",)):
-        for track in drive(entrance(*options), "before", "beside", "after").tracks:
-            ends = [piece.end for piece in track.lanes[:-1]]
-            assert ends == pytest.approx([piece.begin for piece in track.lanes[1:]], abs=0.5)
 
 
 def test_from_the_ramp_the_line_changes_to_a_lane_that_goes_on() -> None:
@@ -104,15 +96,6 @@ def test_a_network_of_netgenerate_is_driven_along_its_edges() -> None:
     assert road.length == pytest.approx(2000.0)
     assert [not track.ends for track in road.tracks] == [True] * 3
     assert road.centres[0].tolist() == pytest.approx([0.0, 3.2, 6.4])
-
-
-def test_a_lane_is_where_the_point_on_its_centre_is() -> None:
-    road = drive(entrance(), "ramp", "beside", "after")
-    for (name, index), place in road.places.items():
-        for along, s, d in place[:: max(1, len(place) // 5)]:
-            assert road.position(name, index, float(along)) == pytest.approx((s, d))
-            x, y, _ = to_cartesian(road.line, s, d)
-            assert np.isfinite(x + y)
 
 
 def changed(content: bytes, pattern: str, replacement: str) -> bytes:

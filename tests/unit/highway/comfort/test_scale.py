@@ -34,15 +34,6 @@ def test_one_unacceptable_metric_is_enough_for_zero(criterion: Criterion) -> Non
     assert (rating.rating, rating.score) == (0.0, 0)
 
 
-def test_the_anchors_of_motion_are_those_of_the_standards() -> None:
-    assert [(c.metric, c.comfortable, c.unacceptable) for c in MOTION] == [
-        ("peak_lateral_acceleration_mps2", 0.9, 3.0),
-        ("peak_lateral_jerk_mps3", 0.6, 5.0),
-        ("peak_longitudinal_acceleration_mps2", 0.9, 3.5),
-        ("peak_longitudinal_jerk_mps3", 0.6, 2.5),
-    ]
-
-
 def test_a_rating_worked_out_by_hand() -> None:
     # z = (1.95 - 0.9) / 2.1 = 0.5 and (1.55 - 0.6) / 1.9 = 0.5: 7 (1 - (2 / 16)^(1/4)) = 7 (1 - 0.594604) = 2.837775
     metrics = COMFORTABLE | {"peak_lateral_acceleration_mps2": 1.95, "peak_longitudinal_jerk_mps3": 1.55}

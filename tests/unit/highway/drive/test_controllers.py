@@ -20,7 +20,7 @@ from drivecal.highway.drive.controllers import (
     ProgramController,
     ProgramError,
 )
-from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.geometry import NAMES
 
 SIGNALS = [float(number) for number in range(len(NAMES))]
 SCENARIO = {"data": {"list": [1]}}

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from drivecal.bundles import highway_catalogue as catalogue
 from drivecal.domain.roads import project, to_cartesian
 from drivecal.highway.drive import geometry, measures
-from drivecal.highway.drive.observation import NAMES, keeper_acceleration
+from drivecal.highway.drive.geometry import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes
 from drivecal.highway.geometry import foot, swept
-from drivecal.highway.geometry import hit as first_hit
 from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 
 CURVE = RoadDesign(length=600.0, lanes=3, lane_width=3.5, knots=(CurvatureKnot(0.0, 0.0), CurvatureKnot(200.0, 0.004)))
@@ -206,16 +205,6 @@ def test_a_vehicle_against_the_route_has_its_own_heading_and_speed(turn: float) 
     assert (seen["gap"], seen["left_gap"]) == (1000, 1000)  # it is beside the lanes
 
 
-def test_a_vehicle_on_a_ramp_has_its_own_heading() -> None:
-    x, y, heading = to_cartesian(LINE[:, :5], 100.0, -4.0)
-    others, outlines = np.array([[0.0, 0, 0, 0, 5, 2]]), np.zeros((1, 6))
-    heading += 0.3
-    raw = np.array([[x + 2.5 * math.cos(heading), y + 2.5 * math.sin(heading), 20.0, heading]])
-    geometry.locate(LINE, raw, others, outlines, 0.0)
-    assert others[0, :3] == pytest.approx((100.0, -4.0, 20.0), abs=1e-6)
-    assert outlines[0, :3] == pytest.approx((x, y, heading))
-
-
 def test_a_vehicle_against_the_route_leads_in_the_own_lane_and_is_no_follower() -> None:
     wrong_way, behind = [160.0, 0.0, -20.0, 0.5, 5.0, 2.0], [60.0, 0.0, -20.0, 0.5, 5.0, 2.0]
     signals = observed([wrong_way, behind])
@@ -243,18 +232,6 @@ def test_own_state_and_road_are_observed() -> None:
     }  # fmt: skip
     assert {name: signals[name] for name in expected} == pytest.approx(expected)
     assert observed([], 100.0)["curvature_2s"] == pytest.approx(0.004 * 140 / 200)
-
-
-def test_collisions_are_those_of_rectangles() -> None:
-    def hit(dx: float, dy: float, heading: float) -> bool:
-        outlines = np.array([[dx, dy, heading, 2.0, 0.9, 0.0]])
-        return bool(first_hit(outlines, np.zeros(8), SIZE) == 0)
-
-    assert hit(4.49, 0.0, 0.0)
-    assert not hit(4.51, 0.0, 0.0)
-    assert not hit(0.0, 1.91, 0.0)
-    assert hit(0.0, 1.91, 0.3)
-    assert first_hit(np.zeros((0, 6)), np.zeros(8), SIZE) == -1
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from drivecal.bundles.highway_catalogue import FAR, LONGEST, MEASURES
-from drivecal.highway.drive.measures import COLUMNS, Record, energy, jerks, measures, series, times_to_collision, way
+from drivecal.highway.drive.measures import (
+    COLUMNS,
+    Record,
+    distance_at_limit,
+    energy,
+    jerks,
+    measures,
+    series,
+    times_to_collision,
+)
 
 STEP = 0.1
 
@@ -89,9 +98,9 @@ def test_way_speed_and_progress() -> None:
 
 def test_the_way_at_the_limit_begins_at_the_start_and_ends_at_the_end_of_the_route() -> None:
     s, limits = np.array([0.0, 100.0, 200.0]), np.array([10.0, 20.0, 20.0])
-    assert way(s, limits, 50.0, 190.0, 4.0) == pytest.approx(40)
-    assert way(s, limits, 50.0, 190.0, 7.0) == pytest.approx(50 + 40)
-    assert way(s, limits, 50.0, 190.0, 60.0) == pytest.approx(140)
+    assert distance_at_limit(s, limits, 50.0, 190.0, 4.0) == pytest.approx(40)
+    assert distance_at_limit(s, limits, 50.0, 190.0, 7.0) == pytest.approx(50 + 40)
+    assert distance_at_limit(s, limits, 50.0, 190.0, 60.0) == pytest.approx(140)
 
 
 def test_a_drive_beyond_the_end_of_the_route_makes_no_further_progress() -> None:

@@ -12,7 +12,7 @@ from tests.support.motorways import NETWORK, ROUTE
 
 from drivecal.bundles.highway import HighwayScenario, PlannerController
 from drivecal.highway.drive.controllers import ControllerError
-from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.trajectories import STEP, PlannerTrajectories, checked_points, trajectory_of
 from drivecal.highway.planner.planner import FrenetPlanner

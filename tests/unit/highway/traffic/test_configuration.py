@@ -7,7 +7,6 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from drivecal.highway import sumo
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.traffic.simulation import drift_offsets, routes
 
@@ -39,12 +38,6 @@ def test_hostile_names_are_escaped() -> None:
     vehicle = replace(S3.traffic[0], id='"/><input href="x')
     root = ET.fromstring(routes(replace(S3, traffic=(vehicle,))))
     assert [element.tag for element in root] == ["route", "vType", "vType"]
-
-
-def test_seed_and_step_reach_sumo() -> None:
-    arguments = sumo.options("net", "routes", 0.2, seed=7)
-    assert arguments[arguments.index("--seed") + 1] == "7"
-    assert arguments[arguments.index("--step-length") + 1] == "0.2"
 
 
 def test_a_vehicle_drifts_along_its_knots() -> None:

@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 
-from drivecal.domain.roads import Floats, project, reference_line, to_cartesian, to_frenet
-from drivecal.highway.geometry import foot, hit, with_directions
+from drivecal.domain.roads import Floats, reference_line, to_cartesian, to_frenet
+from drivecal.highway.geometry import hit, with_directions
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.traffic.geometry import along_at, locate, place, s_at
 
@@ -23,13 +23,6 @@ ALONG = np.column_stack([1.01 * LINE[:, 0], LINE[:, 0], 0.99 * LINE[:, 0]])
 FRAME = np.array([2.4, 0.9, S4.road.right_edge, S4.road.left_edge, S4.road.lane_width, 2.0, 0.1])
 stations = st.floats(-20.0, S4.road.length + 20.0)
 offsets = st.floats(-5.0, 12.0)
-
-
-@settings(deadline=None)  # the first call compiles
-@given(stations, offsets, st.floats(-8.0, 8.0))
-def test_the_compiled_projection_is_the_domain_s(s: float, d: float, away: float) -> None:
-    x, y, _ = to_cartesian(LINE, s, d)
-    assert foot(TABLE, x, y, s + away)[:2] == pytest.approx(project(LINE, x, y, s + away), abs=1e-7)
 
 
 @settings(deadline=None)  # the first call compiles
@@ -92,10 +85,6 @@ def test_rectangles_hit_where_points_of_one_lie_in_the_other(
         assert is_hit
     if not overlap_by_sampling(grown, ego) and not overlap_by_sampling(ego, grown):
         assert not is_hit
-
-
-def test_nothing_is_hit_where_nothing_is() -> None:
-    assert hit(np.zeros((0, 5)), np.zeros(8), FRAME) == -1
 
 
 def started_at(s: float, lane: int) -> Floats:

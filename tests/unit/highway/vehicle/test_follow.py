@@ -134,15 +134,6 @@ def test_the_kernel_agrees_with_the_naive_implementation(
         assert model.pose[:6] == pytest.approx(naive.x[:6], rel=1e-9, abs=1e-10)
 
 
-def test_the_kernel_agrees_with_the_naive_implementation_to_the_last_digits(lane_change: Callable[..., Floats]) -> None:
-    trajectory = lane_change(30.0, 3.0, 5.0)
-    model, naive = SingleTrackModel(NOMINAL), Naive(NOMINAL, np.array([0.0, 0.2, 0.0, 30.0]))
-    model.start(0.0, 0.2, 0.0, 30.0)
-    dynamics = np.zeros((400, 5))
-    assert model.follow(trajectory, 0.0, 4.0, dynamics)
-    assert np.abs(dynamics - naive.follow(trajectory, 0.0, 400)).max() < 1e-12
-
-
 @settings(max_examples=examples(40), deadline=None)
 @given(boxes, st.floats(2.0, 40.0), st.floats(-1.0, 1.0))
 def test_a_mirrored_drive_is_the_mirror_image_to_the_bit(

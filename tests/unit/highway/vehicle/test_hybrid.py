@@ -23,8 +23,6 @@ from drivecal.highway.vehicle.hybrid import HYBRID, Hybrid
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters
 from drivecal.highway.vehicle.residual import Residual, shipped
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
-from drivecal.plugins import registry
 from drivecal.plugins.arrays import DamagedArraysError, write_arrays
 from drivecal.plugins.ports import Floats, SelfMeasuring
 
@@ -164,12 +162,6 @@ def test_the_residual_of_a_vehicle_is_scaled_by_its_loads() -> None:
     assert here[2]
     assert there[:2] == pytest.approx(here[:2], rel=1e-12)
     assert abs(here[0]) > 1e-3
-
-
-def test_it_is_found_by_its_entry_point_with_table_8() -> None:
-    assert registry.vehicle("hybrid") is HYBRID
-    assert HYBRID.parameters == SINGLE_TRACK.parameters
-    assert isinstance(HYBRID.create({parameter.name: parameter.nominal for parameter in TABLE_8}), HybridModel)
 
 
 def test_its_version_follows_its_arrays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from drivecal.adapters.fmu_driver import FATAL, Fmu
 from drivecal.adapters.python_driver import imported, unpack
 from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.domain.errors import DrivecalError
-from drivecal.highway.drive.observation import FRAMED, NAMES
+from drivecal.highway.drive.geometry import FRAMED, NAMES
 
 LONGEST_LINE = 1 << 16
 """Largest answer in bytes."""

@@ -92,7 +92,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         recorder = DriveRecorder(simulator.step) if "series" in request else None
-        outcome = loop.run(request["parameters"], onlooker=recorder)
+        outcome = loop.run(request["parameters"], watch=recorder)
         values = measures(outcome.record)
         answer: dict[str, Any] = {"measures": {measure: values[measure] for measure in settings["measures"]}}
         if outcome.failure is not None:

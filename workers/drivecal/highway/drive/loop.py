@@ -11,8 +11,8 @@ from drivecal.domain.errors import DrivecalError
 from drivecal.domain.roads import Floats
 from drivecal.highway.drive import geometry
 from drivecal.highway.drive.controllers import Checked
-from drivecal.highway.drive.measures import TICK, Record, way
-from drivecal.highway.drive.observation import keeper_acceleration
+from drivecal.highway.drive.geometry import keeper_acceleration
+from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.plants import UserVehicleModel
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic
@@ -26,7 +26,7 @@ PATH_AHEAD = 0.6
 """Seconds of the path beyond a tick: more than the vehicle's reaction."""
 
 
-class Onlooker(Protocol):
+class Watcher(Protocol):
     """Sees a run: the other vehicles' `names`, their `outlines` as in `geometry`, and the ego vehicle's pose, at the start and after each
     step of the traffic. The next step overwrites the arrays."""
 
@@ -86,7 +86,7 @@ class Loop:
         self._start = (*road.start(traffic.start_s, traffic.start_d), scenario.ego.speed)
         limits = np.nanmax(road.lanes[:, :, 2], axis=1)
         self._finish = road.length - 0.5 * scenario.ego.length
-        self._wanted = max(way(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
+        self._wanted = max(distance_at_limit(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
         """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError.
@@ -132,7 +132,7 @@ class Loop:
                 message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
                 raise StartError(f"scenarios.{self._name}: {message}")
 
-    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True, onlooker: Onlooker | None = None) -> FinishedRun:
+    def run(self, parameters: Mapping[str, Any], *, is_warm: bool = True, watch: Watcher | None = None) -> FinishedRun:
         """Runs one parameter set. `is_warm`: as of `Traffic.reset`. Raises ControllerError, TrafficError and others without a result."""
         road, traffic, vehicle, controller = self._road, self._traffic, self._vehicle, self._controller
         line, lanes, ends, size, motion, front, signals = (
@@ -149,8 +149,8 @@ class Loop:
         geometry.place(line, lanes, pose, traffic.start_s, size, motion, front)
         track = int(motion.item(geometry.TRACK))
         geometry.record(line, lanes, traffic.others, motion, pose, vehicle.steering, half, 0.0, 0.0, self._row_views[0])
-        if onlooker is not None:
-            onlooker(traffic.names, traffic.outlines, pose)
+        if watch is not None:
+            watch(traffic.names, traffic.outlines, pose)
         controller.begin(parameters)
         failure, rows, ticks, recorded = None, 1, 0, 0
         acceleration = lateral = 0.0
@@ -194,8 +194,8 @@ class Loop:
                 )  # fmt: skip
                 rows += 1
                 recorded = ticks
-                if onlooker is not None:
-                    onlooker(traffic.names, traffic.outlines, pose)
+                if watch is not None:
+                    watch(traffic.names, traffic.outlines, pose)
                 if hit >= 0:
                     failure = "collision"
                     break

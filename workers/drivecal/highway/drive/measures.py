@@ -79,8 +79,16 @@ def measures(record: Record) -> dict[str, float]:
     return values | _of_gaps(record) | _of_accelerations(record.dynamics) | _of_lanes(record)
 
 
-def way(s: Floats, limits: Floats, start: float, finish: float, duration: float) -> float:
-    """Returns the way (m) from `start` of a drive at the limit, at most to `finish`. `limits`: from each row of `s` to the next."""
+def distance_at_limit(s: Floats, limits: Floats, start: float, finish: float, duration: float) -> float:
+    """Returns the distance (m) that a drive at the speed limit covers.
+
+    Args:
+        s: positions along the route (m), shape (n,).
+        limits: limit (m/s) from each row of `s` to the next, shape (n,).
+        start: position at which the drive begins.
+        finish: position at which it ends at the latest.
+        duration: its time (s).
+    """
     times = np.concatenate([[0.0], np.cumsum(np.diff(s) / limits[:-1])])
     end = float(np.interp(np.interp(start, s, times) + duration, times, s))
     return min(end, finish) - start

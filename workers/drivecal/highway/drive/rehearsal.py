@@ -15,9 +15,9 @@ from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwayScenario, HighwaySimulator, PlannerController, UserVehicleEntry
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.highway.drive.controllers import Checked, Controller, ControllerError
+from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.loop import Loop, StartError
 from drivecal.highway.drive.measures import measures
-from drivecal.highway.drive.observation import NAMES
 from drivecal.highway.drive.plants import prepare_trackers
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.drive.traffic import Traffic, TrafficError

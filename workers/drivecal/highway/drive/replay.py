@@ -241,7 +241,7 @@ EGO = ("x_m", "y_m", "heading_rad", "speed_mps", "position_m", "offset_m")
 
 
 class DriveRecorder:
-    """The onlooker of one run, whose memory is bounded."""
+    """The watcher of one run, whose memory is bounded."""
 
     def __init__(self, step: float) -> None:
         """`step`: time (s) between two moments."""

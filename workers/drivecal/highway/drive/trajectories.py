@@ -11,7 +11,7 @@ from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
 from drivecal.domain.roads import Floats, to_frenet
 from drivecal.domain.scenarios import EgoStart, Road, Scenario, SpeedKnot, Task
 from drivecal.highway.drive.controllers import Checked, ControllerError
-from drivecal.highway.drive.observation import NAMES
+from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.road import HighwayRoad
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.following import follow
