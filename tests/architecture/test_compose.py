@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -17,9 +15,7 @@ from typing import Any
 import pytest
 import yaml
 from tests.support.tree import PROJECT
-from typer.testing import CliRunner
 
-from drivecal.cli.main import app
 from drivecal.configuration.settings import Settings
 
 COMPOSE = PROJECT / "docker-compose.yml"
@@ -27,7 +23,6 @@ WORKERS = PROJECT / "deploy" / "docker-compose.worker.yml"
 MACHINES = PROJECT / "deploy" / "docker-compose.machines.yml"
 PLUGINS = PROJECT / "deploy" / "docker-compose.plugins.yml"
 IMAGES = PROJECT / "deploy" / "images"
-OURS = ("migrate", "api", "ray-head", "ray-worker", "dispatcher")
 ROLES = ("api", "dispatcher", "ray-head", "ray-worker")
 OF_CLIENTS = {"url", "token"}
 FIXED = {"home", "database_url", "database_password_file", "tokens_file", "ray_address", "backend"}
@@ -48,10 +43,6 @@ def services() -> list[tuple[str, dict[str, Any]]]:
 every_service = pytest.mark.parametrize(
     ("name", "service"), services(), ids=lambda value: value if isinstance(value, str) else ""
 )
-
-
-def test_the_cluster_has_the_services_it_says() -> None:
-    assert set(document()["services"]) == {"db", *OURS}
 
 
 @every_service
@@ -125,41 +116,6 @@ def test_the_example_of_settings_has_each_of_them_with_its_default() -> None:
     assert {name: given[name] for name in defaults} == defaults
 
 
-PINNED = IMAGES / "pinned.env"
-
-
-def pinned(text: str) -> dict[str, tuple[str, str]]:
-    """Image and digest by setting."""
-    return {name: (image, digest) for name, image, digest in re.findall(r"(?m)^(\w+)=(.+)@(sha256:[0-9a-f]{64})$", text)}
-
-
-def test_every_image_of_others_can_be_pinned_by_its_digest() -> None:
-    images = [each["image"] for _, each in services() if not each["image"].startswith("drivecal/")]
-    bases = [each["build"]["args"]["BASE"] for _, each in services() if "build" in each]
-    assert len(bases) == len(OURS) + 1
-    settings = {match for text in (*images, *bases) for match in re.findall(r"^\$\{(\w+):-(.+)\}$", text)}
-    assert settings == {(name, image) for name, (image, _) in pinned(PINNED.read_text()).items()}
-    assert f"ARG BASE={dict(settings)['DRIVECAL_BASE_IMAGE']}\n" in (IMAGES / "Dockerfile").read_text()
-
-
-@pytest.mark.parametrize(("answer", "status"), [("echo sha256:" + 64 * "a", 0), ("echo nothing", 1), ("exit 1", 1)])
-def test_images_are_pinned_anew_or_stay_pinned_as_they_were(tmp_path: Path, answer: str, status: int) -> None:
-    for path in (PINNED, PROJECT / "deploy" / "pin.sh"):
-        copy = tmp_path / path.relative_to(PROJECT)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(path, copy)
-    docker = tmp_path / "docker"
-    docker.write_text(f"#!/bin/sh\n{answer}\n")
-    docker.chmod(0o755)
-    command = [str(tmp_path / "deploy" / "pin.sh")]
-    done = subprocess.run(command, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, capture_output=True, check=False)
-    before, after = (pinned((root / "deploy" / "images" / "pinned.env").read_text()) for root in (PROJECT, tmp_path))
-    assert done.returncode == status
-    assert {image for image, _ in after.values()} == {image for image, _ in before.values()}
-    digests = {digest for _, digest in before.values()} if status else {"sha256:" + 64 * "a"}
-    assert {digest for _, digest in after.values()} == digests
-
-
 def test_plug_ins_reach_every_service_that_loads_them_and_no_other() -> None:
     services = document(PLUGINS)["services"]
     assert set(services) == {"api", "dispatcher", "ray-worker"} < set(document()["services"])
@@ -174,32 +130,6 @@ def test_every_setting_of_the_server_can_be_made_in_the_cluster() -> None:
 
 
 PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs" / "pages" / "how-to").glob("*.md"))]
-INSIDE = {"exec", "run"}
-"""Verbs of compose that are followed by a service and a command in it."""
-
-
-def compose_lines() -> list[str]:
-    """The compose commands in the code blocks of the pages."""
-    blocks = [one for page in PAGES for one in re.findall(r"(?ms)^```sh\n(.*?)^```", page.read_text())]
-    found = [re.search(r"docker compose (?!build)(.*)", line) for block in blocks for line in block.splitlines()]
-    return [one[1] for one in found if one]
-
-
-@pytest.mark.parametrize("line", compose_lines())
-def test_a_compose_command_in_the_documentation_names_what_there_is(line: str) -> None:
-    words = shlex.split(line.split(" <", maxsplit=1)[0], comments=True)
-    while words[0] in {"-f", "--env-file"}:
-        option, file, *words = words
-        assert option != "-f" or (PROJECT / file).exists(), file
-    verb, *rest = [word for word in words if not word.startswith("--")]
-    assert verb in {"build", "up", "stop", "restart", "logs", "cp", *INSIDE}, verb
-    if verb in {*INSIDE, "stop", "restart"}:
-        given = [word for word in rest if not word.startswith("-")]
-        service, *command = given
-        named = [service] if verb in INSIDE else given
-        assert set(named) <= document()["services"].keys()
-        if verb in INSIDE and command[:1] == ["drivecal"]:
-            assert CliRunner().invoke(app, [*command[1:3], "--help"]).exit_code == 0, command
 
 
 def test_a_setting_in_the_documentation_is_one() -> None:
@@ -293,17 +223,6 @@ def test_a_role_lacks_what_it_has_no_use_for(role: str, absent: set[str]) -> Non
     assert not absent & {name.partition("==")[0].split("[")[0] for name in locked(IMAGES / f"{role}.lock")}
 
 
-def test_the_images_are_of_debian_slim_and_not_of_root() -> None:
-    stages = re.split(r"(?m)^FROM ", (IMAGES / "Dockerfile").read_text())
-    assert "ARG BASE=python:3.11-slim-bookworm" in stages[0]
-    by_name = {re.match(r"\S+ AS (\S+)", stage)[1]: stage for stage in stages[1:]}  # type: ignore[index]  # each has a name
-    assert set(ROLES) <= by_name.keys()
-    for role in ROLES:
-        users = re.findall(r"(?m)^USER (\S+)", by_name["role"] + by_name[role])
-        assert users[-1] == "10001:10001"
-        assert by_name[role].startswith("role AS")
-
-
 def test_secrets_are_made_once_are_the_owners_alone_and_tell_how_to_reach_the_cluster(tmp_path: Path) -> None:
     def run(**environment: str) -> str:
         script = str(PROJECT / "deploy" / "secrets.sh")
@@ -324,37 +243,6 @@ def test_secrets_are_made_once_are_the_owners_alone_and_tell_how_to_reach_the_cl
     assert {path.name: path.read_text() for path in folder.iterdir()} == made
 
 
-@pytest.mark.parametrize(
-    "token", ["it's-a-long'token", "$(touch${IFS}ran);touch${IFS}ran", '"`touch${IFS}ran`"\\&|<>*', "-n%s-and-more-of-it"]
-)
-def test_whatever_a_token_holds_the_shell_takes_it_as_it_is(tmp_path: Path, token: str) -> None:
-    (tmp_path / "tokens").write_text(f"# name may token\nreader read {'r' * 20}\nme write {token}\nother write {'o' * 20}\n")
-    script = PROJECT / "deploy" / "secrets.sh"
-    command = f'eval "$({script})"; printf %s "$DRIVECAL_URL $DRIVECAL_TOKEN"'
-    given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path), "DRIVECAL_BIND": "10.0.0.5", "DRIVECAL_PORT": "8123"}
-    done = subprocess.run(["sh", "-c", command], env=given, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout == f"http://10.0.0.5:8123 {token}"
-    assert not (tmp_path / "ran").exists()
-
-
-@pytest.mark.parametrize(
-    ("bind", "host"),
-    [
-        ("0.0.0.0", "127.0.0.1"),
-        ("::", "[::1]"),
-        ("[::]", "[::1]"),
-        ("fd00::5", "[fd00::5]"),
-        ("[fd00::5]", "[fd00::5]"),
-        ("10.0.0.5", "10.0.0.5"),
-    ],
-)
-def test_the_address_that_the_secrets_name_can_be_called(tmp_path: Path, bind: str, host: str) -> None:
-    given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path), "DRIVECAL_BIND": bind}
-    script = str(PROJECT / "deploy" / "secrets.sh")
-    done = subprocess.run([script], env=given, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[0] == f"export DRIVECAL_URL='http://{host}:8000'"
-
-
 def test_an_author_is_made_once_where_problems_may_be_pushed(tmp_path: Path) -> None:
     def run(**environment: str) -> str:
         given = {"PATH": "/usr/bin:/bin", "DRIVECAL_SECRETS": str(tmp_path / "secrets"), **environment}
@@ -371,13 +259,6 @@ def test_an_author_is_made_once_where_problems_may_be_pushed(tmp_path: Path) -> 
     assert run(DRIVECAL_ALLOW_PUSH="true") == allowed
     assert run() == first
     assert len(tokens.read_text().splitlines()) == 2
-
-
-def test_nodes_can_run_programs_of_problems() -> None:
-    node = document()["services"]["ray-worker"]
-    assert any("exec" in options.split(":")[1].split(",") for options in node["tmpfs"] if options.startswith("/tmp:"))
-    assert node["environment"]["DRIVECAL_BUNDLE_CACHE"].startswith("/tmp/")
-    assert any(line.startswith("fmpy==") for line in locked(IMAGES / "ray-worker.lock"))
 
 
 def test_no_secret_gets_into_an_image_or_into_the_repository() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import Opening, barriers_everywhere
+from tests.browser.conftest import Opening
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
 from tests.support.runs import run
@@ -90,23 +90,6 @@ def in_view(page: Page) -> Any:
     return page.get_by_role("slider", name=re.compile("^Set in view"))
 
 
-def test_every_state_of_a_front_can_be_used_by_everybody(shown: Shown, opening: Opening) -> None:
-    page = opening(f"{shown.api.url}/#/nowhere")
-    broken: dict[str, Any] = {}
-    states = [
-        (shown.at(shown.two), "Which set wins"),
-        (shown.at(shown.three, query="?weights=heave=3&row=2"), "Which set wins"),
-        (shown.at(shown.waiting), "No front yet"),
-        (shown.at(shown.two, "overview"), "compromises of"),
-    ]
-    for address, said in states:
-        page.goto(address)
-        expect(page.get_by_text(said).first).to_be_visible()
-        expect(page.get_by_role("main")).not_to_contain_text(re.compile(r"NaN|undefined|Comparing"))
-        broken[address] = barriers_everywhere(page)
-    assert {address: rules for address, rules in broken.items() if rules} == {}
-
-
 def test_two_sets_are_chosen_by_keys_and_compared_as_the_api_compares_them(shown: Shown, opening: Opening) -> None:
     rows = shown.front(shown.two)
     page = opening(shown.at(shown.two))
@@ -160,20 +143,6 @@ def test_moved_weights_name_the_winner_at_once_and_files_follow_them(shown: Show
     page.wait_for_url(re.compile("weights=heave%3D0.8"))
     weights.get_by_role("button", name="Equal weights").click()
     expect(map_).to_have_attribute("aria-valuetext", re.compile("^heave 50 %"))
-
-
-def test_three_objectives_have_a_triangle_of_weightings(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at(shown.three))
-    map_ = page.get_by_role("slider", name="Weights of the objectives")
-    for key, name in (("ArrowUp", "heave"), ("ArrowLeft", "energy"), ("ArrowRight", "roll")):
-        for _ in range(10):
-            map_.press(f"Shift+{key}")
-        alone = {other: "1" if other == name else "0" for other in ("heave", "energy", "roll")}
-        [first, *_] = shown.front(shown.three, weights=",".join(f"{key}={weight}" for key, weight in alone.items()))
-        rank = next(row["rank"] for row in shown.front(shown.three) if row["parameters"] == first["parameters"])
-        expect(map_).to_have_attribute("aria-valuetext", re.compile(f"{name} 100 %.*: set {rank} wins$"))
-    page.get_by_label("Objective along y").select_option("roll")
-    expect(page.get_by_role("group", name=re.compile("roll over heave"))).to_be_visible()
 
 
 def test_an_overview_shows_a_small_front_that_leads_to_its_view(shown: Shown, opening: Opening) -> None:

@@ -9,7 +9,7 @@ from time import sleep
 
 import pytest
 from playwright.sync_api import Browser, CDPSession, Locator, Page, expect
-from tests.browser.conftest import PHONE, Opening, barriers, too_wide
+from tests.browser.conftest import PHONE, Opening, too_wide
 from tests.support.runs import SMALL, run, submit
 from tests.support.server import RunningApi, serving
 
@@ -64,27 +64,6 @@ def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
         fingers.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + by * step / 10}]})
     sleep(RESTING_SECONDS)
     fingers.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-
-
-@pytest.mark.slow
-def test_menus_and_numbers_lie_on_the_screen(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at("overview"), phone=True)
-    for menu, content in (
-        ("Views", page.get_by_label("Name of the view")),
-        ("Export", page.get_by_text("settings as JSON")),
-    ):
-        page.get_by_text(menu, exact=True).click()
-        expect(content).to_be_visible()
-        assert on_screen(content.locator("xpath=ancestor::*[contains(@class, 'card')][1]")), menu
-        page.get_by_role("heading", level=1).click()
-        expect(content).to_be_hidden()
-    assert barriers(page) == []
-    for tab in page.get_by_role("navigation", name="Views of the campaign").get_by_role("link").all():
-        assert on_screen(tab), tab.inner_text()
-    page.goto(f"{shown.api.url}/#/submit")
-    for what in ("from", "to", "step", "held at", "baseline"):
-        assert on_screen(page.get_by_label(f"P4 {what}", exact=True)), what
-    assert page.get_by_label("P4 to", exact=True).evaluate("field => field.scrollWidth <= field.clientWidth")
 
 
 def test_a_finger_scrolls_over_axes_and_keeps_a_range_after_a_tap(shown: Shown, touched: Page) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.browser.conftest import TABS, Opening, barriers, leave, show, too_wide
+from tests.browser.conftest import Opening, barriers, leave
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, ROADS, heated, push, replayed, store
 from tests.support.runs import run, submit, working
@@ -55,20 +55,6 @@ def column(page: Page, name: str) -> list[str]:
     heads = [text.rstrip(" ↑↓") for text in page.get_by_role("columnheader").all_inner_texts()]
     rows = page.get_by_role("row").all()[1:8]
     return [row.get_by_role("gridcell").nth(heads.index(name)).inner_text() for row in rows]
-
-
-def test_every_view_of_another_problem_can_be_used_by_everybody(heater: Heated, opening: Opening) -> None:
-    page = opening(f"{heater.api.url}/#/nowhere", expected=("409",))
-    broken: dict[str, Any] = {}
-    for address in [heater.at(tab) for tab in TABS]:
-        page.goto(address)
-        expect(page.locator("main h1")).to_be_visible()
-        broken[address] = barriers(page)
-        show(page, phone=True)  # the colours are those of the motorway's views, the words are not
-        broken[address] += too_wide(page)
-        show(page)
-        expect(page.get_by_role("main")).not_to_contain_text(re.compile(r"NaN|undefined|\bdriv(e|en|ing)\b"))
-    assert {address: rules for address, rules in broken.items() if rules} == {}
 
 
 def test_pushed_problems_are_listed_with_what_they_are(heater: Heated, opening: Opening) -> None:

@@ -247,26 +247,6 @@ def test_what_is_selected_stands_in_the_address(shown: Shown, opening: Opening) 
     assert rows_shown(page) == whole
 
 
-@pytest.mark.slow
-def test_a_table_of_any_length_is_scrolled_row_by_row(shown: Shown, opening: Opening) -> None:
-    page = opening(shown.at("evaluations"))
-    grid = page.get_by_role("grid")
-    expect(grid).to_be_visible()
-    assert page.get_by_role("row").count() < 60
-    grid.focus()
-    grid.press("End")
-    last = page.locator("[role=row][aria-selected=true]")
-    expect(last).to_have_attribute("aria-rowindex", str(rows_shown(page)[0] + 1))
-    expect(grid).to_have_attribute("aria-activedescendant", last.get_attribute("id") or "")
-    page.keyboard.press("Tab")
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("Enter")
-    expect(page.get_by_role("columnheader", name="scenario")).to_have_attribute("aria-sort", "ascending")
-    expect(last).to_be_in_viewport()  # also after the order has changed
-    grid.press("Enter")
-    expect(page.get_by_role("heading", level=1)).to_contain_text("evaluation")
-
-
 def test_a_campaign_is_submitted_from_a_form_that_says_what_it_costs_and_what_is_wrong(shown: Shown, opening: Opening) -> None:
     page = opening(f"{shown.api.url}/#/submit", expected=("422",))
     page.get_by_label("population").fill("10")

@@ -67,17 +67,6 @@ def test_steering_a_campaign(run: Run, submitted: str) -> None:
     assert late.exit_code == 1
 
 
-def test_watching_ends_with_the_campaign_and_its_exit_code(run: Run, api: RunningApi, submitted: str) -> None:
-    timer = threading.Timer(3.0, carry_out, (api.database, submitted))
-    timer.start()
-    result = run("watch", submitted, "--json")
-    timer.join()
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["state"] == "succeeded"
-    assert result.stderr.startswith("queued  degraded: ")
-    assert result.stderr.splitlines()[-1].startswith("succeeded  10/10 cells  simulated 10")
-
-
 def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "drivecal.cli", "watch", submitted, "--url", api.url], stderr=subprocess.PIPE, text=True
@@ -103,18 +92,6 @@ def test_several_campaigns_stand_in_one_table(run: Run, api: RunningApi, submitt
     assert first.split()[1] == "queued", "what is active comes first"
     assert {queued[:8], submitted[:8]} <= {line.split()[0] for line in (first, *others)}
     assert run("top", "0" * 32).exit_code == 5
-
-
-@pytest.mark.slow
-def test_shells_complete_commands_and_ids(api: RunningApi, submitted: str) -> None:
-    def completed(words: str) -> list[str]:
-        asked = {"_DRIVECAL_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
-        command = [str(Path(sys.executable).with_name("drivecal"))]
-        environment = os.environ | asked | {"DRIVECAL_URL": api.url}
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-
-    assert completed("drivecal to") == ["top"]
-    assert completed(f"drivecal show {submitted[:6]}") == [submitted]
 
 
 def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:

@@ -101,16 +101,6 @@ def test_the_summary_tells_the_whole(ended: Ended) -> None:
     assert summary.hypervolume == volumes[-1] == pytest.approx(area)
 
 
-def test_everything_stored_may_add_to_the_front(ended: Ended) -> None:
-    with Client(ended.api.url) as client:
-        own, whole = client.front_summary(ended.first), client.front_summary(ended.first, everything=True)
-        rows = client.front(ended.first, everything=True)
-    assert whole.evaluated > own.evaluated
-    assert (whole.hypervolume or 0) >= (own.hypervolume or 0)
-    assert {row.iteration is None for row in rows} <= {True, False}
-    assert whole.growth[0].iteration == -1
-
-
 def test_a_campaign_without_objectives_has_a_front_of_its_best(ended: Ended) -> None:
     with Client(ended.api.url) as client:
         (row,), best = client.front(ended.plain), client.campaign(ended.plain).best
@@ -236,35 +226,3 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     whole = command("export", ended.first, "--table", "front", "--everything", "--json", "--url", ended.api.url)
     assert json.loads(whole.stdout) == rows_of(ended, ended.first, everything="true", limit=1000)
     assert command("export", ended.first, "--everything", "--url", ended.api.url).exit_code == 2
-
-
-def test_a_minimised_objective_and_broken_constraints_decide_the_light(ended: Ended) -> None:
-    def light_of(**changes: Any) -> tuple[dict[str, Any], dict[str, str]]:
-        campaign = ended.api.http.get(f"/api/v1/campaigns/{run_posted(ended.api, SPEC | changes, backend())}").json()
-        trust = ended.api.http.get(campaign["links"]["trust"]).json()
-        return campaign, {reason["about"]: reason["light"] for reason in trust["reasons"]} | {"all": trust["light"]}
-
-    worst = {f"P{i}": 0.5 for i in range(1, 12)}
-    campaign, lights = light_of(objectives=[TWO[1]], optimizer=SMALL["optimizer"], baseline=worst)
-    assert campaign["objective"] == {"name": JERK, "unit": "m/s^3", "direction": "minimise"}
-    assert campaign["best"]["objective"] < campaign["baseline"]["objective"]
-    assert lights["baseline"] == "green"
-    campaign, lights = light_of(constraints=[{"measure": JERK, "at_most": 0.1, "failed": 20.0}])
-    assert campaign["best"]["violation"] > 0
-    assert (lights["constraints"], lights["all"]) == ("red", "red")
-    assert [note for note in campaign["notes"] if "constraints" in note]
-    assert "breaks the constraints" in command("show", campaign["id"], "--url", ended.api.url).stdout
-    assert "breaks constraints by" in command("solutions", campaign["id"], "--url", ended.api.url).stdout
-    written = command("export", campaign["id"], "--table", "solutions", "--format", "dcm", "--url", ended.api.url).stdout
-    facts = dict(line[2:].split(": ", 1) for line in written.splitlines() if line.startswith("* ") and ": " in line)
-    assert facts["state"] == "prelimCalibrated"
-    assert facts["light of the set"] == "red"
-    assert float(facts["violation of constraints"]) == pytest.approx(campaign["best"]["violation"])
-    amount, words = facts[f"constraint {JERK}"].split(" ", 1)
-    assert float(amount) > 0.1
-    assert "<= 0.1" in words
-    with Client(ended.api.url) as client:
-        between = client.trade_off(campaign["id"], 1, 1)
-        page = client.review(campaign["id"])
-    assert [pair.name for pair in between.constraints] == [JERK]
-    assert f"{float(amount):.6g}" in page

@@ -8,13 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 from prometheus_client import Metric, parser
 from prometheus_client.openmetrics import parser as openmetrics
 from sqlalchemy import text, update
 from tests.support.server import RunningApi, new_database, serving
-from websockets.sync.client import connect
 
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -148,50 +146,6 @@ def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
     assert lookup["drivecal_lookup_seconds_bucket", "60.0"] == 3
     assert buckets[-1] == lookup["drivecal_lookup_seconds_count", None] == 4
     assert lookup["drivecal_lookup_seconds_sum", None] == pytest.approx(90.404)
-
-
-@pytest.mark.slow("postgresql")
-def test_requests_are_counted_by_route_and_not_by_what_somebody_asked_for(api: RunningApi) -> None:
-    before = samples(metrics(api)["drivecal_http_requests"])
-    for path in ("/api/v1/campaigns/a", "/api/v1/campaigns/b", "/no/such/thing", "/another"):
-        assert api.http.get(path).status_code == 404
-    assert api.http.request("BREW", "/healthz").status_code == 405
-    assert api.http.get("/api/v1/campaigns", headers={"Host": "evil.example"}).status_code == 421
-    after = Counter(samples(metrics(api)["drivecal_http_requests"]))
-    after.subtract(before)
-    assert {labels: count for labels, count in after.items() if count and labels[1] != "/metrics"} == {
-        ("GET", "/api/v1/campaigns/{campaign_id}", "404"): 2,
-        ("GET", "none", "404"): 2,
-        ("other", "/healthz", "405"): 1,
-        ("GET", "none", "421"): 1,
-    }
-    found = metrics(api)
-    observed = value_of_count(found["drivecal_http_request_seconds"], "/api/v1/campaigns/{campaign_id}")
-    answered = [
-        one for one in found["drivecal_http_requests"].samples if one.labels["route"] == "/api/v1/campaigns/{campaign_id}"
-    ]
-    assert observed == sum(one.value for one in answered)
-
-
-def value_of_count(histogram: Metric, route: str) -> float:
-    return sum(one.value for one in histogram.samples if one.name.endswith("_count") and one.labels["route"] == route)
-
-
-def test_open_event_streams_are_counted_while_they_are_open(api: RunningApi) -> None:
-    with api.database.transaction() as connection:
-        stored = campaigns.insert(connection, name="followed", spec={})
-    assert value(metrics(api), "drivecal_http_event_streams") == 0
-    with httpx.stream("GET", f"{api.url}/api/v1/campaigns/{stored.id}/events", timeout=300) as stream:
-        assert stream.status_code == 200
-        assert value(metrics(api), "drivecal_http_event_streams") == 1
-        with connect(f"{api.url.replace('http', 'ws')}/api/v1/live", open_timeout=300):
-            assert value(metrics(api), "drivecal_http_event_streams") == 2
-    for _ in range(100):
-        if value(metrics(api), "drivecal_http_event_streams") == 0:
-            break
-    assert value(metrics(api), "drivecal_http_event_streams") == 0
-    routes = {one.labels["route"] for one in metrics(api)["drivecal_http_request_seconds"].samples}
-    assert not [route for route in routes if route.endswith("/events")]
 
 
 def test_both_formats_are_what_a_linter_wants(api: RunningApi) -> None:

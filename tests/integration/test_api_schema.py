@@ -10,7 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import httpx
 import pytest
 import schemathesis
 from fastapi import FastAPI
@@ -131,52 +130,6 @@ def known(api: RunningApi) -> Known:
     zipped = {"Content-Type": "application/zip"}
     problem = api.http.post("/api/v1/problems", content=archive(), headers=zipped).raise_for_status().json()
     return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"], view["id"])
-
-
-BODIES: dict[str, Any] = {
-    "campaigns": SMALL,
-    "campaigns/{campaign_id}/rerun": {"weights": {"S1": 2}},
-    "comparisons": {"optimizers": [{"kind": "random"}], "populations": [10], "seeds": [1, 2, 3], "iterations": 2},
-    "evaluations": {"parameters": MIDDLE, "scenario": "S4"},
-    "influence-maps": {"scenarios": {"S1": {"P2": {"lower": 0.5}}}},
-    "views": {"name": "another", "address": "#/"},
-}
-
-
-def answered(api: RunningApi, method: str, path: str, known: Known) -> httpx.Response:
-    """The answer of an operation whose answers have links."""
-    target = path.replace("{campaign_id}", known.campaign)
-    if path == "/api/v1/problems" and method == "post":
-        return api.http.post(target, content=archive(), headers={"Content-Type": "application/zip"})
-    return api.http.request(method, target, json=BODIES[path.removeprefix("/api/v1/")] if method == "post" else None)
-
-
-@pytest.mark.slow
-def test_the_ids_of_links_stand_where_they_say_and_are_known_to_the_operations_they_lead_to(
-    api: RunningApi, known: Known
-) -> None:
-    paths: dict[str, Any] = application().openapi()["paths"]
-    targets = {each["operationId"]: (method, path) for path, methods in paths.items() for method, each in methods.items()}
-    asked: dict[str, set[int]] = {}
-    for path, method, operation in (
-        (path, method, each) for path, methods in paths.items() for method, each in methods.items()
-    ):
-        if not any("links" in answer for answer in operation["responses"].values()):
-            continue
-        answer = answered(api, method, path, known).raise_for_status()
-        for name, link in operation["responses"][str(answer.status_code)]["links"].items():
-            [(parameter, expression)] = link["parameters"].items()
-            value: Any = answer.json()
-            for part in expression.removeprefix("$response.body#/").split("/"):
-                value = value[int(part) if part.isdecimal() else part]
-            verb, target = targets[name]
-            if verb in {"get", "patch"} and not target.endswith("/events"):  # which go on while nothing happens
-                url = target.replace(f"{{{parameter}}}", str(value))
-                status = api.http.request(verb, url, json={"name": "new"} if verb == "patch" else None).status_code
-                asked.setdefault(target, set()).add(status)
-    assert len(asked) > 30
-    # 409: not there yet; 422: a query is missing
-    assert {target: codes for target, codes in asked.items() if codes - {200, 202, 409, 422}} == {}
 
 
 def derive(

@@ -6,17 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.computed import ComputedBackend
-from tests.support.runs import SMALL, dispatcher, finish, get, submit
+from tests.support.runs import SMALL
 from tests.support.server import serving
 from tests.support.values import MIDDLE
 
-from drivecal.domain.campaigns import CampaignState
 from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.vehicle import hybrid, residual
 from drivecal.highway.vehicle.hybrid import HYBRID
-from drivecal.storage.engine.database import Database
 
 CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
 
@@ -49,15 +46,3 @@ def test_what_needs_a_damaged_file_is_refused_by_its_name_and_nothing_is_stored(
                 assert name in answer.json()["detail"]
         assert api.http.get("/api/v1/campaigns").json()["items"] == []
         assert api.http.post("/api/v1/campaigns?validate_only=true", json=SMALL).status_code == 200
-
-
-@pytest.mark.parametrize("name", CHOICES)
-def test_a_campaign_whose_file_was_damaged_after_its_submission_fails_and_no_other_one(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    broken, sound = submit(database, **CHOICES[name]), submit(database, catalogue=["S1"])
-    damage(tmp_path, monkeypatch)
-    assert finish(database, sound, dispatcher(database, ComputedBackend())).state is CampaignState.SUCCEEDED
-    ended = get(database, broken)
-    assert ended.state is CampaignState.FAILED
-    assert name in (ended.error or "")

@@ -13,11 +13,9 @@ from tests.support.deaths import InterceptedDatabase
 from tests.support.effort import tries
 from tests.support.runs import everything, get, post_map, submit
 
-from drivecal.contracts.work import Batch
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.leadership import Leadership
 from drivecal.domain.errors import UnavailableError
-from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage.campaigns import StoredCampaign
@@ -59,26 +57,6 @@ class Patience:
         pass
 
 
-class SlowBackend(ComputedBackend):
-    """Its first batch takes until `release`; a worker has one batch at a time."""
-
-    held: int | None = None
-    is_released = False
-
-    def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
-        super().submit(worker, batch_id, batch, expected_seconds, alone=alone)
-        self.held = batch_id if self.held is None else self.held
-
-    def wait(self, timeout: float) -> list[Finished | Lost]:
-        if self.is_released:
-            return super().wait(timeout)
-        slow = [entry for entry in self._outstanding if entry[0] == self.held]
-        self._outstanding = [entry for entry in self._outstanding if entry[0] != self.held]
-        events = super().wait(timeout)
-        self._outstanding += slow
-        return events
-
-
 def dispatcher(database: Any, backend: ComputedBackend) -> Dispatcher:
     ticks = iter(range(10**9))
     return Dispatcher(database, WorkPool(backend, StoredLeases(database)), clock=lambda: float(next(ticks)))
@@ -110,25 +88,3 @@ def test_hiccups_change_no_result_and_simulate_nothing_twice(tmp_path: Any, seed
         database.dispose()
     assert ended[0] == ended[1]
     assert sent[0] == sent[1]
-
-
-def test_workers_go_on_beside_a_slow_cell_after_a_hiccup(database: Database) -> None:
-    campaign = submit(database, optimizer={"kind": "random", "population": 400, "iterations": 1, "seed": 3})
-    own, backend = shaky(database, 0, 0.0), SlowBackend()
-    working = dispatcher(own, backend)
-    while not backend.sent:
-        working.step()
-    own.share = 1.0
-    with pytest.raises(UnavailableError):
-        working.step()
-    working._forget_jobs()
-    own.share = 0.0
-    for _ in range(60):
-        working.step()
-    cells = get(database, campaign).cells
-    assert 0 < cells.pending < cells.requested / 2
-    backend.is_released = True
-    patience: Any = Patience(database, campaign)
-    working.run(patience)
-    assert get(database, campaign).cells.pending == 0
-    assert max(Counter(backend.sent).values()) == 1

@@ -117,23 +117,3 @@ def test_the_planner_merges_from_a_ramp_and_keeps_away_from_a_car_that_cuts_in(s
     else:
         assert results[0][0]["max_deceleration_mps2"] > 0.5
         assert results[0][0]["lane_changes"] == 0
-
-
-SLOW = {"id": "slow", "s": 250, "speed": 28 / 3, "model": "constant"}
-BRAKES = {"id": "brakes", "s": 160, "speed": 28, "actions": [{"do": "brake", "time": 4, "speed": 5, "rate": 4}]}
-
-
-@pytest.mark.parametrize(("leader", "speed"), [(SLOW, 28 / 3), (SLOW | {"s": 400, "speed": 0}, 0), (BRAKES, 5)])
-@pytest.mark.parametrize("parameters", [{}, {"P7": 0, "P8": 0}])
-def test_the_planner_follows_a_leader_that_is_far_slower(
-    tmp_path: Path, leader: dict[str, Any], speed: float, parameters: dict[str, float]
-) -> None:
-    """Down to a third of its speed and to a standstill, whatever the weights of the distance are."""
-    controller = {"kind": "planner", "speed": 28, "values": {"P9": 3}}
-    with driven(motorway(tmp_path / "b"), drive([leader], 30.0, ego={"speed": 28}), controller) as session:
-        outcome = session.evaluate(sets()[0] | parameters, series=True)
-    assert outcome.failure is None
-    assert outcome.series["speed_mps"][-1] == pytest.approx(speed, abs=0.7)
-    assert outcome.measures["max_deceleration_mps2"] < 4.0
-    assert outcome.measures["min_gap_m"] > 1.0
-    assert outcome.series["gap_m"][-1] < 15.0

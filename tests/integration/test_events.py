@@ -14,12 +14,10 @@ import httpx
 import pytest
 from sqlalchemy import text
 from tests.support.serve import until
-from tests.support.server import RunningApi, free_port, new_database, serving
+from tests.support.server import RunningApi, new_database, serving
 
 from drivecal.api.live import dispatcher_health, streams
-from drivecal.client.client import Client
 from drivecal.client.following import EventParser, ServerSentEvent
-from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.events import CampaignProgress
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
@@ -228,42 +226,3 @@ def test_streams_end_in_peace_when_the_server_stops(tmp_path: Path) -> None:
     thread.join(20)
     assert [one.event for one in listener[0]] == ["running", "progress"], "an end, not an error"
     reading.__exit__(None, None, None)
-
-
-def test_a_client_that_follows_bears_a_restart_of_the_server_and_misses_nothing(tmp_path: Path) -> None:
-    port, url = free_port(), f"sqlite:///{tmp_path / 'drivecal.db'}"
-    told: list[str] = []
-    seen: list[Campaign] = []
-
-    def follow(campaign: StoredCampaign) -> None:
-        with Client(f"http://127.0.0.1:{port}") as client:
-            seen.extend(client.watch(campaign.id, told=lambda one: told.append(one.data.get("text", one.kind))))
-
-    with serving(url, port=port) as api:
-        campaign = submit(api.database)
-        thread = threading.Thread(target=follow, args=(campaign,))
-        thread.start()
-        until(lambda: "running" in told, "the client follows")
-        note(api.database, campaign, "before")
-        until(lambda: "before" in told, "it goes on")
-    database = Database.open(url)
-    note(database, campaign, "while nobody served")
-    database.dispose()
-    with serving(url, port=port) as api:
-        note(api.database, campaign, "after")
-        until(lambda: "after" in told, "the client came back")
-        end(api.database, campaign)
-        thread.join(30)
-        assert not thread.is_alive()
-    assert told == ["queued", "running", "before", "while nobody served", "after", "succeeded"]
-    assert seen[-1].state == "succeeded"
-    assert seen[-1].ended_at is not None, "the whole campaign, asked for at the end"
-
-
-def test_the_documentation_names_every_kind_of_event(api: RunningApi) -> None:
-    operation = api.http.get("/openapi.json").json()["paths"]["/api/v1/campaigns/{campaign_id}/events"]["get"]
-    described = operation["responses"]["200"]
-    assert list(described["content"]) == ["text/event-stream"]
-    for kind in EventKind:
-        assert f"`{kind}`" in described["description"]
-    assert {"404", "422", "429"} <= set(operation["responses"])

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.benchmarks._objective import runner
 from tests.support.computed import ComputedBackend, rating_of
-from tests.support.runs import SMALL, dispatcher, everything, get, nothing_matters, post_map, run, submit
+from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import answers_of, front_of
-from drivecal.campaigns.results.optima import alternatives
 from drivecal.campaigns.stages import proposing
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -212,57 +209,3 @@ def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(da
     assert all(item["objective"] == min(item["scores"].values()) for item in study["items"])
     [also] = [item for item in study["items"] if item["parameters"] == named]
     assert not also["recommended"]
-
-
-def test_sets_that_break_constraints_are_no_alternatives_of_one_that_keeps_them(database: Database) -> None:
-    spec: dict[str, Any] = {
-        "constraints": [{"measure": JERK, "at_most": 7.0, "failed": 20.0}],
-        "optimizer": NSGA2,
-        "reduction": {"mode": "exact"},
-    }
-    ended = run(database, submit(database, **spec), backend())
-    listed = ranking_of(database, ended)
-    best = listed.best()
-    assert best is not None
-    first, *others = listed.ranking()
-    broken = next(each for each in others if each.violation)
-    as_good = [first, replace(broken, objective=first.objective)]
-    space = resolved_spec(ended).space
-    assert len(alternatives(database, as_good, space)) == 1
-    assert len(alternatives(database, listed.ranking(), space)) == best[1]
-
-
-def test_the_worst_scenario_can_be_the_objective_of_any_optimizer(database: Database) -> None:
-    ended = run(database, submit(database, objectives=[{"score": "comfort", "aggregate": "min"}], reduction={"mode": "exact"}))
-    assert ended.spec["optimizer"]["kind"] == SMALL["optimizer"]["kind"]
-    assert ended.best is not None
-    assert ended.best.objective == min(ended.best.scores.values())
-
-
-def driven(scenario: str, cell: Cell) -> CellResult:
-    """A run of the simulator."""
-    result = runner(scenario).run(list(cell.parameters.values()))
-    rating, failure = result.rating, None if result.failure is None else result.failure.value
-    return CellResult(cell.id, rating.rating, rating.score, result.metrics, failure, 7.0)
-
-
-def test_comfort_and_jerk_of_real_runs_make_a_front(database: Database) -> None:
-    spec: dict[str, Any] = {
-        "objectives": TWO,
-        "parameters": "highway",
-        "catalogue": ["S1", "S3"],
-        "optimizer": NSGA2 | {"population": 10, "iterations": 3},
-        "reduction": {"mode": "exact"},
-    }
-    ended = run(database, submit(database, **spec), ComputedBackend(answer=driven))
-    front = ranking_of(database, ended).front()
-    with database.read() as connection:
-        sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front])
-    assert front
-    for member in front:
-        cells = Cell(0, sets[member.solution.parameter_set].floats)
-        answers = [driven(name, cells) for name in ("S1", "S3")]
-        comfort = sum(answer.score or 0 for answer in answers) / 2
-        jerk = max(20.0 if answer.failure else answer.metrics[JERK] for answer in answers)
-        assert member.solution.judgement is not None
-        assert member.solution.judgement.amounts == pytest.approx((comfort, jerk))

@@ -159,21 +159,6 @@ def test_sets_that_keep_the_constraints_come_first_in_every_ranking(
     assert float(first["constraint_y"]) == pytest.approx(ranked[0]["constraints"]["y"])
 
 
-def test_the_light_of_a_set_is_its_own(asked: Asked, bounded: str) -> None:
-    def light(**place: int) -> dict[str, str]:
-        trust = asked.http.get(f"{bounded}/trust", params=place).raise_for_status().json()
-        return {reason["about"]: reason["light"] for reason in trust["reasons"]} | {"all": trust["light"]}
-
-    ranked = items(asked, f"{bounded}/solutions", limit=100)
-    best, worst = ({name: row[name] for name in ("iteration", "individual")} for row in (ranked[0], ranked[-1]))
-    assert light()["all"] == light(**best)["all"] != "red"
-    assert light(**worst)["constraints"] == light(**worst)["all"] == "red"
-    half = asked.http.get(f"{bounded}/trust", params={"iteration": 0})
-    assert half.status_code == 422
-    assert half.json()["errors"][0]["field"] == "individual"
-    assert asked.http.get(f"{bounded}/trust", params={"iteration": 99, "individual": 0}).status_code == 404
-
-
 PUSHED_LATER = {"cost": {"formula": "abs(y - 3)", "direction": "minimise", "range": [0, 20], "failed": 30}}
 
 
@@ -190,25 +175,6 @@ def test_a_formula_of_a_later_push_ranks_what_is_stored(asked: Asked, database: 
     store(database, MANIFEST)
     own = items(asked, f"{asked.first}/solutions", limit=100)
     assert items(asked, f"{asked.first}/solutions", limit=100, score="cost@mine") == own
-
-
-def test_measures_are_columns_of_evaluations_if_they_are_asked_for(asked: Asked) -> None:
-    plain, measured = (items(asked, f"{asked.first}/evaluations", limit=1000, **query) for query in ({}, {"measures": "true"}))
-    assert [{key: row[key] for key in plain[0]} for row in measured] == plain
-    assert list(measured[0])[-2:] == ["measure_score", "measure_y"]
-    for row in measured:
-        failed = row["failure"] == "collision"
-        assert row["measure_score"] == (0.0 if failed else row["x"])
-        assert row["measure_y"] == (None if failed else pytest.approx(4 * row["x"] + (row["scenario"] == "city")))
-    text = asked.http.get(f"{asked.first}/evaluations", params={"measures": "true", "format": "csv"}).raise_for_status().text
-    lines = list(csv.DictReader(io.StringIO(text)))
-    assert [line["measure_y"] for line in lines] == [
-        "" if row["measure_y"] is None else str(row["measure_y"]) for row in measured
-    ]
-    some = {"measures": "true", "where": "measure_y<=1", "limit": 1000}
-    assert {row["id"] for row in items(asked, f"{asked.first}/evaluations", **some)} == {
-        row["id"] for row in measured if row["measure_y"] is not None and row["measure_y"] <= 1
-    }
 
 
 def test_a_reference_answers_no_other_score(database: Database, tmp_path: Path) -> None:
@@ -237,17 +203,3 @@ def test_a_reference_answers_no_other_score(database: Database, tmp_path: Path) 
         by_gain = items(asked, f"{path}/solutions", limit=100, score="gain")
         assert 0 < len(by_gain) < len(items(asked, f"{path}/solutions", limit=100))
         assert all(row["objective"] == pytest.approx(row["parameters"]["z"]) and not row["reused"] for row in by_gain)
-
-
-def test_the_front_of_everything_keeps_the_constraints_of_the_problem(asked: Asked, database: Database) -> None:
-    """Earlier pushes of the problem allowed more sets in the same setups."""
-    store(database, MANIFEST | {"constraints": ["x <= 0.5"]})
-    few = {"evaluator": "gain", "optimizer": {"kind": "random", "population": 5, "iterations": 1, "seed": 2}}
-    accepted = asked.http.post("/api/v1/campaigns", json=SPEC | few).raise_for_status().json()
-    with database.read() as connection:
-        queued = campaigns.get(connection, accepted["id"])
-    run(database, queued, ComputedBackend(answer=simulated))
-    path = f"/api/v1/campaigns/{accepted['id']}/front"
-    evaluated = asked.http.get(f"{path}/summary", params={"everything": "true"}).raise_for_status().json()["evaluated"]
-    assert evaluated > asked.http.get(f"{path}/summary").raise_for_status().json()["evaluated"]
-    assert [row["parameters"]["x"] <= 0.5 for row in items(asked, path, everything="true")] == [True]

@@ -94,10 +94,6 @@ def rewritten(folder: Path, **changes: Any) -> dict[str, Any]:
     return manifest
 
 
-def test_the_kill_hit_the_middle_of_campaigns(calibrated: tuple[Client, dict[str, Example]]) -> None:
-    assert "running" in {example.at_the_kill for example in calibrated[1].values()}
-
-
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_is_killed_resumed_and_rated_anew(name: str, calibrated: tuple[Client, dict[str, Example]]) -> None:
     client, examples = calibrated

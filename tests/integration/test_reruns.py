@@ -84,28 +84,6 @@ def _rerun(database: Database, first: StoredCampaign, backend: ComputedBackend |
 
 
 @pytest.mark.slow
-def test_a_narrowed_campaign_searches_where_some_scenario_is_influenced(database: Database) -> None:
-    wide = _run(database)
-    assert wide.narrowed is None
-    narrow = _run(database, reduction={"mode": "influence", "audit": 0.1, "max_error": 1, "narrow": True})
-    assert narrow.narrowed is not None
-    found = {one.parameter: one for one in narrow.narrowed}
-    assert set(found) == {"P2", "P3", "P4"}
-    assert (found["P4"].lower, found["P4"].upper, found["P4"].removed_values) == (0.5, 0.5, 20)
-    assert (found["P2"].lower, found["P3"].upper) == (0.0, 1.0)
-    assert 0.5 <= found["P2"].upper <= 0.7
-    assert 0.2 <= found["P3"].lower <= 0.4
-    with database.read() as connection:
-        rows = [row for row in results.stream(connection, narrow.sequence) if row.stage is StageName.CALIBRATION]
-    for name, one in found.items():
-        assert all(one.lower <= numbers(row.parameters)[name] <= one.upper for row in rows)
-    assert any("narrowed" in note and "P4 held at 0.5" in note for note in narrow.notes)
-    assert narrow.best is not None
-    assert wide.best is not None
-    assert narrow.best.objective >= wide.best.objective
-
-
-@pytest.mark.slow
 def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Database) -> None:
     baseline = dict.fromkeys(("P1", "P2", "P3", "P4"), 0.2)
     experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]

@@ -25,8 +25,6 @@ from drivecal.domain.errors import ConflictError, InvalidInputError
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.retention import removal
-from drivecal.storage.retention.selection import fingerprints_of
 
 SMALL: dict[str, Any] = {
     "parameters": SPACE,
@@ -111,15 +109,6 @@ def test_a_campaign_that_is_starting_is_waited_for(
     carry_out(database, plan)
     assert len(waits) == 2
     assert get(database, old).pruned_at is not None
-
-
-@pytest.mark.usefixtures("old")
-def test_runs_of_more_setups_than_a_statement_takes_values_are_pruned(database: Database) -> None:
-    many = range(10**6, 10**6 + 70_000)
-    plan = planned(database, 0)
-    with database.transaction() as connection:
-        assert fingerprints_of(connection, [*plan.doomed.setups, *many]) == plan.fingerprints
-        assert removal.retire_indexes(connection, many) == []
 
 
 @pytest.mark.parametrize(("study", "check"), [("validation", check_predictions), ("robustness", check_source)])

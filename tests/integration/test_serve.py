@@ -156,21 +156,6 @@ def test_a_port_in_use_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "home").exists()
 
 
-def test_what_cannot_work_is_refused_with_a_remedy(tmp_path: Path) -> None:
-    file = tmp_path / "notes.txt"
-    file.write_text("This is no database. " * 100)
-    code, words = refused(tmp_path, "--port", "0", DRIVECAL_DATABASE_URL=f"sqlite:///{file}")
-    assert (code, str(file) in words) == (1, True)
-    code, words = refused(tmp_path, "--host", "no such host", "--port", "0")
-    assert (code, "--host: 'no such host'" in words) == (2, True)
-    code, words = refused(tmp_path, "--host", "203.0.113.7", "--port", "0")
-    assert (code, "--host: '203.0.113.7'" in words) == (2, True)
-    code, words = refused(tmp_path, "--port", "70000")
-    assert (code, "--port" in words) == (2, True)
-    code, words = refused(tmp_path, "--port", "0", "--home", str(file / "below"))
-    assert (code, "home: " in words and "DRIVECAL_HOME" in words) == (2, True)
-
-
 def test_serve_keeps_others_off_its_database_and_stops_cleanly(server: Server) -> None:
     assert server.alive()
     assert httpx.get(f"{server.url}/readyz", timeout=60).status_code == 200

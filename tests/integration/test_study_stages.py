@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import update
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import tries
@@ -21,7 +20,6 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import setups
 
@@ -124,33 +122,6 @@ def test_a_study_of_another_campaign_chooses_its_sets_by_scores_that_simulations
     wrong = [row["parameters"] for row in first["items"] if row["objective"] < believed.objective - 1e-9]
     assert wrong
     assert not any(row["parameters"] in wrong for row in second["items"])
-
-
-def test_a_resumed_study_examines_the_sets_that_it_asked_for_whatever_the_ranking_is_by_now(database: Database) -> None:
-    searched = run(database, submit(database, reduction={"mode": "exact"}), ComputedBackend(answer=influenced))
-    robust = {"of": searched.id, "delta": 0.05, "steps": 1, "samples": 2, "solutions": 5}
-    campaign, working = (
-        submit(database, optimizer=None, robustness=robust),
-        dispatcher(database, ComputedBackend(answer=influenced)),
-    )
-    while not get(database, campaign).counts(StageName.ROBUSTNESS).requested:
-        working.step()
-    before = {row["rank"]: (row["parameters"], row["region"], row["to_worse"]) for row in study(database, campaign)["items"]}
-    cells = tables.evaluations
-    with database.transaction() as connection:
-        turned = update(cells).where(cells.c.campaign_sequence == searched.sequence)
-        connection.execute(turned.values(score=10 - cells.c.score, rating=10 - cells.c.rating))
-    run(database, campaign, ComputedBackend(answer=influenced))
-    items = study(database, campaign)["items"]
-    after = [(row["parameters"], row["region"], row["to_worse"]) for row in items]
-    assert sorted(after, key=repr) == sorted(before.values(), key=repr)
-    with database.read() as connection:
-        rows = list(results.stream(connection, campaign.sequence))
-    nominal = {(frozenset(row.parameters.floats.items()), row.scenario): row.score for row in rows if row.iteration == 0}
-    told = {
-        (frozenset(item["parameters"].items()), scenario): score for item in items for scenario, score in item["scores"].items()
-    }
-    assert told == nominal
 
 
 def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database) -> None:

@@ -154,24 +154,6 @@ def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pyte
     assert "driving_function_version" in answer.json()["detail"]
 
 
-def test_what_failed_for_a_passing_reason_is_driven_again_by_who_asks_later(
-    api: RunningApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    FAILING.append(Breakdown.HANG)
-    number = evaluated(api, P9=8)["items"][0]["id"]
-    assert ask(api, number).status_code == 202
-    work(api)
-    answers = [ask(api, number) for _ in range(2)]
-    assert [one.status_code for one in answers] == [409, 409]
-    assert "30 s" in answers[0].json()["detail"]
-    assert work(api).sent == [], "who polls is told and starts nothing"
-    monkeypatch.setattr("drivecal.campaigns.cells.tracing.AGAIN_AFTER", timedelta(0))
-    FAILING.clear()
-    assert ask(api, number).status_code == 202
-    work(api)
-    assert ask(api, number).status_code == 200
-
-
 def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> None:
     numbers = [evaluated(api, P9=value)["items"][0]["id"] for value in (1, 2, 3)]
     for number in numbers:
