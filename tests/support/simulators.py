@@ -56,29 +56,6 @@ for line in sys.stdin:
 """
 """A simulator in Python. Answers twice x, unless its `body` does something else before."""
 
-CPP_SERVER = r"""
-#include <cmath>
-#include <iostream>
-#include <string>
-static double number(const std::string& line, const char* name) {
-    return std::stod(line.substr(line.find(name) + std::string(name).size()));
-}
-int main() {
-    std::string line;
-    std::cout.precision(17);
-    while (std::getline(std::cin, line) && line.find("\"quit\"") == std::string::npos) {
-        if (line.find("\"drivecal\"") != std::string::npos) { std::cout << "{\"ready\": true}" << std::endl; continue; }
-@BODY@
-        std::cout << "{\"id\": " << long(number(line, "\"id\": ")) << ", \"measures\": {\"y\": " << y << "}}" << std::endl;
-    }
-}
-"""
-
-
-def cpp_server(body: str) -> str:
-    """Returns a simulator in C++ whose `body` computes `y` from the `line` of a request by `number(line, name)`."""
-    return CPP_SERVER.replace("@BODY@", body)
-
 
 def write_server(folder: Path, body: str = "", start: str = "", ending: str = "") -> list[str]:
     """Writes a simulator into a bundle and returns its command."""
