@@ -161,7 +161,7 @@ def one_turn(client: Client, course: Course, seed: int) -> None:
         client.solutions(ended.id)
         first = next(client.rows(ended.id, "evaluations"))
         client.explanation(str(first["id"]))
-        client.trust(ended.id)
+        client.results(ended.id)
     if ended.state != "succeeded":
         course.faults.append(f"{ended.id} {ended.state}: {ended.error}")
     client.workers()

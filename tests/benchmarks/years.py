@@ -49,7 +49,7 @@ QUESTIONS = {
     "solutions, other weights": "/campaigns/{id}/solutions?limit=50&weights={weights}",
     "front": "/campaigns/{id}/front?limit=50",
     "explanation of a copy": "/evaluations/{copy}/explain",
-    "trust": "/campaigns/{id}/trust",
+    "results": "/campaigns/{id}/results",
     "studies": "/campaigns/{id}/studies",
     "problems": "/problems?limit=50",
 }

@@ -95,10 +95,10 @@ def test_every_view_comes_back_with_the_server(shown: Shown, opening: Opening, p
 def test_the_overview_decides_by_a_light_and_sets_the_best_beside_the_baseline(shown: Shown, opening: Opening) -> None:
     page = opening(shown.at())
     light = page.get_by_role("region", name="Trust in the result")
-    judged = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/trust").json()
-    for reason in judged["reasons"]:
-        expect(light).to_contain_text(reason["text"], use_inner_text=True)  # without the closed meanings of its words
-    expect(light.get_by_role("heading")).to_have_text(
+    judged = shown.api.http.get(f"/api/v1/campaigns/{shown.campaign.id}/results").json()["trust"]
+    for verdict in judged["verdicts"]:
+        expect(light).to_contain_text(verdict["text"], use_inner_text=True)  # without the closed meanings of its words
+    expect(light.get_by_role("heading", level=2)).to_have_text(
         {"green": "Trustworthy", "amber": "Check first", "red": "Do not use"}[judged["light"]]
     )
     best = page.get_by_role("table", name="Parameters of the set")

@@ -14,9 +14,9 @@ from pypdf import PdfReader
 from tests.unit.report.test_review import BOTH, compromise, review, summary
 
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.report.review.content import digest_in
-from drivecal.report.review.data import ReviewedSet, ScoreOrigin
-from drivecal.report.review.page import sheet
+from drivecal.report.data import ReviewedSet, ScoreOrigin
+from drivecal.report.review import sheet
+from drivecal.report.sheet import digest_in
 
 A4_MM = (210.0, 297.0)
 POINTS_PER_MM = 72 / 25.4
@@ -53,7 +53,8 @@ def large(identifier: str) -> ReviewedSet:
     )
     cells = {name: ScoreOrigin(10**6 + number, "repeated") for number, name in enumerate(scenarios)}
     setup = CampaignSetup(evaluator="score 1", parameters=parameters, scenarios=setups, server="1.2.3")
-    return replace(made, setup=setup, chosen=chosen, cells=cells, summary=summary())
+    results = made.results.model_copy(update={"setup": setup})
+    return replace(made, results=results, chosen=chosen, cells=cells, summary=summary())
 
 
 @pytest.mark.slow("large")

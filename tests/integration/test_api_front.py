@@ -168,11 +168,11 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         baseline, own = client.front_summary(ended.first).baseline, client.campaign(ended.first).baseline
         listed = ended.api.http.get(f"/api/v1/campaigns/{ended.first}/front/evaluated", params={"limit": 1000}).json()["items"]
         assert client.front_summary(ended.plain).baseline is None
-        trust = client.trust(ended.first)
+        trust = client.results(ended.first).trust
     assert baseline is not None
     assert own is not None
     assert baseline.objectives["comfort"] == own.objective
-    own_light = next(reason.light for reason in trust.reasons if reason.about == "baseline")
+    own_light = next(each.light for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"})
     assert (own_light == "amber") is (baseline.rank is not None)
     [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]
     assert (first["objectives"], first["on_front"]) == (baseline.objectives, baseline.rank is not None)

@@ -11,9 +11,8 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.server import RunningApi, new_database, serving
 
-from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.results import TrustAnswer
+from drivecal.contracts.results import CampaignResults, ResultTrust
 from drivecal.storage import campaigns
 
 
@@ -81,10 +80,13 @@ def test_references_of_an_earlier_campaign_are_named_with_it(ended: Ended) -> No
     assert ended.first["id"] in found["sentence"]
 
 
+def results_of(ended: Ended, campaign: dict[str, Any]) -> CampaignResults:
+    return CampaignResults.model_validate(ended.api.http.get(campaign["links"]["results"]).raise_for_status().json())
+
+
 def test_the_account_adds_up(ended: Ended) -> None:
-    response = ended.api.http.get(f"{ended.first['links']['self']}/accounting")
-    assert response.status_code == 200, response.text
-    found = Accounting.model_validate(response.json())
+    found = results_of(ended, ended.first).accounting
+    assert found is not None
     cells, analysis = ended.first["cells"], ended.first["sensitivity_cells"]
     assert (found.requested, found.simulated, found.audited) == (cells["requested"], cells["simulated"], cells["audited"])
     assert found.answered_without_simulation == cells["repeated"] + cells["reused"]
@@ -104,7 +106,8 @@ def test_the_account_adds_up(ended: Ended) -> None:
 
 
 def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) -> None:
-    found = Accounting.model_validate(ended.api.http.get(f"{ended.rerun['links']['self']}/accounting").json())
+    found = results_of(ended, ended.rerun).accounting
+    assert found is not None
     assert found.sensitivity.requested == 0
     assert found.net_seconds == found.saved_seconds > 0
     assert found.map is not None
@@ -116,32 +119,28 @@ def test_a_rerun_reports_what_it_saved_and_who_paid_for_the_map(ended: Ended) ->
 def test_the_campaign_shows_what_was_narrowed_and_what_contradicts(ended: Ended) -> None:
     assert {one["parameter"] for one in ended.first["narrowed"]} == {"P2", "P3", "P4"}
     assert {name: rate["contradictions"] for name, rate in ended.first["error_rate"].items()} == {"S1": 0, "S2": 0}
-    assert {"accounting"} <= set(ended.first["links"])
 
 
 def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_campaign(ended: Ended) -> None:
-    def light() -> TrustAnswer:
-        return TrustAnswer.model_validate(ended.api.http.get(ended.first["links"]["trust"]).json())
+    def light() -> dict[str, str]:
+        return {each.code: each.light for each in results_of(ended, ended.first).trust.verdicts if each.code.startswith("map")}
 
-    (about_the_map,) = (reason for reason in light().reasons if reason.about == "map")
-    assert about_the_map.light == "amber"
+    assert light() == {"map_unchecked": "amber"}
     map_id = ended.first["links"]["influence_map"].rpartition("/")[2]
     wanted = {"samples": 20, "references": 3, "largest": 20}
     spec = WITH_ANALYSIS | {"sensitivity": {"map": map_id}, "optimizer": None, "validation": wanted}
     study = _carry_out(ended.api, ended.api.http.post("/api/v1/campaigns", json=spec).json())
     assert study["state"] == "succeeded"
-    (validated,) = (reason for reason in light().reasons if reason.about == "map")
-    assert validated.light == "green"
-    assert TrustAnswer.model_validate(ended.api.http.get(study["links"]["trust"]).json()) == TrustAnswer(light=None, reasons=[])
+    assert light() == {"map_validated": "green"}
+    assert results_of(ended, study).trust == ResultTrust(light=None, verdicts=[])
 
 
 def test_the_light_judges_the_course_of_the_search_and_the_ends_of_the_ranges(ended: Ended) -> None:
-    reasons = ended.api.http.get(ended.first["links"]["trust"]).json()["reasons"]
-    about = {reason["light"]: reason["text"] for reason in reasons if reason["about"] == "search"}
+    verdicts = {each.code: each for each in results_of(ended, ended.first).trust.verdicts}
     rows = ended.api.http.get(f"{ended.first['links']['self']}/generations").json()["items"]
-    assert ("amber" in about) is (len({(row["best"], row["rating"]) for row in rows}) == 1)
+    assert ("stood_still" in verdicts) is (len({(row["best"], row["rating"]) for row in rows}) == 1)
     at_end = {name for name in ("P1", "P2", "P3", "P4") if ended.first["best"]["parameters"][name] in {0, 1}}
-    assert {name for name in ended.first["best"]["parameters"] if f"{name} (" in about.get("green", "")} == at_end
+    assert set(verdicts["at_ends"].numbers["values"] if "at_ends" in verdicts else ()) == at_end
 
 
 def test_before_a_campaign_the_share_from_which_the_map_pays_is_told(ended: Ended) -> None:
@@ -172,5 +171,5 @@ def test_a_single_evaluation_is_explained_by_its_own_id(ended: Ended) -> None:
     several = ended.api.http.get(f"{every['links']['self']}/explain")
     assert several.status_code == 409
     assert "6 cells" in several.json()["detail"]
-    account = ended.api.http.get(f"/api/v1/campaigns/{every['id']}/accounting")
+    account = ended.api.http.get(f"/api/v1/campaigns/{every['id']}/results")
     assert account.status_code == 409

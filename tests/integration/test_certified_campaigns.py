@@ -13,9 +13,7 @@ from tests.support.databases import migrated
 from tests.support.runs import SMALL, WITH_ANALYSIS, finish, get, influenced, nothing_matters, post_map, run, step_until, submit
 from tests.support.runs import dispatcher as dispatching
 
-from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
-from drivecal.api.routes.background import trust_in
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
@@ -252,12 +250,12 @@ def test_a_search_whose_certificates_another_campaign_contradicts_confirms_its_b
     best = ranking.best()
     assert best is not None
     assert best[0].reused == ()
-    assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
+    assert ended.confirmation is not None
+    assert ended.confirmation.state == "confirmed"
     assert added
     assert ranked == [campaign.sequence], "once, however many rounds confirm"
     assert {row.outcome for row in added} == {Outcome.SIMULATED}
     assert set(reasons) == {"confirmation"}
-    assert any((reason.about, reason.light) == ("certificates", "amber") for reason in trust_in(database, campaign.id).reasons)
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 

@@ -13,6 +13,7 @@ from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, post_map, rows_of, run, step_until, submit
 
+from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
@@ -89,16 +90,15 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
     assert campaign.best.objective < plain.best.objective
     cells = {name: spoiled(name, Cell(1, campaign.best.parameters)).score for name in campaign.best.scores}
     assert campaign.best.scores == cells
-    (note,) = campaign.notes
-    assert note.startswith(
-        f"confirmed by simulation: the best objective is {campaign.best.objective:.4f}, the search believed {plain.best.objective:.4f}; "
-    )
-    assert told(database, campaign, "note")[-1] == note
+    known = campaign.confirmation
+    assert known is not None
+    assert (known.state, known.objective, known.believed) == ("confirmed", campaign.best.objective, plain.best.objective)
+    assert told(database, campaign, "note")[-1] == confirmation_verdict(known).text
     with database.read() as connection:
         best = [one.data for one in events.since(connection, campaign.sequence, 0, 1_000) if one.kind == "best"]
     assert plain.best.objective in {one["objective"] for one in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
-    assert plain.notes == ()
+    assert (plain.notes, plain.confirmation) == ((), None)
 
 
 def test_what_confirms_is_counted_and_told_apart_from_the_search(

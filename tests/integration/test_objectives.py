@@ -9,7 +9,6 @@ import pytest
 from tests.support.computed import ComputedBackend, rating_of
 from tests.support.runs import dispatcher, everything, get, nothing_matters, post_map, run, submit
 
-from drivecal.analysis.confirmation import CONFIRMED, verdict_in
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
@@ -118,7 +117,8 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     spec: dict[str, Any] = {"objectives": SPLIT, "optimizer": NSGA2, "reduction": {"mode": "influence", "confirm": 500}}
     ended = run(database, submit(database, stored_map=stored_map, **spec), backend())
     assert ended.cells.reused > 0
-    assert (verdict_in(ended.notes) or "").startswith(CONFIRMED)
+    assert ended.confirmation is not None
+    assert ended.confirmation.state == "confirmed"
     front = ranking_of(database, ended).front()
     assert not any(member.solution.reused for member in front)
     answers = answers_of(database, ended, [member.solution for member in front])

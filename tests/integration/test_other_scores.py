@@ -159,6 +159,21 @@ def test_sets_that_keep_the_constraints_come_first_in_every_ranking(
     assert float(first["constraint_y"]) == pytest.approx(ranked[0]["constraints"]["y"])
 
 
+def test_the_light_of_a_set_is_its_own(asked: Asked, bounded: str) -> None:
+    def light(**place: int) -> dict[str, str]:
+        trust = asked.http.get(f"{bounded}/results", params=place).raise_for_status().json()["trust"]
+        return {each["code"]: each["light"] for each in trust["verdicts"]} | {"all": trust["light"]}
+
+    ranked = items(asked, f"{bounded}/solutions", limit=100)
+    best, worst = ({name: row[name] for name in ("iteration", "individual")} for row in (ranked[0], ranked[-1]))
+    assert light()["all"] == light(**best)["all"] != "red"
+    assert light(**worst)["constraints_broken"] == light(**worst)["all"] == "red"
+    half = asked.http.get(f"{bounded}/results", params={"iteration": 0})
+    assert half.status_code == 422
+    assert half.json()["errors"][0]["field"] == "individual"
+    assert asked.http.get(f"{bounded}/results", params={"iteration": 99, "individual": 0}).status_code == 404
+
+
 PUSHED_LATER = {"cost": {"formula": "abs(y - 3)", "direction": "minimise", "range": [0, 20], "failed": 30}}
 
 

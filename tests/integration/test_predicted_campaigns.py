@@ -19,7 +19,7 @@ from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influe
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.api.routes.campaigns import accounting
+from drivecal.api.results.document import account_of
 from drivecal.campaigns.cells.predicting import slice_size
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results import prediction
@@ -267,7 +267,8 @@ def test_the_account_has_the_cost_of_lots_before_their_generation_ends(database:
     costs: dict[str, float] = {}
     for lot in lots_of(database, campaign):
         costs[lot.scenario] = costs.get(lot.scenario, 0.0) + lot.seconds
-    account = accounting(campaign.id, database)
+    with database.read() as connection:
+        account = account_of(connection, campaign)
     told = {row.scenario: row.predictor_seconds for row in account.scenarios}
     assert {name: told[name] for name in costs} == pytest.approx(costs)
     assert {name: released.seconds for name, released in get(database, campaign).released.items()} != pytest.approx(costs)

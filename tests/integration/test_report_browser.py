@@ -8,13 +8,14 @@ import pytest
 from tests.support.browser import chromium, opened, printed
 from tests.unit.report.rows import findings
 
-from drivecal.report.writing import write_report
+from drivecal.report.data import Report
+from drivecal.report.writing import write
 
 
 @pytest.mark.slow
 def test_the_page_opens_without_network_and_without_a_complaint_and_can_be_printed(tmp_path: Path) -> None:
     chromium()
-    page = write_report(findings(), {}, tmp_path / "report")[-1]
+    page = write(Report(findings(), {}), tmp_path / "report")[-1]
     found = opened(page, tmp_path)
     assert found.console == []
     assert found.requests == []

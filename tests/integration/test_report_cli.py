@@ -42,12 +42,11 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
         f"figure-{n}.{form}" for n in names for form in ("svg", "png")
     }
     tables = {path.stem: list(csv.DictReader(path.open(newline=""))) for path in (folder / "tables").iterdir()}
-    assert {name: len(rows) for name, rows in tables.items() if name != "balance"} == {
+    assert {name: len(rows) for name, rows in tables.items()} == {
         "generations": 1,
         "solutions": 5,
         "optima": 1,
         "influence": 22,
-        "accounting": 3,
     }
     drawing = (folder / "figures" / "figure-9-influence.svg").read_text()
     assert drawing.count('.influential"') == sum(row["influential"] == "true" for row in tables["influence"]) > 0
@@ -77,9 +76,7 @@ def test_a_report_that_cannot_be_made_says_why(run: Run, api: RunningApi, ended:
     assert "report" in refused.stderr
     parameters = {f"P{number}": 1 for number in range(1, 12)}
     single = api.http.post("/api/v1/evaluations", json={"parameters": parameters}).raise_for_status().json()["id"]
-    refused = run("report", single, "-o", str(tmp_path / "report"))
-    assert refused.exit_code == 1
-    assert "single evaluation" in refused.stderr
+    assert run("report", single, "-o", str(tmp_path / "report")).exit_code == 1
     assert not (tmp_path / "report").exists()
 
 

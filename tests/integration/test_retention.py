@@ -15,14 +15,15 @@ from tests.support.runs import dispatcher, finish, get, nothing_matters, post_ma
 from typer.testing import CliRunner
 
 from drivecal.api.responses import campaign_answer
-from drivecal.api.routes.campaigns import accounting
+from drivecal.api.results.document import account_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.cli.main import app
+from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import ConflictError, InvalidInputError
-from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.campaigns import StoredCampaign, by_sequence
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 
@@ -123,6 +124,11 @@ def test_a_pruned_campaign_is_no_source_of_a_study(
     assert [(problem.field, "pruned" in problem.message) for problem in refused.value.problems] == [(f"{study}.of", True)]
 
 
+def accounting(database: Database, campaign: StoredCampaign) -> Accounting:
+    with database.read() as connection:
+        return account_of(connection, by_sequence(connection, campaign.sequence))
+
+
 def test_a_campaign_whose_influence_map_another_uses_stays_whole(database: Database, old: StoredCampaign) -> None:
     made = post_map(database, nothing_matters())
     with database.transaction() as connection:
@@ -130,22 +136,22 @@ def test_a_campaign_whose_influence_map_another_uses_stays_whole(database: Datab
     again = run(database, submit(database, **SMALL))
     set_column(database, again, "influence_map_id", made)
     assert [spared.id for spared in planned(database, 0).selection.spared] == [old.id]
-    assert accounting(again.id, database).map is not None
+    assert accounting(database, again).map is not None
     set_column(database, again, "ended_at", (now() - 2 * CUTOFF).strftime("%Y-%m-%d %H:%M:%S.%f"))
     plan = planned(database, 0)
     assert len(plan.selection.prunable) == 2
     carry_out(database, plan)
     later = run(database, submit(database, **SMALL))
     set_column(database, later, "influence_map_id", made)
-    assert accounting(later.id, database).map is None, "nothing says what it cost"
+    assert accounting(database, later).map is None, "nothing says what it cost"
 
 
 def test_the_account_of_a_pruned_campaign_is_marked_and_does_not_claim_to_be_whole(
     database: Database, old: StoredCampaign
 ) -> None:
-    assert not accounting(old.id, database).pruned
+    assert not accounting(database, old).pruned
     carry_out(database, planned(database, 1))
-    account, answer = accounting(old.id, database), campaign_answer(get(database, old), now(), silent=None)
+    account, answer = accounting(database, old), campaign_answer(get(database, old), now(), silent=None)
     assert account.pruned
     assert account.requested < answer.cells.requested
     assert "pruned" in account.sentence

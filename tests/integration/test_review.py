@@ -24,8 +24,7 @@ from drivecal.contracts.tables import RobustnessRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.scales import unit_text
-from drivecal.report.data import collect
-from drivecal.report.review.content import read_sheet
+from drivecal.report.sheet import read_sheet
 from drivecal.storage import campaigns, studies
 from drivecal.storage.engine import tables
 
@@ -65,7 +64,11 @@ def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
     assert answer.headers["content-type"] == "text/html; charset=utf-8"
     assert "default-src 'none'" in answer.headers["content-security-policy"]
     with Client(ended.api.url) as client:
-        front, campaign, trust = client.front(ended.several), client.campaign(ended.several), client.trust(ended.several)
+        front, campaign, trust = (
+            client.front(ended.several),
+            client.campaign(ended.several),
+            client.results(ended.several).trust,
+        )
         setup = client.setup(ended.several)
     assert campaign.baseline is not None
     chosen = front[0]
@@ -76,14 +79,18 @@ def test_a_sheet_holds_what_the_other_answers_say(ended: Ended) -> None:
     result = answer.text[answer.text.index("<h2>Result</h2>") :]
     for name, amount in chosen.objectives.items():
         assert f"{amount:.6g}" in row(result, name, 4)
-    about_the_set = {"baseline", "confirmation", "constraints"}
-    assert all(reason.text in answer.text for reason in trust.reasons if reason.about not in about_the_set)
+    about_the_campaign = {"seen", "noise", "lots", "without_result"}
+    assert all(each.text in answer.text for each in trust.verdicts if each.code in about_the_campaign)
     assert answer.text == ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review?front=1").text
 
 
 def test_each_set_of_a_sheet_is_compared_with_the_baseline_in_every_objective(ended: Ended) -> None:
     with Client(ended.api.url) as client:
-        rows, summary, trust = client.front(ended.several), client.front_summary(ended.several), client.trust(ended.several)
+        rows, summary, trust = (
+            client.front(ended.several),
+            client.front_summary(ended.several),
+            client.results(ended.several).trust,
+        )
         page = html.unescape(client.review(ended.several, front=1, against=str(len(rows))))
     assert summary.baseline is not None
     before = summary.baseline.objectives
@@ -103,9 +110,9 @@ def test_each_set_of_a_sheet_is_compared_with_the_baseline_in_every_objective(en
     pairs = list(zip(signs, before, strict=True))
     of_sets = [[sign * (each.objectives[name] - before[name]) for sign, name in pairs] for each in rows]
     beaten = [each for each in of_sets if min(each) > -EQUAL and max(each) > EQUAL]
-    [light] = [reason for reason in trust.reasons if reason.about == "baseline"]
-    assert light.light == ("green" if beaten else "amber")
-    assert light.text.startswith(f"{len(beaten)} of {len(rows)} sets" if beaten else "No set")
+    [verdict] = [each for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"}]
+    assert verdict.light == ("green" if beaten else "amber")
+    assert verdict.numbers.get("dominating", 0) == len(beaten)
 
 
 def test_two_sets_and_two_campaigns_are_compared(ended: Ended) -> None:
@@ -202,7 +209,7 @@ def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> No
     sheet = ended.api.http.get(f"/api/v1/campaigns/{ended.several}/review").text
     with Client(ended.api.url) as client:
         assert client.front(ended.several)[0].degree == 7
-        shown = collect(client, ended.several).robustness
+        shown = client.results(ended.several).of_stage("robustness")
     assert re.findall(r"degree of robustness</t[dh]><td[^>]*>([^<]+)<", sheet) == ["7"]
     assert [each.study.campaign for each in shown] == [made[CampaignState.SUCCEEDED]]
 

@@ -11,37 +11,11 @@
 3
 """
 
-from drivecal.analysis.comparison import Conditions, Course, effects, groups, pairs
-from drivecal.analysis.convergence import alternatives_at, best_at, converged_at
+from drivecal.analysis.convergence import best_at, converged_at
 from drivecal.analysis.optima import regions, to_nearest
-from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
-from drivecal.analysis.robustness_difference import StudyDifference, difference
 from drivecal.analysis.savings import account
-from drivecal.analysis.solutions import EvaluatedSet, Ranking
-from drivecal.analysis.validation import Coverage, ReducibleSpace, ValidationDesign, coverage, design
+from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.trust import Evidence
+from drivecal.analysis.verdicts import sentence
 
-__all__ = [
-    "Conditions",
-    "Course",
-    "Coverage",
-    "EvaluatedSet",
-    "Ranking",
-    "ReducibleSpace",
-    "Robustness",
-    "RobustnessSettings",
-    "RobustnessStudy",
-    "StudyDifference",
-    "ValidationDesign",
-    "account",
-    "alternatives_at",
-    "best_at",
-    "converged_at",
-    "coverage",
-    "design",
-    "difference",
-    "effects",
-    "groups",
-    "pairs",
-    "regions",
-    "to_nearest",
-]
+__all__ = ["Evidence", "Ranking", "account", "best_at", "converged_at", "regions", "sentence", "to_nearest"]

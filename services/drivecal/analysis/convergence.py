@@ -1,12 +1,23 @@
 """Iterations at which an optimization had its final result (Tables 5 and 7 of the paper)."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 from drivecal.analysis.goals import EQUAL
 
-Course = Sequence[tuple[float | None, float | None]]
-"""Objective and rating of the best set so far, by finished iteration."""
+
+@dataclass(frozen=True, slots=True)
+class CoursePoint:
+    """The best set after a finished iteration: its objective, None before the first, its rating, and the number of sets that share it."""
+
+    best: float | None
+    rating: float | None = None
+    alternatives: int = 0
+
+
+Course = Sequence[CoursePoint]
+"""Points by finished iteration."""
 UNCHANGED_BEST = 10
 """Table 5: iterations for which the best solution stays as it is."""
 UNCHANGED_ALTERNATIVES = 5
@@ -57,16 +68,16 @@ def improved_last(course: Course) -> bool:
     """Returns whether the last iteration improved the best objective."""
     if len(course) < 2:
         return False
-    (before, _), (last, _) = course[-2:]
+    before, last = course[-2].best, course[-1].best
     return before is not None and last is not None and abs(last - before) > EQUAL
 
 
 def stood_still(course: Course, best: float) -> bool:
     """Returns whether the best set of the first iteration is still the best, by objective and rating."""
-    (first, rating), (last, last_rating) = course[0], course[-1]
-    if first is None or last is None or (rating is None) is not (last_rating is None):
+    first, last = course[0], course[-1]
+    if first.best is None or last.best is None or (first.rating is None) is not (last.rating is None):
         return False
-    gains = (last - first, best - first, (last_rating or 0.0) - (rating or 0.0))
+    gains = (last.best - first.best, best - first.best, (last.rating or 0.0) - (first.rating or 0.0))
     return all(abs(gain) <= EQUAL for gain in gains)
 
 

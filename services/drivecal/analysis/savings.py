@@ -16,9 +16,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
-from drivecal.contracts.accounting import DEDUCTIONS, Accounting, BreakEven, MapCost, ScenarioAccount, SensitivityCost
+from drivecal.contracts.accounting import (
+    DEDUCTIONS,
+    Accounting,
+    BalanceItem,
+    BreakEven,
+    MapCost,
+    ScenarioAccount,
+    SensitivityCost,
+)
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
+from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
 SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED)
 """Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
@@ -46,27 +54,33 @@ def account(
     scenarios: Iterable[str],
     costs: Sequence[OutcomeCosts],
     origin: MapOrigin | None,
-    proofs: Iterable[AuditCount] = (),
     confirmed: Mapping[str, Mapping[Outcome, int]] | None = None,
     predictors: Mapping[str, float] | None = None,
     *,
     pruned: bool = False,
 ) -> Accounting:
-    """The account of a campaign from its `costs`; `scenarios` in the order in which they are to be listed; `proofs`: what certificates say
-    of reused cells; `confirmed`: how many cells were simulated after the search, by scenario and first answer; `predictors`: CPU time of
-    the predictor, by scenario; `pruned`: whether most of its cells are gone."""
+    """Returns the account of a campaign.
+
+    Args:
+        campaign: its id.
+        state: its state.
+        scenarios: in the order in which they are to be listed.
+        costs: of its cells.
+        origin: the influence map in use.
+        confirmed: number of cells that were simulated after the search, by scenario and first answer.
+        predictors: CPU time of the predictor, by scenario.
+        pruned: whether most of its cells are gone.
+    """
     cpu_seconds, wall_seconds = sum(cost.run_seconds for cost in costs), sum(cost.occupied_run_seconds for cost in costs)
     runs = sum(cost.runs for cost in costs)
     waits = wall_seconds > max(WAITING * cpu_seconds, cpu_seconds + LEAST_WAIT * runs)
     if waits:
         costs = _by_the_wall(costs)
         origin = None if origin is None else replace(origin, costs=_by_the_wall(origin.costs))
-    proved = {proof.scenario: proof for proof in proofs}
     rows = [
         _scenario(
             name,
             [cost for cost in costs if cost.stage is StageName.CALIBRATION and cost.scenario == name],
-            proved.get(name, _NOTHING),
             (confirmed or {}).get(name, {}),
             (predictors or {}).get(name, 0.0),
         )
@@ -105,7 +119,16 @@ def account(
         break_even=None if used is None else break_even(used.seconds, totals["reused_saved_seconds"], requested),
         sentence="",
     )
-    return accounting.model_copy(update={"sentence": _sentence(accounting)})
+    balance = [
+        *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items() if seconds),
+        *(
+            BalanceItem(name=name, label=DEDUCTIONS.get(name, name), seconds=-seconds)
+            for name, seconds in deductions.items()
+            if seconds
+        ),
+    ]
+    texts = {"sentence": _sentence(accounting), "balance": balance, "remarks": _remarks(accounting)}
+    return accounting.model_copy(update=texts)
 
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
@@ -119,7 +142,6 @@ def _saved(outcome: Outcome) -> str:
     return f"{outcome.value}_saved_seconds"
 
 
-_NOTHING = AuditCount("", 0, 0, 0)
 _SECONDS = ("simulated_seconds", "audited_seconds", "certifying_seconds", "predictor_seconds", *map(_saved, SAVING))
 
 
@@ -161,7 +183,6 @@ def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccoun
 def _scenario(
     name: str,
     costs: Sequence[OutcomeCosts],
-    proved: AuditCount,
     confirmed: Mapping[Outcome, int],
     predictor_seconds: float,
 ) -> ScenarioAccount:
@@ -185,9 +206,6 @@ def _scenario(
         **saved,
         certifying_seconds=sum(cost.certifying_seconds for cost in costs),
         predictor_seconds=predictor_seconds,
-        proved=proved.audited,
-        proved_different=proved.different,
-        proved_wrong=proved.wrong,
     )
 
 
@@ -212,6 +230,32 @@ def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
         runs=made.simulated,
         seconds=made.seconds,
     )
+
+
+def _remarks(accounting: Accounting) -> list[str]:
+    """Returns sentences about audits, confirmations, the map and its break-even."""
+    remarks = []
+    if accounting.audited:
+        price = f"{accounting.audited:,} copied answers in {accounting.audited_seconds:,.1f} s"
+        remarks.append(f"Audits simulated {price}; they are not counted as saved.")
+    confirmed = sum(row.confirmed for row in accounting.scenarios)
+    if confirmed:
+        remarks.append(
+            f"{confirmed:,} copied or predicted scores were simulated to confirm the best set; they are not counted as saved."
+        )
+    used, even = accounting.map, accounting.break_even
+    if used is not None and not used.paid_here:
+        cost = f" ({used.runs:,} runs, {used.seconds:,.1f} s)" if used.runs else ""
+        paid = "is expert knowledge" if used.made_by is None else f"was paid by campaign {used.made_by}"
+        remarks.append(f"The influence map {paid}{cost}.")
+    if even is not None and even.requested_cells is None:
+        remarks.append("Reuse saved nothing: at this rate the influence map never pays.")
+    elif even is not None:
+        campaigns = (
+            "" if even.campaigns is None else f", that is from {even.campaigns:,} such campaign{'s' * (even.campaigns != 1)} on"
+        )
+        remarks.append(f"The influence map pays from {even.requested_cells:,} requested cells on{campaigns}.")
+    return remarks
 
 
 def _sentence(accounting: Accounting) -> str:

@@ -1,25 +1,34 @@
-"""Trust in the result of a search: a light, and the reasons for it in words. Pure.
+"""Trust in the result of a search: a light, and the verdicts behind it. Pure.
 
-Red: there is no result, its scores are in doubt, or a limit of the reduction is broken. Amber: the best set has its scores, but the search
-may have missed better ones, or something was not examined. Green: nothing that is known speaks against it. There is no light before the
-end, unless it is red already, and none for a campaign without a search.
+Two questions have answers of their own: are the scores right, and is the search finished. Red: there is no result, its scores are in doubt,
+or a limit of the reduction is broken. Amber: the best set has its scores, but the search may have missed better ones, or something was
+not examined. Green: nothing that is known speaks against it. There is no light before the end, unless it is red already, and none for
+a campaign without a search.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import Any
+from typing import Any, Literal
 
-from drivecal.analysis.better_sets import SHORT, Earlier, Later, of_earlier, of_later, sign_of
-from drivecal.analysis.chosen import Chosen, at_ends, baseline_breaks_more, every_score_is_known, reasons_for
-from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, verdict_in
-from drivecal.analysis.convergence import Course, improved_last, stood_still
+from drivecal.analysis.convergence import (
+    UNCHANGED_ALTERNATIVES,
+    UNCHANGED_BEST,
+    Course,
+    alternatives_at,
+    best_at,
+    changes,
+    improved_last,
+    last_change,
+    stood_still,
+)
 from drivecal.analysis.goals import EQUAL
-from drivecal.bundles.scoring import REMEDY
+from drivecal.analysis.verdicts import SHORT, confirmation_verdict, verdict
+from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.results import Light, Reason, TrustAnswer
+from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
 from drivecal.contracts.specification import ReductionSpecification
-from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.campaigns import CampaignState
 
 FEW = 0.01
@@ -30,30 +39,79 @@ NEARLY = 80
 """Percentage of the sets on the grid from which on a search has seen nearly all of them."""
 LARGEST_COUNT = 10**9
 """Sets on a grid up to which their number is written out."""
+AT_END = 0.005
+"""Distance from an end of its range, as a share of it, up to which a value lies at the end."""
 _ORDER = ("red", "amber", "neutral", "green")
 _DEFAULT = ReductionSpecification()
 
 
 @dataclass(frozen=True, slots=True)
-class Validated:
-    """A validation of the campaign's influence map, or of its predictions, by the `campaign` with this id."""
+class BesideBaseline:
+    """The value of an objective beside the baseline's. `sign`: 1 if more is better, else -1; `tolerance`: differences that do not count."""
 
-    campaign: str
-    rows: Sequence[ValidationRow]
+    name: str
+    value: float
+    baseline: float
+    sign: int
+    unit: str = "1"
+    tolerance: float = 0.0
+
+    @property
+    def gain(self) -> float:
+        """Difference by which the value is better; below 0 if it is worse."""
+        return self.sign * (self.value - self.baseline)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether the difference does not count."""
+        return abs(self.gain) <= max(EQUAL, self.tolerance)
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
-    """A robustness study of the campaign's best sets, by the `campaign` with this id."""
+class Chosen:
+    """A set that was chosen. `compared`: the objectives that the baseline has as well; `copied`: scenarios whose score is a reference's;
+    violations in shares. `is_judged`: whether every objective and constraint has a value; `is_best`: whether the search ended with it."""
+
+    parameters: Mapping[str, float | str]
+    compared: Sequence[BesideBaseline] = ()
+    copied: Sequence[str] = ()
+    violation: float = 0.0
+    baseline_violation: float = 0.0
+    is_judged: bool = True
+    is_best: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """The first set of the ranking since other campaigns, by their ids, simulated cells that the search copied or predicted. `gain`:
+    difference by which it is better than the best set with which the search ended; below 0 if that proved to be worse."""
+
+    objective: float
+    gain: float
+    parameters: Mapping[str, float | str]
+    campaigns: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """The best set of the `campaign` that is rerun, by its id, under the `weights` of the rerun, which are not normalised.
+
+    `reused`: scenarios whose score is a reference's. `score`: the rerun's, as rankings name it, if the earlier campaign had another.
+    `is_pruned`: only the sets that a pruning kept are compared; `objective` is None if it kept none.
+    """
 
     campaign: str
-    rows: Sequence[RobustnessRow]
+    objective: float | None
+    weights: Mapping[str, float]
+    reused: Sequence[str] = ()
+    score: str | None = None
+    is_pruned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The course of an ended search. `course`: objective and rating of the best set so far, by finished iteration; empty with several
-    objectives, which have no single course. `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
+    """The course of an ended search. `course`: by finished iteration; empty with several objectives, which have no single course.
+    `ranges`: lower and upper value of the searched parameters with an order. `grid`: number of
     all sets of the space, 0 if it is no grid; `requested`: number of those that the search asked for, an upper limit unless `is_exact`."""
 
     course: Course
@@ -73,65 +131,71 @@ class Compromises:
     copied: int = 0
 
 
-def trust(
-    campaign: Campaign,
-    validated: Sequence[Validated] = (),
-    driven: Sequence[Driven] = (),
-    earlier: Earlier | None = None,
-    search: Search | None = None,
-    front: Compromises | None = None,
-    chosen: Chosen | None = None,
-    later: Later | None = None,
-    withdrawn: int = 0,
-) -> TrustAnswer:
-    """Returns the light of a campaign and its reasons, the gravest first. Studies: the newest first. `earlier`: of the campaign that it
-    reruns, if both have the same problem. `front`: of several objectives, in the place of a best set. With a `chosen` set, the reasons
-    about a set are about this one. `withdrawn`: answers of the search by certificates that a simulation contradicted later."""
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Facts about a campaign's result beside its own record. `studies`: the newest first. `earlier`: of the campaign that it reruns, if
+    both have the same problem. `front`: of several objectives, in the place of a best set. `chosen`: a set to judge instead."""
+
+    studies: Sequence[StudyResult] = ()
+    search: Search | None = None
+    front: Compromises | None = None
+    chosen: Chosen | None = None
+    earlier: Earlier | None = None
+    later: Later | None = None
+
+
+def sign_of(campaign: Campaign) -> int:
+    """Returns 1 if more of the first objective is better, else -1."""
+    if campaign.objective is None:
+        return campaign.scale.sign
+    return -1 if campaign.objective.direction == "minimise" else 1
+
+
+def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
+    """Returns the light of a campaign, or of a chosen set, and the verdicts behind it, the gravest first."""
     if campaign.kind != "calibration" or campaign.spec.get("optimizer", {}) is None:
-        return TrustAnswer(light=None, reasons=[])
-    reasons = [
+        return ResultTrust(light=None, verdicts=[])
+    known = known or Evidence()
+    verdicts = [
         *_end(campaign),
-        *_result(campaign, search, front, chosen),
-        *of_later(campaign, later, chosen),
-        *of_earlier(campaign, earlier),
-        *_map(campaign, _newest(validated, of_predictions=False)),
+        *_result(campaign, known),
+        *_later(campaign, known.later, known.chosen),
+        *_earlier(campaign, known.earlier),
+        *_map(campaign, _newest(known.studies, of_predictions=False)),
         *_references(campaign),
-        *_predictions(campaign, _newest(validated, of_predictions=True)),
-        *_certificates(withdrawn),
+        *_predictions(campaign, _newest(known.studies, of_predictions=True)),
         *_noise(campaign),
         *_failures(campaign),
         *_cut(campaign),
-        *_robustness(driven),
+        *_robustness(known.studies),
     ]
-    reasons.sort(key=lambda reason: _ORDER.index(reason.light))
-    lights = [reason.light for reason in reasons if reason.light != "neutral"]
-    ended, worst = CampaignState(campaign.state).ended, (lights or ["green"])[0] if reasons else None
-    return TrustAnswer(light=worst if ended or worst == "red" else None, reasons=reasons)
+    verdicts.sort(key=lambda each: _ORDER.index(each.light))
+    lights = [each.light for each in verdicts if each.light != "neutral"]
+    ended, worst = CampaignState(campaign.state).ended, (lights or ["green"])[0] if verdicts else None
+    return ResultTrust(light=worst if ended or worst == "red" else None, verdicts=verdicts)
 
 
-def _end(campaign: Campaign) -> Iterator[Reason]:
+def _end(campaign: Campaign) -> Iterator[ResultVerdict]:
     state = CampaignState(campaign.state)
     if state is CampaignState.FAILED:
-        yield Reason(light="red", about="end", text=f"The campaign failed: {campaign.error or 'no reason is stored'}")
+        yield verdict("failed", "red", error=campaign.error or "no reason is stored")
     elif state.ended and campaign.best is None:
-        yield Reason(light="red", about="end", text="No parameter set has a score in every scenario.")
+        yield verdict("no_result", "red")
     elif state is CampaignState.CANCELLED:
-        yield Reason(light="amber", about="end", text="The campaign was cancelled before its search was complete.")
+        yield verdict("cancelled", "amber")
 
 
-def _result(campaign: Campaign, search: Search | None, front: Compromises | None, chosen: Chosen | None) -> Iterator[Reason]:
-    """Yields the reasons about the chosen set, else about the front of several objectives, else about the best set."""
+def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
+    """Yields the verdicts on the chosen set, else on the front of several objectives, else on the best set."""
+    search, front, chosen = known.search, known.front, known.chosen
+    ranges = {} if search is None else search.ranges
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
-        if chosen.is_best and front is None:
-            verdict = list(_confirmation(campaign))
-            about_it = [
-                reason for reason in reasons_for(chosen, _ranges(search)) if not verdict or reason.about != "confirmation"
-            ]
-            yield from (*verdict, *about_it)
-        else:
-            yield from reasons_for(chosen, _ranges(search))
+        own = campaign.confirmation is None or not chosen.is_best or front is not None
+        yield from _chosen(chosen, ranges, with_origin=own)
+        if not own:
+            yield from _confirmation(campaign)
         yield from _course(campaign, search)
     elif front is not None:
         yield from (*_constraints(campaign), *_front(campaign, front))
@@ -139,96 +203,142 @@ def _result(campaign: Campaign, search: Search | None, front: Compromises | None
     else:
         yield from (*_constraints(campaign), *_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
         if campaign.best is not None:
-            yield from at_ends("the best set", campaign.best.parameters, _ranges(search))
+            yield from _at_ends("the best set", campaign.best.parameters, ranges)
 
 
-def _ranges(search: Search | None) -> Mapping[str, tuple[float, float]]:
-    return {} if search is None else search.ranges
+def _chosen(chosen: Chosen, ranges: Mapping[str, tuple[float, float]], *, with_origin: bool) -> Iterator[ResultVerdict]:
+    """Yields constraints, origin of the scores, baseline, and values at an end of their range."""
+    if not chosen.is_judged:
+        yield verdict("not_judged", "red")
+        return
+    if chosen.violation > 0:
+        yield verdict("constraints_broken", "red", share=chosen.violation)
+    if with_origin:
+        copied = list(chosen.copied)
+        yield (
+            verdict("scores_copied", "amber", scenarios=copied)
+            if copied
+            else verdict("scores_simulated", "green", subject="the chosen set")
+        )
+    if chosen.violation < chosen.baseline_violation:
+        yield verdict("baseline_breaks_more", "green", subject="the chosen set")
+    elif chosen.compared:
+        counted = [each.gain for each in chosen.compared if not each.is_alike]
+        light: Light | Literal["neutral"] = "amber"
+        if counted:
+            light = "green" if min(counted) > 0 else "amber"
+        elif max(each.gain for each in chosen.compared) > EQUAL:
+            light = "neutral"
+        fields = ("name", "value", "baseline", "unit", "gain", "tolerance")
+        objectives = [{name: getattr(each, name) for name in fields} for each in chosen.compared]
+        yield verdict("beside_baseline", light, objectives=objectives)
+    yield from _at_ends("the chosen set", chosen.parameters, ranges)
 
 
-def _front(campaign: Campaign, front: Compromises) -> Iterator[Reason]:
+def _at_ends(
+    subject: str, values: Mapping[str, float | str], ranges: Mapping[str, tuple[float, float]]
+) -> Iterator[ResultVerdict]:
+    at_end = {
+        name: value
+        for name, ends in ranges.items()
+        if isinstance(value := values.get(name), float | int)
+        and min(abs(value - end) for end in ends) <= AT_END * (ends[1] - ends[0])
+    }
+    if at_end:
+        yield verdict("at_ends", "green", subject=subject, values=at_end)
+
+
+def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
     if campaign.best is None or not front.size:
         return
-    verdict = verdict_in(campaign.notes)
-    if verdict is not None:
-        yield from _confirmation(campaign)
+    if campaign.confirmation is not None:
+        yield confirmation_verdict(campaign.confirmation)
     elif front.copied:
-        text = f"{front.copied:,} of {front.size:,} sets of the front have a reference's score."
-        yield Reason(light="amber", about="confirmation", text=text)
+        yield verdict("front_copied", "amber", copied=front.copied, size=front.size)
     else:
-        yield every_score_is_known("the sets of the front")
+        yield verdict("scores_simulated", "green", subject="the sets of the front")
     if campaign.baseline is not None and campaign.best.violation < campaign.baseline.violation:
-        yield baseline_breaks_more("the sets of the front")
+        yield verdict("baseline_breaks_more", "green", subject="the sets of the front")
     elif front.dominating:
-        text = f"{front.dominating:,} of {front.size:,} sets of the front are better than the baseline in an objective and worse in none."
-        yield Reason(light="green", about="baseline", text=text)
+        yield verdict("front_beats_baseline", "green", dominating=front.dominating, size=front.size)
     elif front.dominating is not None:
-        text = "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal."
-        yield Reason(light="amber", about="baseline", text=text)
+        yield verdict("front_not_better", "amber")
 
 
-def _constraints(campaign: Campaign) -> Iterator[Reason]:
+def _constraints(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.best is not None and campaign.best.violation > 0:
-        text = f"No set keeps all constraints; the best set breaks them by {campaign.best.violation:.1%}."
-        yield Reason(light="red", about="constraints", text=text)
+        yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation)
 
 
-def _confirmation(campaign: Campaign) -> Iterator[Reason]:
+def _confirmation(campaign: Campaign) -> Iterator[ResultVerdict]:
+    state = CampaignState(campaign.state)
     if campaign.best is None:
         return
-    verdict = verdict_in(campaign.notes)
-    if verdict is not None:
-        light: Light = "green" if verdict.startswith(CONFIRMED) else "amber" if verdict.startswith(UNTRIED) else "red"
-        yield Reason(light=light, about="confirmation", text=f"{verdict[0].upper()}{verdict[1:]}.")
+    if campaign.confirmation is not None:
+        yield confirmation_verdict(campaign.confirmation)
     elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
-        text = "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a reference's."
-        yield Reason(light="amber", about="confirmation", text=text)
-    elif CampaignState(campaign.state) is CampaignState.SUCCEEDED or (
-        not campaign.cells.reused and CampaignState(campaign.state).ended
-    ):
-        yield every_score_is_known("the best set")
+        yield verdict("never_confirmed", "amber")
+    elif state is CampaignState.SUCCEEDED or (not campaign.cells.reused and state.ended):
+        yield verdict("scores_simulated", "green", subject="the best set")
 
 
-def _baseline(campaign: Campaign) -> Iterator[Reason]:
+def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.best is None or campaign.baseline is None or campaign.baseline.objective is None:
         return
     gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     if campaign.best.violation < campaign.baseline.violation:
-        yield baseline_breaks_more("the best set")
-    elif gain > EQUAL:
-        within = campaign.objective is None and gain <= campaign.scale.tolerance
-        tolerated = f", within the tolerance of {campaign.scale.amount(campaign.scale.tolerance)}" if within else ""
-        text = f"The best set is better than the baseline, by {gain:.4g}{tolerated}."
-        yield Reason(light="neutral" if within else "green", about="baseline", text=text)
+        yield verdict("baseline_breaks_more", "green", subject="the best set")
+    elif gain <= EQUAL:
+        yield verdict("not_better", "amber")
+    elif campaign.objective is None and gain <= campaign.scale.tolerance:
+        tolerance = campaign.scale.amount(campaign.scale.tolerance)
+        yield verdict("alike_baseline", "neutral", gain=gain, tolerance=tolerance)
     else:
-        yield Reason(light="amber", about="baseline", text="No set is better than the baseline.")
+        yield verdict("better_than_baseline", "green", gain=gain)
 
 
-def _course(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
-    if search is None or campaign.best is None or CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
+def _course(campaign: Campaign, search: Search | None) -> Iterator[ResultVerdict]:
+    if search is None or campaign.best is None:
         return
     yield from _seen(campaign, search)
+    yield from _convergence(search.course)
+    if CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
+        return
     if improved_last(search.course):
-        text = f"The best set was improved in the last of {len(search.course)} iterations: more may improve it further."
-        yield Reason(light="green", about="search", text=text)
+        yield verdict("still_rising", "green", iterations=len(search.course))
     if 100 * search.requested >= NEARLY * search.grid > 0:  # whole numbers: a grid may have more sets than a float can hold
         return
     if len(search.course) >= LONG and stood_still(search.course, campaign.best.objective) and not _is_the_highest(campaign):
-        text = (
-            f"No iteration after the first found a better set ({len(search.course) - 1} tried). More iterations, wider ranges or another "
-            "optimizer may find one."
-        )
-        yield Reason(light="amber", about="search", text=text)
+        yield verdict("stood_still", "amber", tried=len(search.course) - 1)
 
 
-def _seen(campaign: Campaign, search: Search | None) -> Iterator[Reason]:
+def _convergence(course: Course) -> Iterator[ResultVerdict]:
+    """Yields a verdict for each criterion of Tables 5 and 7 of the paper."""
+    best, alternatives = [each.best for each in course], [each.alternatives for each in course]
+    if not best or best[-1] is None:
+        return
+    criteria = (
+        ("best objective", best, best_at(best), UNCHANGED_BEST),
+        (
+            "number of alternative optima",
+            changes(best, alternatives),
+            alternatives_at(best, alternatives),
+            UNCHANGED_ALTERNATIVES + 1,
+        ),
+    )
+    for of, values, converged, unchanged in criteria:
+        code = "not_converged" if converged is None else "converged"
+        iteration = last_change(values) if converged is None else converged
+        yield verdict(code, "neutral", of=of, iteration=iteration, iterations=len(course), unchanged=unchanged)
+
+
+def _seen(campaign: Campaign, search: Search | None) -> Iterator[ResultVerdict]:
     """Yields the share of the space that the search saw."""
     if search is None or not search.grid or campaign.best is None:
         return
     grid = f"{search.grid:,}" if search.grid < LARGEST_COUNT else f"about {Decimal(search.grid):.0e}".replace("e+", " · 10^")
     asked = f"{'' if search.is_exact else 'at most '}{search.requested:,}"
-    text = f"The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside."
-    yield Reason(light="green", about="search", text=text)
+    yield verdict("seen", "green", asked=asked, grid=grid)
 
 
 def _is_the_highest(campaign: Campaign) -> bool:
@@ -239,7 +349,38 @@ def _is_the_highest(campaign: Campaign) -> bool:
     return not scale.is_better(scale.upper if scale.sign > 0 else scale.lower, campaign.best.objective)
 
 
-def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:
+def _later(campaign: Campaign, later: Later | None, chosen: Chosen | None) -> Iterator[ResultVerdict]:
+    """Yields the verdict that later simulations changed which set is best."""
+    if later is None or campaign.best is None or abs(later.gain) <= EQUAL:
+        return
+    code = "later_worse" if later.gain < 0 else "later_better"
+    if later.gain > 0 and chosen is not None and chosen.parameters == later.parameters:
+        code = "later_chosen"
+    best = campaign.best.objective
+    yield verdict(code, "amber", by=list(later.campaigns), objective=later.objective, best=best, campaign=campaign.id)
+
+
+def _earlier(campaign: Campaign, earlier: Earlier | None) -> Iterator[ResultVerdict]:
+    """Yields the verdict that the campaign which is rerun holds a better set, or may have held it before it was pruned."""
+    if earlier is None or campaign.best is None or not CampaignState(campaign.state).ended:
+        return
+    best = campaign.best.objective
+    if earlier.objective is None or (earlier.objective - best) * sign_of(campaign) <= EQUAL:
+        if earlier.is_pruned:
+            yield verdict("earlier_pruned", "amber", earlier=earlier.campaign)
+        return
+    numbers: dict[str, Any] = {"earlier": earlier.campaign, "objective": earlier.objective, "best": best}
+    numbers |= {"reused": list(earlier.reused), "campaign": campaign.id}
+    if campaign.objective is not None:
+        yield verdict("earlier_front", "amber", name=campaign.objective.name, **numbers)
+        return
+    weights = ",".join(f"{name}={value_text(weight, None)}" for name, weight in earlier.weights.items())
+    score = "" if earlier.score is None else f" --score {earlier.score}"
+    command = f"drivecal solutions {earlier.campaign[:SHORT]} --weights {weights}{score}"
+    yield verdict("earlier_better", "amber", command=command, **numbers)
+
+
+def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
     uses_map = _setting(campaign, "mode") in {"influence", "both"} or campaign.narrowed is not None
     compared = [(study, row) for study, row in rows if row.compared and row.error_rate is not None] if uses_map else []
     inspected = _is_inspected(campaign)
@@ -249,146 +390,102 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         if inspected
         else "Nothing inspected them."
     )
-    wrong_in: dict[tuple[Light, str], dict[str, str]] = {}
+    wrong_in: dict[tuple[Light, str], dict[str, float]] = {}
     for study, row in compared:
         rate, lower = row.error_rate or 0.0, row.lower_95 or 0.0
         if rate > limit:
             light: Light = "red" if lower > limit and not inspected else "amber"
-            wrong_in.setdefault((light, study), {})[row.scenario] = f"{rate:.1%}"
+            wrong_in.setdefault((light, study), {})[row.scenario] = rate
     for (light, study), rates in wrong_in.items():
-        text = f"The influence map is wrong for {_listed(rates)} of the compared variants (validation {study[:SHORT]}). {then}"
-        yield Reason(light=light, about="map", scenario=_only(rates), text=text)
-    if compared and all((row.error_rate or 0.0) <= limit for _, row in compared):
+        yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
+    if compared and not wrong_in:
         worst, variants = max(row.error_rate or 0.0 for _, row in compared), sum(row.compared for _, row in compared)
-        wrong = f"at most {worst:.1%} of the variants in a scenario are" if worst else f"none of {variants:,} variants is"
-        yield Reason(light="green", about="map", text=f"The influence map was validated: {wrong} wrong.")
+        yield verdict("map_validated", "green", worst=worst, variants=variants)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
-        text = "The influence map answered cells without lots (max_error is 1), and was not validated."
-        yield Reason(light="amber", about="map", text=text)
+        yield verdict("map_unchecked", "amber")
 
 
-def _references(campaign: Campaign) -> Iterator[Reason]:
-    """Audits and lots of answers by references."""
-    inspected = _is_inspected(campaign)
+def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
+    """Yields verdicts on audits and lots of answers by references."""
     for scenario, rate in campaign.error_rate.items():
-        share = rate.wrong / rate.audited if rate.audited else 0.0
-        seen = f"{rate.wrong:,} of {rate.audited:,} audited answers in {scenario} were wrong"
-        if rate.stopped:
-            yield Reason(light="amber", about="references", scenario=scenario, text=f"Reuse was stopped: {seen}.")
-        elif not inspected and rate.wrong:
-            light: Light = "red" if share > _DEFAULT.max_error else "amber"
-            yield Reason(light=light, about="references", scenario=scenario, text=f"{seen}, and no lots were inspected.")
-    differing = {name: f"{rate.contradictions:,}" for name, rate in campaign.error_rate.items() if rate.contradictions}
+        if rate.wrong and not _is_inspected(campaign):
+            light: Light = "red" if rate.wrong / rate.audited > _DEFAULT.max_error else "amber"
+            yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited)
+    differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
-        text = f"Groups of sets that the influence map calls equal, with different simulated scores: {_listed(differing)}."
-        yield Reason(light="amber", about="references", scenario=_only(differing), text=text)
-    yield from _lots("references", "reused answers", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
+        yield verdict("contradictions", "amber", _only(differing), groups=differing)
+    yield from _lots("reused", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
 
 
-def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[Reason]:
-    yield from _lots("predictions", "predicted answers", [(each.lots, each.rejected) for each in campaign.released.values()])
+def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
+    yield from _lots("predicted", [(each.lots, each.rejected) for each in campaign.released.values()])
     for study, row in rows:
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
         share, lower = (row.beyond or 0) / row.bases, row.beyond_lower_95 or 0.0
         allowed = row.limit * row.inspected / row.released
         light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
-        text = (
-            f"{share:.1%} of the simulated predictions in {row.scenario} are wrong (validation {study[:SHORT]}); up to {allowed:.1%} of "
-            f"the {row.released:,} released ones may be: {row.limit:.1%} of the {row.inspected:,} in lots."
-        )
-        yield Reason(light=light, about="predictions", scenario=row.scenario, text=text)
+        numbers = {"released": row.released, "limit": row.limit, "inspected": row.inspected}
+        yield verdict("predictions_validated", light, row.scenario, share=share, study=study, allowed=allowed, **numbers)
 
 
-def _certificates(withdrawn: int) -> Iterator[Reason]:
-    if withdrawn:
-        answers = "1 answer of the search rests" if withdrawn == 1 else f"{withdrawn:,} answers of the search rest"
-        text = f"{answers} on certificates of setups in which a simulation contradicted a certificate: they were withdrawn."
-        yield Reason(light="amber", about="certificates", text=text)
-
-
-def _listed(figures: Mapping[str, str]) -> str:
-    """Returns figures with their scenarios: `3.3% in S1 and 7.5% in S2`."""
-    *first, last = (f"{figure} in {scenario}" for scenario, figure in figures.items())
-    return f"{', '.join(first)} and {last}" if first else last
-
-
-def _only(figures: Mapping[str, str]) -> str | None:
+def _only(figures: Mapping[str, object]) -> str | None:
     return next(iter(figures)) if len(figures) == 1 else None
 
 
-def _lots(about: str, what: str, counts: Iterable[tuple[int, int]]) -> Iterator[Reason]:
+def _lots(kind: str, counts: Iterable[tuple[int, int]]) -> Iterator[ResultVerdict]:
     lots, rejected = (sum(column) for column in zip(*counts, strict=True)) if (counts := list(counts)) else (0, 0)
     if lots:
-        them = (
-            "lot had too many errors, and all its cells were"
-            if rejected == 1
-            else "lots had too many errors, and all their cells were"
-        )
-        then = f"{rejected:,} {them} simulated" if rejected else "all passed"
-        yield Reason(light="green", about=about, text=f"A sample of each of {lots:,} lots of {what} was simulated: {then}.")
+        yield verdict("lots", "green", kind=kind, lots=lots, rejected=rejected)
 
 
-def _noise(campaign: Campaign) -> Iterator[Reason]:
+def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
     unrepeatable = sum(cells.unrepeatable for cells in campaign.stages.values())
     if unrepeatable:
-        text = f"{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise."
-        yield Reason(light="amber", about="noise", text=text)
+        yield verdict("noise", "amber", unrepeatable=unrepeatable)
 
 
-def _failures(campaign: Campaign) -> Iterator[Reason]:
+def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
     cells = campaign.cells
-    for count, what in ((cells.failed, "have no result"), (cells.unscored, "have no score, because its formula has no value")):
+    for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)
             light: Light = "amber" if share > FEW else "green"
-            text = f"{count:,} of {cells.requested:,} requested cells {what} ({share:.1%})."
-            yield Reason(light=light, about="failures", text=text)
+            yield verdict(code, light, count=count, requested=cells.requested, share=share)
 
 
-def _cut(campaign: Campaign) -> Iterator[Reason]:
-    """Scores that were cut off at the worth of a failed run."""
+def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:
+    """Yields the verdict on scores that were cut off at the worth of a failed run."""
     cut, requested = (sum(getattr(cells, name) for cells in campaign.stages.values()) for name in ("cut", "requested"))
     if not cut:
         return
     best, failed = {} if campaign.best is None else campaign.best.scores, campaign.scale.failed
     share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
-    light: Light = "amber" if at_end or share > FEW else "green"
-    where = f", as the best set does in {', '.join(at_end)}" if at_end else ""
-    scores, are, count = ("score", "is", "counts") if cut == 1 else ("scores", "are", "count")
-    text = f"{cut:,} {scores} ({share:.1%} of the cells) {are} worse than {failed:g} and {count} as it{where}: {REMEDY}."
-    yield Reason(light=light, about="cut", text=text)
+    yield verdict("cut", "amber" if at_end or share > FEW else "green", count=cut, share=share, failed=failed, best=at_end)
 
 
-def _robustness(driven: Sequence[Driven]) -> Iterator[Reason]:
-    recommended = next((row for study in driven for row in study.rows if row.recommended), None)
-    if recommended is None:
-        return
-    more = "at least " if recommended.at_least else ""
-    kept = f"the vehicles of the study that differ by up to {more}{recommended.radius:.1%} of the ranges"
-    if recommended.degree:
-        text = f"The recommended set keeps its scores, within the study's limit, in {kept}."
-        yield Reason(light="green", about="robustness", text=text)
-    else:
-        so_far = f" (it holds in {kept})" if recommended.radius else ""
-        text = f"The recommended set breaks the study's limit in its first box of vehicles{so_far}."
-        yield Reason(light="amber", about="robustness", text=text)
+def _robustness(studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
+    driven = (study for study in studies if study.study.in_own_vehicle)
+    recommended = next((row for study in driven for row in study.robustness if row.recommended), None)
+    if recommended is not None:
+        code, light = ("robust", "green") if recommended.degree else ("not_robust", "amber")
+        least = "at least " if recommended.at_least else ""
+        yield verdict(code, light, least=least, radius=recommended.radius)  # type: ignore[arg-type]  # a literal
 
 
-def _newest(validated: Iterable[Validated], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:
+def _newest(studies: Iterable[StudyResult], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:
     """Returns the newest row of each scenario, with its campaign."""
     rows: dict[str, tuple[str, ValidationRow]] = {}
-    for study in validated:
-        for row in study.rows:
+    for study in studies:
+        for row in study.validation:
             if (row.released is not None) is of_predictions:
-                rows.setdefault(row.scenario, (study.campaign, row))
+                rows.setdefault(row.scenario, (study.study.campaign, row))
     return list(rows.values())
 
 
 def _is_inspected(campaign: Campaign) -> bool:
-    """Returns whether answers by references are inspected in lots; earlier releases had a limit without lots."""
-    lots = sum(rate.lots for rate in campaign.error_rate.values())
-    return bool(_setting(campaign, "max_error") < 1) and (lots > 0 or not campaign.cells.reused)
+    """Returns whether answers by references are inspected in lots."""
+    return bool(_setting(campaign, "max_error") < 1)
 
 
 def _setting(campaign: Campaign, name: str) -> Any:

@@ -15,10 +15,8 @@ from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT, ResponseCache
-from drivecal.api.review import report
-from drivecal.api.review import route as review
+from drivecal.api.results import routes as results
 from drivecal.api.routes import (
-    background,
     campaigns,
     comparisons,
     evaluations,
@@ -82,9 +80,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         comparisons,
         events,
         tables,
-        review,
-        report,
-        background,
+        results,
         evaluations,
         influence_maps,
         user_problems,

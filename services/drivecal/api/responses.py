@@ -24,7 +24,7 @@ from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
 ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
 """`Retry-After` of what is still running."""
-TABLES = (*get_args(CampaignTable), "accounting", "setup", "studies", "failures", "trust", "review", "calibration-file")
+TABLES = (*get_args(CampaignTable), "results", "setup", "studies", "review", "calibration-file")
 """Links of a campaign besides `events`."""
 _FIELDS = tuple(EvaluationRow.model_fields)
 _column = lru_cache(maxsize=4096)(parameter_column)

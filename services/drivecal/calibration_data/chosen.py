@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.results import FrontSummary, TrustAnswer
-from drivecal.contracts.setup import CampaignSetup, SearchedParameter
-from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+from drivecal.contracts.results import CampaignResults, FrontSummary, ResultTrust
+from drivecal.contracts.setup import SearchedParameter
+from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.scales import unit_text
 
 
@@ -42,16 +42,24 @@ def characteristics_of(
 
 
 def quality_of(
-    campaign: Campaign,
-    setup: CampaignSetup,
+    known: CampaignResults,
     chosen: Solution | FrontRow,
-    deserved: TrustAnswer | None,
     figures: Iterable[tuple[str, str]],
+    *,
+    judged: bool,
 ) -> Quality:
     """Returns the quality data of a chosen set. It is preliminary while a score is a reference's, the campaign has not succeeded or did not
-    evaluate the set, the set breaks constraints, or its light is red. `deserved`: trust in the set, if it has a light."""
+    evaluate the set, the set breaks constraints, or its light is red.
+
+    Args:
+        known: the results of the campaign, with the verdicts on the set.
+        chosen: the set.
+        figures: what is known of it.
+        judged: whether the verdicts are about the set.
+    """
+    campaign, setup = known.campaign, known.setup
     own = not chosen.reused and not chosen.violation and chosen.iteration is not None
-    sure = campaign.state == "succeeded" and own and (deserved is None or deserved.light != "red")
+    sure = campaign.state == "succeeded" and own and not (judged and known.trust.light == "red")
     time = campaign.ended_at or campaign.created_at
     problem = str(campaign.spec.get("problem", "highway"))
     simulators = sorted({scenario.simulator for scenario in setup.scenarios if scenario.simulator})
@@ -63,25 +71,20 @@ def quality_of(
         test_object=", ".join(simulators) or str(campaign.spec.get("driving_function", problem)),
         campaign=campaign.id,
         data=next((scenario.files for scenario in setup.scenarios if scenario.files), ""),
-        figures=(*figures, *(() if deserved is None else _trust(deserved))),
+        figures=(*figures, *(_trust(known.trust) if judged else ())),
     )
 
 
-def _trust(deserved: TrustAnswer) -> Iterator[tuple[str, str]]:
+def _trust(deserved: ResultTrust) -> Iterator[tuple[str, str]]:
     if deserved.light is not None:
         yield "light of the set", deserved.light
-        worst = (reason.text for reason in deserved.reasons if reason.light == deserved.light != "green")
+        worst = (each.text for each in deserved.verdicts if each.light == deserved.light != "green")
         yield from ((f"reason {number}", text) for number, text in enumerate(worst, 1))
 
 
-def solution_figures(
-    campaign: Campaign,
-    setup: CampaignSetup,
-    chosen: Solution,
-    robustness: Sequence[RobustnessRow],
-    ranked_by: RankedBy | None,
-) -> Iterator[tuple[str, str]]:
+def solution_figures(known: CampaignResults, chosen: Solution, ranked_by: RankedBy | None) -> Iterator[tuple[str, str]]:
     """Yields what is known of a set of the solutions. Under another score, the bounds of the campaign's own score are left out."""
+    campaign, setup = known.campaign, known.setup
     own = campaign.baseline.objective if campaign.baseline is not None else None
     baseline = own if ranked_by is None else ranked_by.baseline
     yield "objective", _number(chosen.objective)
@@ -100,15 +103,11 @@ def solution_figures(
     yield from _constraints(chosen, setup.constraints)
     yield from _scores(chosen)
     if score is None:
-        yield from _bounds(campaign, chosen, robustness)
+        yield from _bounds(known, chosen)
 
 
 def front_figures(
-    campaign: Campaign,
-    chosen: FrontRow,
-    summary: FrontSummary,
-    robustness: Sequence[RobustnessRow],
-    weights: Mapping[str, float] | None,
+    known: CampaignResults, chosen: FrontRow, summary: FrontSummary, weights: Mapping[str, float] | None
 ) -> Iterator[tuple[str, str]]:
     """Yields what is known of a set of the front. `weights`: those of the objectives that rank, None if the first objective does."""
     for name, amount in chosen.objectives.items():
@@ -126,10 +125,10 @@ def front_figures(
     if chosen.iteration is None:
         yield "origin", "evaluated by other campaigns only"
     yield from _constraints(chosen, summary.constraints)
-    yield "score", _scale(campaign)
+    yield "score", _scale(known.campaign)
     yield from _scores(chosen)
     yield from ((f"value {name}", _number(value)) for name, value in chosen.values.items())
-    yield from _bounds(campaign, chosen, robustness)
+    yield from _bounds(known, chosen)
 
 
 def _scale(campaign: Campaign) -> str:
@@ -154,8 +153,10 @@ def _scores(chosen: Solution | FrontRow) -> Iterator[tuple[str, str]]:
         yield f"score {scenario}", f"{_number(score)}{taken}"
 
 
-def _bounds(campaign: Campaign, chosen: Solution | FrontRow, robustness: Sequence[RobustnessRow]) -> Iterator[tuple[str, str]]:
-    row = next((row for row in robustness if row.parameters == chosen.parameters), None)
+def _bounds(known: CampaignResults, chosen: Solution | FrontRow) -> Iterator[tuple[str, str]]:
+    campaign = known.campaign
+    own = [row for each in known.of_stage("robustness") if each.study.in_own_vehicle for row in each.robustness]
+    row = next((row for row in own if row.parameters == chosen.parameters), None)
     if row is not None:
         yield "degree of robustness", f"{'at least ' if row.at_least else ''}{row.degree}"
     for scenario, released in campaign.released.items():

@@ -17,10 +17,9 @@ from drivecal.client.frames import DownloadedTable, RankedSets, Rows
 from drivecal.client.problems import Pushed, archive_of, push_headers
 from drivecal.client.transport import Answer, Transport, harmless, named, path_of, raise_for, unreachable
 from drivecal.configuration.settings import load_settings
-from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns, StudyPage
 from drivecal.contracts.comparison import Comparison, ExpectedComparison
-from drivecal.contracts.evaluation import CellAnswer, Evaluation, FailurePage, SeriesAnswer, TraceAnswer
+from drivecal.contracts.evaluation import CellAnswer, Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.events import PROGRESS, CampaignEvent, CampaignProgress
 from drivecal.contracts.explanation import Explanation
 from drivecal.contracts.inventory import (
@@ -32,7 +31,7 @@ from drivecal.contracts.inventory import (
     WorkerPage,
 )
 from drivecal.contracts.organising import Archived, Deletion, SavedView, SavedViewList
-from drivecal.contracts.results import FrontSummary, TradeOff, TrustAnswer
+from drivecal.contracts.results import CampaignResults, FrontSummary, TradeOff
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import (
     FrontRow,
@@ -278,10 +277,6 @@ class Client(Transport):
         """Returns a campaign's setup: parameters, versions, fingerprints."""
         return self._get(CampaignSetup, "campaigns", identifier, "setup")
 
-    def failures(self, identifier: str) -> FailurePage:
-        """Returns the causes of a campaign's failed cells, frequent ones first."""
-        return self._get(FailurePage, "campaigns", identifier, "failures")
-
     def studies(self, identifier: str) -> StudyPage:
         """Returns the robustness and validation studies of a campaign's best sets and map, made by any campaign."""
         return self._get(StudyPage, "campaigns", identifier, "studies")
@@ -300,14 +295,11 @@ class Client(Transport):
         except ValidationError as error:
             raise self._strange() from error
 
-    def accounting(self, identifier: str) -> Accounting:
-        """Returns the savings and costs of a campaign."""
-        return self._get(Accounting, "campaigns", identifier, "accounting")
-
-    def trust(self, identifier: str, place: tuple[int, int] | None = None) -> TrustAnswer:
-        """Returns the light of a campaign's result, or of the set at a `place`, its iteration and individual, and the reasons for it."""
+    def results(self, identifier: str, place: tuple[int, int] | None = None) -> CampaignResults:
+        """Returns the results of a campaign: what was asked for, what is best, verdicts on it, and what it cost. The verdicts are about the
+        best set, or about the set at a `place`, its iteration and individual."""
         iteration, individual = (None, None) if place is None else place
-        return self._get(TrustAnswer, "campaigns", identifier, "trust", iteration=iteration, individual=individual)
+        return self._get(CampaignResults, "campaigns", identifier, "results", iteration=iteration, individual=individual)
 
     def explanation(self, evaluation: str) -> Explanation:
         """Returns why a cell was, or was not, answered without a simulation. `evaluation`: its number in the table `evaluations`."""

@@ -1,99 +1,117 @@
-"""The data of a report on a campaign, from the server."""
+"""The data of reports on a campaign, and of review sheets."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, Generic, TypeVar
+from typing import Any, Literal
 
-from drivecal.client.client import Client
-from drivecal.contracts.accounting import Accounting
-from drivecal.contracts.campaign import Campaign, Study, StudyName
-from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.results import FrontSummary, TrustAnswer
-from drivecal.contracts.setup import CampaignSetup
-from drivecal.contracts.tables import FrontRow, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
-from drivecal.domain.campaigns import CampaignState
+from drivecal.contracts.results import CampaignResults, FrontSummary
+from drivecal.contracts.tables import FrontRow, Generation, InfluenceRow, OptimumRow, Solution
 
 RANKED = 1000
 """Number of best sets in a report; all of them are in the table."""
-MOST_STUDIES = 5
-"""Largest number of studies of one kind in a report."""
-Row = TypeVar("Row", RobustnessRow, ValidationRow)
-
-
-@dataclass(frozen=True, slots=True)
-class Studied(Generic[Row]):
-    """A study and its results."""
-
-    study: Study
-    rows: Sequence[Row]
 
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """A campaign and its results.
+    """The results of a campaign and rows of its tables. `basis`: the analysis behind its influence map, None without a map or for a posted
+    one. `optima`: the sets that share the best objective."""
 
-    `basis`: the analysis behind its influence map, None without a map or for a posted one. `accounting`: None before the first answered
-    cell, and after a pruning. `titles`: of scenarios, by id. `optima`: the sets that share the best objective. Studies: those that
-    succeeded, made by any campaign; those in the campaign's own vehicle first, the newest first.
-    """
-
-    campaign: Campaign
-    setup: CampaignSetup
-    generations: Sequence[Generation]
-    solutions: Sequence[Solution]
-    optima: Sequence[OptimumRow]
-    influence: Sequence[InfluenceRow]
-    basis: Mapping[str, Any] | None
-    titles: Mapping[str, str]
-    accounting: Accounting | None
-    robustness: Sequence[Studied[RobustnessRow]] = ()
-    validation: Sequence[Studied[ValidationRow]] = ()
-    """Validations of the influence map."""
-    failures: Sequence[FailureCause] = ()
-    """Causes of failed cells."""
-    predictions: Sequence[Studied[ValidationRow]] = ()
-    """Validations of released predictions."""
-    trust: TrustAnswer | None = None
-    """None from a server of an earlier release."""
+    results: CampaignResults
+    generations: Sequence[Generation] = ()
+    solutions: Sequence[Solution] = ()
+    optima: Sequence[OptimumRow] = ()
+    influence: Sequence[InfluenceRow] = ()
+    basis: Mapping[str, Any] | None = None
     front: Sequence[FrontRow] = ()
-    front_summary: FrontSummary | None = None
-    """None without objectives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The data of a report, and its tables: CSV by name, in pieces."""
+
+    data: ReportData
+    tables: Mapping[str, Iterable[bytes]]
+
+
+RankedIn = Literal["solutions", "front"]
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreOrigin:
+    """The cell that a score is taken from: its number, what answered it, and its campaign's id, if it is another campaign's. `outcome`:
+    as in tables of cells, or `later` if the cell was copied or predicted, and simulated later."""
+
+    number: int
+    outcome: str
+    campaign: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewedSet:
+    """A chosen set and the results of its campaign, with the verdicts on the set. `cells`: by scenario; `front`: empty for a single
+    objective."""
+
+    results: CampaignResults
+    table: RankedIn
+    chosen: Solution | FrontRow
+    cells: Mapping[str, ScoreOrigin]
+    summary: FrontSummary
+    front: Sequence[FrontRow] = ()
 
     @property
-    def recommended(self) -> RobustnessRow | None:
-        """The set that the first robustness study recommends."""
-        return next((row for studied in self.robustness[:1] for row in studied.rows if row.recommended), None)
+    def id(self) -> str:
+        """The id of the campaign."""
+        return self.results.campaign.id
+
+    @property
+    def objectives(self) -> dict[str, float]:
+        """The values of the objectives; of a set of the solutions the first alone."""
+        if isinstance(self.chosen, FrontRow):
+            return self.chosen.objectives
+        return {self.summary.objectives[0].name: self.chosen.objective}
+
+    @property
+    def words(self) -> str:
+        """The set in words."""
+        return f"set {self.chosen.rank} of the {self.table} of campaign {self.id}"
+
+    @property
+    def listing(self) -> str:
+        """The command that lists the set."""
+        if self.table == "front":
+            return f"drivecal front {self.id} --limit {self.summary.size}"
+        return f"drivecal solutions {self.id} --limit {self.chosen.rank}"
+
+    def baseline_of(self, name: str) -> float | None:
+        """Returns the baseline's value of an objective; of others than the first only if the baseline has a value of each."""
+        judged, baseline = self.summary.baseline, self.results.campaign.baseline
+        if judged is not None:
+            return judged.objectives.get(name)
+        return None if baseline is None or name != self.summary.objectives[0].name else baseline.objective
 
 
-def collect(client: Client, identifier: str) -> ReportData:
-    """Reads the data of a campaign. Raises NotFoundError for an unknown campaign, and the client's other exceptions."""
-    campaign = client.campaign(identifier)
-    used = client.map_of(campaign)
-    answered = campaign.cells.requested or campaign.sensitivity_cells.requested
-    compromises = bool(campaign.spec.get("objectives")) and campaign.best is not None
-    studies = sorted(client.studies(identifier).items, key=lambda study: not study.in_own_vehicle)
-    return ReportData(
-        campaign=campaign,
-        setup=client.setup(identifier),
-        generations=[Generation.model_validate(row) for row in client.rows(identifier, "generations")],
-        solutions=client.solutions(identifier, limit=RANKED).items,
-        optima=client.optima(identifier),
-        influence=client.influence(identifier),
-        basis=None if used is None else used.basis,
-        titles={scenario.id: scenario.title for scenario in client.scenarios().items},
-        accounting=client.accounting(identifier) if answered and campaign.pruned_at is None else None,
-        trust=client.trust(identifier) if "trust" in campaign.links else None,
-        front=client.front(identifier) if compromises else (),
-        front_summary=client.front_summary(identifier) if compromises else None,
-        failures=client.failures(identifier).items if answered else (),
-        robustness=_studied(studies, "robustness", client.robustness),
-        validation=_studied([study for study in studies if not study.settings.get("of")], "validation", client.validation),
-        predictions=_studied([study for study in studies if study.settings.get("of")], "validation", client.validation),
-    )
+@dataclass(frozen=True, slots=True)
+class Review:
+    """The subject of a sheet: a set, or two sets by their labels. `query`: the path and query of the API that returns the sheet."""
 
+    sets: Mapping[str, ReviewedSet]
+    query: str
+    version: str
 
-def _studied(studies: Sequence[Study], stage: StudyName, rows: Callable[[str], list[Row]]) -> list[Studied[Row]]:
-    wanted = (study for study in studies if study.stage == stage and study.state == CampaignState.SUCCEEDED)
-    studied = [Studied(study, rows(study.campaign)) for study in islice(wanted, MOST_STUDIES)]
-    return [study_rows for study_rows in studied if study_rows.rows]
+    @property
+    def first(self) -> ReviewedSet:
+        """The set that is reviewed."""
+        return next(iter(self.sets.values()))
+
+    def labelled(self) -> dict[str, ReviewedSet]:
+        """Returns the sets by the words that distinguish them in captions."""
+        return {f" of {label}": each for label, each in self.sets.items()} if len(self.sets) > 1 else {"": self.first}
+
+    def campaigns(self) -> dict[str, ReviewedSet]:
+        """Returns `labelled` with each campaign once."""
+        alike = len({each.id for each in self.sets.values()}) == 1
+        return {"": self.first} if alike else self.labelled()
+
+    def commands(self, lines: Callable[[ReviewedSet], str]) -> str:
+        """Returns the lines of all sets, each once."""
+        return "\n".join(dict.fromkeys(line for each in self.sets.values() for line in lines(each).splitlines()))

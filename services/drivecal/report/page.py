@@ -1,36 +1,79 @@
-"""The report as one page."""
+"""The report as one page: a selection of the sections about a campaign's results."""
 
+import json
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Baseline, Best, Campaign
+from drivecal.contracts.tables import RobustnessRow
+from drivecal.domain.scales import objective_text, told
+from drivecal.report import sections
+from drivecal.report.blocks import (
+    Block,
+    Bullets,
+    CommandLines,
+    Figure,
+    FileLinks,
+    Heading,
+    Number,
+    Paragraph,
+    Table,
+    objective_number,
+)
 from drivecal.report.data import ReportData
-from drivecal.report.figures import cells
-from drivecal.report.markup import bullets, document, files, paragraph, verbatim
-from drivecal.report.rows import by_scenario
-from drivecal.report.sections import front, influence, optima, problem, results, reuse, robustness, search, validation
+from drivecal.report.fronts import front_blocks
+from drivecal.report.html import document
+from drivecal.report.robustness import robustness_blocks
+
+SETTINGS = ("optimizer", "reduction", "sensitivity", "robustness", "validation")
+SPECIFICATION = "campaign.json"
+MOST_CHARACTERS = 10_000
+"""Settings of a specification on the page; the file has all."""
 
 
-def page(findings: ReportData, drawn: Mapping[str, str], names: Sequence[str], version: str) -> str:
-    """Returns the page. `drawn`: the figures as parts of it, by name. `names`: files to link to, relative to the page."""
-    campaign = findings.campaign
-    sections = {
-        "Summary": results.summary(findings),
-        "Notes": [bullets(campaign.notes)] if campaign.notes else [],
-        "Trust": results.trust(findings),
-        "Problem": problem.setting(findings),
-        "Where parameters matter": _influence(findings, drawn),
-        "Search": _search(findings, drawn),
-        "Reuse": _reuse(findings, drawn),
-        "Best sets": _best(findings, drawn),
-        "Front": front.parts(findings.front, findings.front_summary, campaign.id, _figures(drawn, "figure-front")),
-        "Robustness": _robustness(findings, drawn),
-        "Validation": _validation(findings, drawn),
-        "Cost": reuse.accounting(findings.accounting),
-        "Versions and repetition": [*problem.versions(findings.setup, version), *problem.again(findings)],
-        "Files": [files(names)] if names else [],
+def page(findings: ReportData, drawn: Mapping[str, Figure], names: Sequence[str], version: str) -> str:
+    """Returns the page.
+
+    Args:
+        findings: the data of the report.
+        drawn: its figures by name.
+        names: files to link to, relative to the page.
+        version: of drivecal.
+    """
+    results, campaign = findings.results, findings.results.campaign
+
+    def figures(prefix: str) -> list[Figure]:
+        return [figure for name, figure in drawn.items() if name.startswith(prefix)]
+
+    command = f"drivecal show {campaign.id}"
+    alternatives = len(findings.optima) if campaign.best is None else campaign.best.alternatives
+    optima = sections.optima_blocks(findings.optima, alternatives, results.setup.parameters, figures("figure-12-optima"))
+    content: dict[str, Sequence[Block]] = {
+        "Summary": _summary(findings),
+        "Notes": [Bullets(campaign.notes)] if campaign.notes else [],
+        "Trust": sections.trust_blocks(results.trust),
+        "Problem": _problem(findings),
+        "Where parameters matter": sections.influence_blocks(findings.influence, findings.basis, figures("figure-9-"), campaign)
+        if findings.influence or _searches(campaign)
+        else [],
+        "Search": _search(findings, figures("figure-10-")),
+        "Reuse": [
+            *figures("figure-11-"),
+            *sections.cells_table(campaign),
+            *sections.audits_table(campaign.error_rate, campaign.scale, command),
+            *sections.lots_table(campaign.released, command),
+            *sections.failures_table(results.failures),
+        ],
+        "Best sets": [*optima, *sections.solutions_table(findings.solutions, findings.optima)] if findings.optima else [],
+        "Front": front_blocks(findings.front, results.front, campaign.id, figures("figure-front")) if results.front else [],
+        "Robustness": _robustness(findings, figures("figure-12-robustness")),
+        "Validation": _validation(findings, figures("figure-14-")),
+        "Cost": sections.account_blocks(results.accounting),
+        "Versions and repetition": _repetition(findings, version),
+        "Files": [FileLinks(names)] if names else [],
     }
     subtitle = f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}"
-    return document(campaign.name, subtitle, (campaign.error, campaign.degraded), sections)
+    return document(campaign.name, subtitle, (campaign.error, campaign.degraded), content)
 
 
 def _when(campaign: Campaign) -> str:
@@ -39,89 +82,131 @@ def _when(campaign: Campaign) -> str:
     return "" if campaign.started_at is None else f", started {campaign.started_at:%Y-%m-%d %H:%M} UTC"
 
 
-def _figures(drawn: Mapping[str, str], prefix: str) -> list[str]:
-    return [html for name, html in drawn.items() if name.startswith(prefix) and html]
-
-
-def _searched(campaign: Campaign) -> bool:
+def _searches(campaign: Campaign) -> bool:
     return campaign.spec.get("optimizer", {}) is not None
 
 
-def _influence(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    if not findings.influence and not _searched(findings.campaign):
+def _summary(findings: ReportData) -> list[Block]:
+    results, campaign, best = findings.results, findings.results.campaign, findings.results.campaign.best
+    studies = _studies(findings)
+    if best is None:
+        nothing = (
+            "No parameter set has a result in every scenario." if _searches(campaign) else "This campaign searched nothing."
+        )
+        return [Bullets(studies) if studies else Paragraph(nothing)]
+    regions = len({optimum.region for optimum in findings.optima})
+    least = "at least " * (len(findings.optima) < best.alternatives)
+    where = f", in {least}{regions} distinct regions" if regions > 1 else ""
+    share = "1 parameter set has it" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share it{where}"
+    first = f"The best objective is {objective_text(best.objective)} ({sections.objective_words(campaign)}); {share}."
+    if campaign.baseline is not None and campaign.baseline.objective is not None:
+        first += f" The baseline has {objective_text(campaign.baseline.objective)}."
+    verdicts = [each.text for each in results.trust.verdicts if each.code in {"converged", "not_converged"}][:1]
+    cost = [] if results.accounting is None else [results.accounting.sentence]
+    return [Bullets([first, *verdicts, *cost, *studies]), _compared(findings, best)]
+
+
+def _studies(findings: ReportData) -> list[str]:
+    results, row = findings.results, findings.results.recommended
+    sentences = []
+    if row is not None:
+        sentences.append(f"Recommended after the robustness study: rank {row.rank} of its table, because it has {row.reason}.")
+    for validated in results.of_stage("validation")[:1]:
+        what = "variants in the validation of the influence map"
+        sentences.append(sections.errors_text(what, validated.validation, results.campaign.scale))
+    return [sentence for sentence in sentences if sentence]
+
+
+def _compared(findings: ReportData, best: Best) -> Table:
+    sets = _sets(findings)
+    rows: list[list[object]] = [["objective", *(objective_number(each.objective) for each in sets.values())]]
+    for scenario in best.scores:
+        scores = [each.scores.get(scenario) for each in sets.values()]
+        rows.append([scenario, *(None if score is None else Number(told(score)) for score in scores)])
+    caption = "Objective and scores: the best set, that of the robustness study, and the baseline, as far as they are known"
+    return Table(["", *sets], rows, caption)
+
+
+def _sets(findings: ReportData) -> dict[str, Best | RobustnessRow | Baseline]:
+    results = findings.results
+    sets = {"best": results.campaign.best, "recommended": results.recommended, "baseline": results.campaign.baseline}
+    return {name: each for name, each in sets.items() if each is not None}
+
+
+def _problem(findings: ReportData) -> list[Block]:
+    setup, spec = findings.results.setup, findings.results.campaign.spec
+    values = {name: each.parameters for name, each in _sets(findings).items()}
+    stages = [[name, sections.settings_text(spec[name])] for name in SETTINGS if name in spec]
+    return [
+        sections.scenarios_table(setup),
+        sections.parameters_table(setup.parameters, values),
+        Table(["stage", "settings"], stages, "Settings", wrap=True),
+    ]
+
+
+def _search(findings: ReportData, drawings: Sequence[Block]) -> list[Block]:
+    campaign, generations = findings.results.campaign, findings.generations
+    if not generations:
+        return [Paragraph("There is no iteration (yet).")] if _searches(campaign) else []
+    wanted = (campaign.spec.get("optimizer") or {}).get("iterations")
+    added = campaign.cells.requested - sum(generation.requested for generation in generations)
+    if len(generations) != wanted or added <= 0:
+        return [*drawings]
+    text = f"After the last iteration {added:,} cells were asked for to confirm the best set by simulation. Iterations do not count them."
+    return [*drawings, Paragraph(text)]
+
+
+def _robustness(findings: ReportData, drawings: Sequence[Block]) -> list[Block]:
+    results = findings.results
+    studies = results.of_stage("robustness")
+    if studies:
+        return robustness_blocks(studies, findings.optima, results.campaign, drawings)
+    if not findings.optima or not any(scenario.vehicle for scenario in results.setup.scenarios):
         return []
-    return influence.parts(findings.influence, findings.basis, _figures(drawn, "figure-9-"), findings.campaign.cells)
+    command = CommandLines(f"drivecal robustness {results.campaign.id}")
+    return [Paragraph("Not studied. This drives the best sets in other vehicles:"), command]
 
 
-def _search(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    if not findings.generations:
-        return [paragraph("There is no iteration (yet).")] if _searched(findings.campaign) else []
-    converged = search.convergence(findings.generations, findings.front_summary)
-    afterwards = search.afterwards(findings.campaign, findings.generations)
-    return [
-        bullets([*converged, *([afterwards] if afterwards else [])]) if converged else "",
-        *_figures(drawn, "figure-10-"),
-        search.population_table(findings.generations),
+def _validation(findings: ReportData, drawings: Sequence[Block]) -> list[Block]:
+    results, scale = findings.results, findings.results.campaign.scale
+    blocks: list[Block] = []
+    for study in results.of_stage("validation", of_predictions=True)[:1]:
+        blocks += sections.validation_tables(study.validation, scale)
+    for study in results.of_stage("validation")[:1]:
+        rows = study.validation
+        sizes, deviations = sections.sizes_table(rows, findings.influence), sections.deviations_table(rows, scale)
+        return [*blocks, sizes, *sections.validation_tables(rows, scale), *drawings, *deviations]
+    if findings.influence:
+        command = CommandLines(f"drivecal validate {results.campaign.id}")
+        blocks += [Paragraph("Not studied. This compares, by simulation, what the map calls equal:"), command]
+    return blocks
+
+
+def _repetition(findings: ReportData, version: str) -> list[Block]:
+    """Returns versions, and the commands that repeat the campaign and drive its best and its recommended set alone."""
+    results, campaign = findings.results, findings.results.campaign
+    recommended, used = results.recommended, {"drivecal": version} | sections.used_versions(results.setup)
+    commands = [f"drivecal submit {SPECIFICATION} --wait"]
+    text = (
+        f"The file {SPECIFICATION} beside this page is the campaign's specification with all its defaults. With these versions and the "
+        "same reference table it gives the same sets and scores; what the table holds by then is answered from it."
+    )
+    sensitivity: Any = campaign.spec.get("sensitivity")
+    if isinstance(sensitivity, dict) and "map" in sensitivity:
+        text += " It names an influence map by its id, which another database does not have: post it there first."
+    scenarios = [scenario.scenario for scenario in results.setup.scenarios]
+    if campaign.best is not None:
+        best = sections.evaluation_command(campaign.best.parameters, campaign.spec, scenarios)
+        commands.append(f"{best}    # the best set")
+    if recommended is not None:
+        driven = results.of_stage("robustness")[0].study.vehicle
+        command = sections.evaluation_command(recommended.parameters, campaign.spec, scenarios, driven)
+        commands.append(f"{command}    # the recommended set")
+    blocks: list[Block] = [
+        Table(["", "version"], list(used.items()), "Versions"),
+        Paragraph(text),
+        CommandLines("\n".join(commands)),
     ]
-
-
-def _best(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    if not findings.optima:
-        return []
-    best = findings.campaign.best
-    alternatives = len(findings.optima) if best is None else best.alternatives
-    return [
-        *optima.parts(findings.optima, alternatives, findings.setup.parameters, _figures(drawn, "figure-12-optima")),
-        results.solutions_table(findings.solutions, findings.optima),
-    ]
-
-
-def _robustness(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    identifier = findings.campaign.id
-    if findings.robustness:
-        drawings = _figures(drawn, "figure-12-robustness")
-        return robustness.parts(findings.robustness, findings.optima, findings.campaign, drawings)
-    drives = any(scenario.vehicle for scenario in findings.setup.scenarios)
-    if not findings.optima or not drives:
-        return []
-    return [
-        paragraph("Not studied. This drives the best sets in other vehicles:"),
-        verbatim(f"drivecal robustness {identifier}"),
-    ]
-
-
-def _reuse(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    campaign = findings.campaign
-    content = [reuse.cells_by_stage(campaign)]
-    if campaign.cells.requested:
-        content = [
-            *_figures(drawn, "figure-11-"),
-            cells.cells_table(findings.generations),
-            *content,
-            *reuse.self_check(campaign, findings.accounting),
-        ]
-    return [*content, *reuse.failures(findings.failures)]
-
-
-def _validation(findings: ReportData, drawn: Mapping[str, str]) -> list[str]:
-    identifier = findings.campaign.id
-    content = [
-        part
-        for studied in findings.predictions[:1]
-        for part in validation.validated_predictions(studied, findings.campaign.scale)
-    ]
-    if findings.validation:
-        drawings = _figures(drawn, "figure-14-")
-        return [
-            *content,
-            *validation.parts(
-                findings.validation[0], identifier, by_scenario(findings.influence), drawings, findings.campaign.scale
-            ),
-        ]
-    if not findings.influence:
-        return content
-    return [
-        *content,
-        paragraph("Not studied. This compares, by simulation, what the map calls equal:"),
-        verbatim(f"drivecal validate {identifier}"),
-    ]
+    lines = (f"  {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in campaign.spec.items())
+    specification = "{\n" + ",\n".join(lines) + "\n}"
+    return blocks if len(specification) > MOST_CHARACTERS else [*blocks, Heading("Specification"), CommandLines(specification)]

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, text, update
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Narrowed, Progress, Released
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Narrowed, Progress, Released
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -67,6 +67,7 @@ class StoredCampaign(CampaignHeading):
     error_rate: Mapping[str, ErrorRate]
     released: Mapping[str, Released]
     best: Best | None
+    confirmation: Confirmation | None
     baseline: Baseline | None
     narrowed: tuple[Narrowed, ...] | None
     """The part that narrowing removed; None if not requested or not known yet."""
@@ -103,6 +104,7 @@ class Snapshot:
     error_rate: Mapping[str, ErrorRate] | None = None
     released: Mapping[str, Released] | None = None
     best: Best | None = None
+    confirmation: Confirmation | None = None
     baseline: Baseline | None = None
     notes: Collection[str] | None = None
 
@@ -288,7 +290,7 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
     values: dict[str, Any] = {name: getattr(snapshot, name) for name in ("stage", "iteration", "simulating_seconds")}
     values |= {
         name: getattr(snapshot, name).model_dump(mode="json")
-        for name in ("progress", "best", "baseline")
+        for name in ("progress", "best", "confirmation", "baseline")
         if getattr(snapshot, name)
     }
     for name in ("error_rate", "released"):
@@ -374,6 +376,7 @@ def _campaign(row: Row[Any]) -> StoredCampaign:
         notes=tuple(row.notes),
         tags=tuple(row.tags),
         progress=Progress(**row.progress),
+        confirmation=None if row.confirmation is None else Confirmation(**row.confirmation),
         narrowed=None if row.narrowed is None else tuple(Narrowed(**parameter) for parameter in row.narrowed),
         pruned_at=None if row.pruned is None else datetime.fromisoformat(row.pruned["at"]),
         released={scenario: Released(**rate) for scenario, rate in (row.released or {}).items()},

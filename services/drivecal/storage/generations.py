@@ -121,14 +121,14 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
     return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
 
 
-def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None]]:
-    """Returns the objective and the rating of the best set so far, by finished iteration."""
+def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None, int]]:
+    """Returns objective and rating of the best set so far, and the number of sets that share it, by finished iteration."""
     query = (
-        select(generations.c.best, generations.c.rating)
+        select(generations.c.best, generations.c.rating, generations.c.alternatives)
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
         .order_by(generations.c.iteration)
     )
-    return [(row.best, row.rating) for row in connection.execute(query)]
+    return [(row.best, row.rating, row.alternatives) for row in connection.execute(query)]
 
 
 def page(

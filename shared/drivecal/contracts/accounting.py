@@ -43,9 +43,7 @@ class ScenarioAccount(Answer):
     `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes, less the decisions of simulated
     runs that they spared (negative if that is more). `predictor_seconds`: CPU time of
     the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
-    nothing. `proved`: of the reused cells, those for which a worker happened to know, by a certificate, the result of a simulation;
-    `proved_different`: their score is another one, `proved_wrong`: by more than the tolerance. Two equal campaigns need not know
-    the same."""
+    nothing."""
 
     scenario: str
     requested: int
@@ -66,9 +64,6 @@ class ScenarioAccount(Answer):
     certified_saved_seconds: float
     certifying_seconds: float = 0.0
     predictor_seconds: float = 0.0
-    proved: int = 0
-    proved_different: int = 0
-    proved_wrong: int = 0
 
 
 class BreakEven(Answer):
@@ -81,6 +76,15 @@ class BreakEven(Answer):
     requested_cells: int | None
     campaigns: int | None
     reruns: int | None
+
+
+class BalanceItem(Answer):
+    """An addend of the net, in seconds: positive if saved, negative if spent. `name`: a key of `savings` or `deductions`; `label`: the same
+    in words."""
+
+    name: str
+    label: str
+    seconds: float
 
 
 class Accounting(Answer):
@@ -132,4 +136,8 @@ class Accounting(Answer):
     map_net_seconds: float | None
     break_even: BreakEven | None
     """Null without a map, or with a map without a known cost."""
+    balance: list[BalanceItem] = Field(default_factory=list)
+    """The addends of `net_seconds` that are not 0."""
+    remarks: list[str] = Field(default_factory=list)
+    """Sentences about audits, confirmations, the map and its break-even."""
     sentence: str

@@ -198,6 +198,25 @@ class Baseline(Answer):
     violation: float = 0.0
 
 
+class Confirmation(Answer):
+    """Simulation of the best set of a search, or of its front, whose scores may be copies. `confirmed`: it has only scores of its own;
+    `untried`: so it has, but others that are believed to be better were not simulated; `unconfirmed`: a score is still a copy.
+
+    `tried`: simulated sets. `objective`: that of the best set, `believed`: that with which the search ended, `reach`: that of an untried
+    set; all null for a front. `copied`: scenarios in which the best set's score is a copy, `failed`: its simulation failed. `front`: sets
+    of the front, null for a single objective, `front_copied`: those with a copy."""
+
+    state: Literal["confirmed", "untried", "unconfirmed"]
+    tried: int
+    objective: float | None = None
+    believed: float | None = None
+    reach: float | None = None
+    copied: list[str] = []
+    failed: bool = False
+    front: int | None = None
+    front_copied: int = 0
+
+
 class FirstObjective(Answer):
     """The first of a campaign's objectives, whose values `best` and `baseline` have."""
 
@@ -253,6 +272,8 @@ class Campaign(CellsByStage):
     released: dict[str, Released] = {}
     """Predicted answers by scenario; empty if the campaign predicts nothing."""
     best: Best | None = None
+    confirmation: Confirmation | None = None
+    """Null before the end of the search, and if no score of its best set was a copy."""
     baseline: Baseline | None = None
     narrowed: list[Narrowed] | None = None
     """The part that `reduction.narrow` removed, by parameter; null if not requested or not known yet."""

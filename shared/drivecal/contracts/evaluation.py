@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, Page, Score
+from drivecal.contracts.campaign import Answer, Score
 from drivecal.contracts.tables import EvaluationRow
 from drivecal.domain.scales import Scale
 
@@ -188,7 +188,3 @@ class FailureCause(Answer):
     scenarios: list[str]
     cells: int
     example: int
-
-
-class FailurePage(Page[FailureCause]):
-    """The causes of a campaign, frequent ones first: at most 100."""

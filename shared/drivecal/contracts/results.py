@@ -1,30 +1,37 @@
-"""Answers about the result of a search: the trust that it deserves, the front of several objectives."""
+"""Answers about the results of a campaign: verdicts on them, the front of several objectives, and the document of all."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer, Score
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Answer, Campaign, Score, Study
+from drivecal.contracts.evaluation import FailureCause
+from drivecal.contracts.setup import CampaignSetup
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
 
 Light = Literal["green", "amber", "red"]
 
 
-class Reason(Answer):
-    """A reason for a light; a `neutral` one speaks neither for nor against the result. `about`: end, constraints, confirmation, baseline,
-    search, later, earlier, map, references, predictions, certificates, noise, failures, cut or robustness."""
+class ResultVerdict(Answer):
+    """A finding about a campaign's result. `code`: one of `analysis.verdicts.SENTENCES`; `numbers`: what it was found from, by name;
+    `text`: both as a sentence. `question`: whether it says that the scores are right, or that the search is finished. A `neutral` light
+    speaks neither for nor against the result."""
 
+    code: str
+    question: Literal["scores", "search"]
     light: Light | Literal["neutral"]
-    about: str
     scenario: str | None = None
+    numbers: dict[str, Any] = Field(default_factory=dict)
     text: str
 
 
-class TrustAnswer(Answer):
-    """The trust that a campaign's result deserves. `light`: that of the gravest of the `reasons`, which comes first, green if all are
+class ResultTrust(Answer):
+    """The trust that a campaign's result deserves. `light`: that of the gravest of the `verdicts`, which comes first, green if all are
     neutral; null before the end, unless it is red already, and without a search."""
 
     light: Light | None
-    reasons: list[Reason]
+    verdicts: list[ResultVerdict]
 
 
 class ParameterImportance(Answer):
@@ -129,3 +136,40 @@ class TradeOff(Answer):
     parameters: list[ValuePair]
     distance: float
     text: list[str]
+
+
+class StudyResult(Answer):
+    """A study that succeeded, with its rows of the table that it made."""
+
+    study: Study
+    robustness: list[RobustnessRow] = Field(default_factory=list)
+    validation: list[ValidationRow] = Field(default_factory=list)
+
+    @property
+    def is_of_predictions(self) -> bool:
+        """Whether it simulated released predictions, and not variants that an influence map calls equal."""
+        return bool(self.study.settings.get("of")) and self.study.stage == "validation"
+
+
+class CampaignResults(Answer):
+    """The results of a campaign, which page, report, review sheet and command line draw: what was asked for (`campaign.spec`, `setup`),
+    what is best, what was checked and what is doubtful (`trust`), and what it cost (`accounting`, null before the first answered cell).
+    `front`: null with a single objective and before a set has a value of each. `failures`: causes of failed cells. `studies`: those that
+    succeeded, made by any campaign, those in the campaign's own vehicle first, the newest first."""
+
+    campaign: Campaign
+    setup: CampaignSetup
+    trust: ResultTrust
+    accounting: Accounting | None = None
+    front: FrontSummary | None = None
+    failures: list[FailureCause] = Field(default_factory=list)
+    studies: list[StudyResult] = Field(default_factory=list)
+
+    def of_stage(self, stage: str, *, of_predictions: bool = False) -> list[StudyResult]:
+        """Returns the studies of a stage; validations of the influence map, or `of_predictions`."""
+        return [each for each in self.studies if each.study.stage == stage and each.is_of_predictions is of_predictions]
+
+    @property
+    def recommended(self) -> RobustnessRow | None:
+        """The set that the first robustness study recommends."""
+        return next((row for study in self.of_stage("robustness")[:1] for row in study.robustness if row.recommended), None)

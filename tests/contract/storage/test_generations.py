@@ -57,7 +57,7 @@ def test_a_finished_generation_keeps_what_it_found(database: Database) -> None:
             generations.finish(connection, sequence, iteration, FOUND, [6.5, float("nan"), None])
         stored = generations.last(connection, sequence)
         assert generations.page(connection, sequence) == ([(0, FOUND), (1, FOUND)], None)
-        assert generations.course(connection, sequence) == [(6.5, None), (6.5, None)]
+        assert generations.course(connection, sequence) == [(6.5, FOUND.rating, FOUND.alternatives)] * 2
     assert stored is not None
     assert (stored.iteration, stored.figures, stored.finished) == (1, FOUND, True)
     assert stored.objectives == [6.5, None, None]

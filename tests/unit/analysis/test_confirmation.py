@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.analysis.confirmation import CONFIRMED, UNTRIED, Confirmation, remarkable, verdict_in
+from drivecal.analysis.confirmation import Confirming
 from drivecal.analysis.solutions import Ranking
 from drivecal.domain.evaluations import CellScore
 
@@ -20,13 +20,13 @@ def copied(number: int, score: int, *, own: bool = False, iteration: int = 0) ->
     return CellScore(number, "S1", score, float(score), own, iteration, number)
 
 
-def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int) -> tuple[Ranking, Confirmation]:
+def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int) -> tuple[Ranking, Confirming]:
     """Carried out to its end; `truth` is what simulations give."""
     ranking = Ranking({"S1": 1})
     ranking.add(answers)
     best = ranking.best()
     assert best is not None
-    confirmation = Confirmation(limit, best[0].objective)
+    confirmation = Confirming(limit, best[0].objective)
     while (chosen := confirmation.choose(ranking)) is not None:
         confirmation.tried.append(chosen.parameter_set)
         score = truth[chosen.parameter_set]
@@ -41,48 +41,38 @@ def test_sets_are_tried_from_the_best_on_until_one_has_only_scores_of_its_own() 
     assert confirmation.tried == [2, 3]
     best = ranking.ranking()[0]
     assert (best.parameter_set, best.objective, best.reused) == (3, 6.0, ())
-    assert confirmation.verdict(best) == f"{CONFIRMED}: the best objective is 6.0000, the search believed 7.0000; 2 sets tried"
-
-
-def test_a_belief_that_was_right_is_told_as_such() -> None:
-    ranking, confirmation = confirmed([copied(1, 5), copied(2, 4)], {1: 5}, limit=10)
-    verdict = confirmation.verdict(ranking.ranking()[0])
-    assert verdict == f"{CONFIRMED}: the best objective is 5.0000, as the search believed; 1 set tried"
-    assert remarkable(["reuse in S1 was stopped", verdict]) == ["reuse in S1 was stopped"]
+    outcome = confirmation.outcome(best)
+    assert (outcome.state, outcome.objective, outcome.believed, outcome.tried) == ("confirmed", 6.0, 7.0, 2)
 
 
 def test_a_set_whose_simulation_fails_is_tried_once_and_told() -> None:
     ranking, confirmation = confirmed([copied(1, 7), copied(2, 6), copied(3, 5, own=True)], {1: None, 2: 4}, limit=10)
     assert confirmation.tried == [1, 2]
-    verdict = confirmation.verdict(ranking.ranking()[0])
-    assert (
-        verdict == "not confirmed: the best set's score in S1 is still a reference's, for its simulation failed; 2 sets tried"
-    )
-    assert remarkable([verdict]) == [verdict]
+    outcome = confirmation.outcome(ranking.ranking()[0])
+    assert (outcome.state, outcome.copied, outcome.failed) == ("unconfirmed", ["S1"], True)
 
 
 def test_no_more_than_the_limit_are_tried_and_that_is_told() -> None:
     ranking, confirmation = confirmed([copied(number, 7) for number in range(5)], dict.fromkeys(range(5), 1), limit=3)
     assert confirmation.tried == [0, 1, 2]
-    verdict = confirmation.verdict(ranking.ranking()[0])
-    assert verdict.startswith("not confirmed: the best set's score in S1 is still a reference's; no more than 3 sets")
+    outcome = confirmation.outcome(ranking.ranking()[0])
+    assert (outcome.state, outcome.failed, outcome.tried) == ("unconfirmed", False, 3)
 
 
-@pytest.mark.parametrize(("believed", "beginning"), [(7, UNTRIED), (5, CONFIRMED)])
-def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believed: int, beginning: str) -> None:
+@pytest.mark.parametrize(("believed", "state"), [(7, "untried"), (5, "confirmed")])
+def test_sets_that_are_believed_to_be_better_and_were_not_tried_are_named(believed: int, state: str) -> None:
     ranking = Ranking({"S1": 1})
     own = copied(1, 5, own=True)
     predicted = [replace(copied(number, believed), predicted=True, rating=believed + 0.3) for number in (2, 3)]
     ranking.add([own, *predicted])
-    confirmation = Confirmation(1, 5.0, [2])
+    confirmation = Confirming(1, 5.0, [2])
     ranking.add([replace(copied(2, 4, own=True), iteration=LATER)])
     assert confirmation.choose(ranking) is None
     untried = ranking.doubtful(confirmation.tried)
     assert untried is not None
     assert untried.parameter_set == 3
-    verdict = confirmation.verdict(ranking.ranking()[0], untried)
-    assert verdict.startswith(beginning)
-    assert verdict_in([verdict]) == verdict
+    outcome = confirmation.outcome(ranking.ranking()[0], untried)
+    assert (outcome.state, outcome.reach) == (state, 7.0 if state == "untried" else None)
 
 
 @given(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.analysis.confirmation import CONFIRMED, NOT_CONFIRMED, Confirmation, front_verdict
+from drivecal.analysis.confirmation import Confirming, front_outcome
 from drivecal.analysis.goals import Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.analysis.solutions import Ranking
 from drivecal.domain.evaluations import CellScore
@@ -144,11 +144,11 @@ def test_a_set_that_lacks_a_value_has_no_place() -> None:
 def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left() -> None:
     ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (5.0, 5.0))
     ranking.add(cell(number, name, 6.0, gap, own=False) for number, gap in ((7, 7.0), (8, 1.0)) for name in EVEN)
-    confirmation = Confirmation(5, 6.0)
+    confirmation = Confirming(5, 6.0)
     chosen = confirmation.choose(ranking)
     assert chosen is not None
     assert (chosen.parameter_set, chosen.reused) == (7, ("S1", "S2"))
-    assert front_verdict(ranking.front(), [7]).startswith(NOT_CONFIRMED)
+    assert front_outcome(ranking.front(), [7]).state == "unconfirmed"
     ranking.add(cell(7, name, 4.0, 4.0) for name in EVEN)
     confirmation.tried.append(7)
     second = confirmation.choose(ranking)
@@ -157,7 +157,7 @@ def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left
     ranking.add(cell(8, name, 6.0, 0.5) for name in EVEN)
     confirmation.tried.append(8)
     assert confirmation.choose(ranking) is None
-    assert front_verdict(ranking.front(), confirmation.tried).startswith(CONFIRMED)
+    assert front_outcome(ranking.front(), confirmation.tried).state == "confirmed"
     assert numbers(ranking) == [(8, 1), (2, 1), (1, 1)]
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivecal.analysis.savings import MapOrigin, account, break_even
 from drivecal.contracts.accounting import BreakEven
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import AuditCount, Outcome, OutcomeCosts
+from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
 
 def _costs(
@@ -85,12 +85,6 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert found.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
     assert "44.5 % of 1,000" in found.sentence.replace("%", " %")
     assert "net loss of 5.1 s" in found.sentence
-
-
-def test_what_certificates_say_of_reused_cells_stands_in_the_account_of_its_scenario() -> None:
-    found = account("c", "running", ["S1", "S2"], CALIBRATION, None, [AuditCount("S2", 9, 3, 1)])
-    counts = [(one.proved, one.proved_different, one.proved_wrong) for one in found.scenarios]
-    assert counts == [(0, 0, 0), (9, 3, 1)]
 
 
 def test_predictions_save_and_their_predictor_costs() -> None:

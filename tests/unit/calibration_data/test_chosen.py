@@ -10,8 +10,17 @@ import pytest
 from drivecal.calibration_data import cdfx, dcm
 from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
 from drivecal.calibration_data.files import CalibrationFormat, write
-from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective
-from drivecal.contracts.results import FrontBaseline, FrontObjective, FrontSummary, Light, Reason, TrustAnswer
+from drivecal.contracts.campaign import Baseline, Campaign, ErrorRate, FirstObjective, Study
+from drivecal.contracts.results import (
+    CampaignResults,
+    FrontBaseline,
+    FrontObjective,
+    FrontSummary,
+    Light,
+    ResultTrust,
+    ResultVerdict,
+    StudyResult,
+)
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
 from drivecal.domain.scales import Direction, Scale
@@ -47,14 +56,16 @@ class Data:
             spec={"problem": "acc"},
         )
 
-    def trust(self) -> TrustAnswer | None:
-        if self.light is None:
-            return None
-        reasons = [
-            Reason(light=self.light, about="end", text="Worst."),
-            Reason(light="green", about="baseline", text="Better."),
-        ]
-        return TrustAnswer(light=self.light, reasons=reasons)
+    def results(self) -> CampaignResults:
+        worst = ResultVerdict(code="failed", question="scores", light=self.light or "green", text="Worst.")
+        better = ResultVerdict(code="better_than_baseline", question="search", light="green", text="Better.")
+        study = Study(campaign="s" * 32, name="study", stage="robustness", state="succeeded", settings={}, ended_at=None)
+        return CampaignResults(
+            campaign=self.campaign(),
+            setup=self.setup(),
+            trust=ResultTrust(light=self.light, verdicts=[worst, better]),
+            studies=[StudyResult(study=study, robustness=self.robustness())],
+        )
 
     def setup(self) -> CampaignSetup:
         mode = {"kind": "choice", "choices": ["eco", "sport"]}
@@ -142,13 +153,13 @@ def written(
     chosen: Solution | FrontRow
     if table == "front":
         chosen = data.front(weights)
-        figures = front_figures(data.campaign(), chosen, data.front_summary(), data.robustness(), weights)
+        figures = front_figures(data.results(), chosen, data.front_summary(), weights)
     else:
         chosen, before = data.ranked(weights, score)
         baseline = before.objective if data.baseline_ranked else None
         by = None if weights is None and score is None else RankedBy(score, weights, baseline)
-        figures = solution_figures(data.campaign(), data.setup(), chosen, data.robustness(), by)
-    quality = quality_of(data.campaign(), data.setup(), chosen, data.trust(), figures)
+        figures = solution_figures(data.results(), chosen, by)
+    quality = quality_of(data.results(), chosen, figures, judged=data.light is not None)
     return write(form, characteristics_of(chosen.parameters, data.setup().parameters, {}), quality)
 
 

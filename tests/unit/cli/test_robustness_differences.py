@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.analysis.robustness_difference import difference
+from drivecal.analysis.robustness import difference
 from drivecal.cli.views.robustness_differences import MadeStudy, document, print_difference
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from drivecal.contracts.accounting import Accounting, BreakEven, ScenarioAccount, SensitivityCost
+from drivecal.contracts.accounting import Accounting, BalanceItem, BreakEven, ScenarioAccount, SensitivityCost
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Seconds, Study
+from drivecal.contracts.results import CampaignResults, ResultTrust, StudyResult
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.contracts.tables import BoxTrial, Generation, InfluenceRow, OptimumRow, RobustnessRow, Solution, ValidationRow
-from drivecal.report.data import ReportData, Studied
+from drivecal.report.data import ReportData
 
 
 def row(
@@ -60,6 +61,9 @@ ACCOUNT = Accounting(
     saved_seconds=0.6, savings={"repeated": 0.2, "reused": 0.4, "certified": 0.0}, deductions={"sensitivity": 9.0, "certificates": 0.0},
     net_seconds=-8.4, map_net_seconds=-8.6,
     break_even=BreakEven(requested_cells=1800, campaigns=23, reruns=22),
+    balance=[BalanceItem(name="reused", label="reused cells", seconds=0.4),
+             BalanceItem(name="sensitivity", label="analysis", seconds=-9.0)],
+    remarks=["The influence map pays from 1,800 requested cells on."],
     sentence="It lost 8.4 s.",
 )  # fmt: skip
 
@@ -74,7 +78,8 @@ SETUP = CampaignSetup(
     parameters=PARAMETERS,
     scenarios=[
         ScenarioSetup(
-            scenario="S1", weight=0.75, fingerprint="f1", scenario_digest="d1", driving_function="frenet 1", vehicle="single_track 1",
+            scenario="S1", title="Change lane", weight=0.75, fingerprint="f1", scenario_digest="d1",
+            driving_function="frenet 1", vehicle="single_track 1",
             vehicle_parameters={"mass": 2060.0}, simulator="libsumo 1.28.0", step_seconds=0.1, seed=1,
         ),
         ScenarioSetup(scenario="S2", weight=0.25, fingerprint="f2"),
@@ -146,44 +151,56 @@ def validated(scenario: str, histogram: dict[int, int], reducible: int = 2) -> V
 VALIDATED = [validated("S1", {0: 90, -1: 4, 2: 5, -7: 1}), validated("S2", {}, reducible=0)]
 
 
-def findings(**given: Any) -> ReportData:
-    """A small campaign, whole."""
-    campaign = Campaign(
-        id="0" * 32,
-        name="a <b>small</b> study",
-        state="succeeded",
-        stages={
-            "calibration": CellCounts(
-                proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
-            )
-        },
-        error_rate={"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265, stopped=True), "S2": ErrorRate()},
-        best=Best(objective=6.0, parameters={"P1": 1, "P2": 2.5, "P3": 4}, scores={"S1": 5, "S2": 7}, alternatives=3),
-        baseline=Baseline(objective=None, parameters={"P1": 5, "P2": 5, "P3": 5}, scores={"S1": 4, "S2": None}),
-        seconds=Seconds(wall=12, simulating=10),
-        notes=["not simulated because their weight is 0: S3"],
-        spec={"name": "study", "sensitivity": {"intervals": 5}},
-    )
-    worse = Solution(
-        rank=4,
-        objective=5,
-        rating=5.9,
-        parameters={"P1": -10, "P2": 0, "P3": 4},
-        scores={"S1": 5, "S2": 5},
-        iteration=0,
-        individual=3,
-    )
+CAMPAIGN = Campaign(
+    id="0" * 32,
+    name="a <b>small</b> study",
+    state="succeeded",
+    stages={
+        "calibration": CellCounts(
+            proposed=120, carried_over=40, requested=80, repeated=10, reused=20, simulated=48, failed=2, audited=8
+        )
+    },
+    error_rate={"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265), "S2": ErrorRate()},
+    best=Best(objective=6.0, parameters={"P1": 1, "P2": 2.5, "P3": 4}, scores={"S1": 5, "S2": 7}, alternatives=3),
+    baseline=Baseline(objective=None, parameters={"P1": 5, "P2": 5, "P3": 5}, scores={"S1": 4, "S2": None}),
+    seconds=Seconds(wall=12, simulating=10),
+    notes=["not simulated because their weight is 0: S3"],
+    spec={"name": "study", "sensitivity": {"intervals": 5}},
+)
+WORSE = Solution(
+    rank=4,
+    objective=5,
+    rating=5.9,
+    parameters={"P1": -10, "P2": 0, "P3": 4},
+    scores={"S1": 5, "S2": 5},
+    iteration=0,
+    individual=3,
+)
+STUDIES = [
+    StudyResult(study=study(), robustness=ROBUST),
+    StudyResult(study=study("validation", "1" * 32), validation=VALIDATED),
+]
+
+
+def results(**given: Any) -> CampaignResults:
+    """Returns the results of a small campaign, whole."""
     known: dict[str, Any] = {
-        "campaign": campaign,
+        "campaign": CAMPAIGN,
         "setup": SETUP,
-        "optima": OPTIMA,
-        "robustness": [Studied(study(), ROBUST)],
-        "validation": [Studied(study("validation", "1" * 32), VALIDATED)],
-        "generations": [generation(0), generation(1)],
-        "solutions": [*OPTIMA, worse],
-        "influence": ROWS,
-        "basis": None,
-        "titles": {"S1": "Change lane", "S2": "Keep the lane"},
+        "trust": ResultTrust(light=None, verdicts=[]),
         "accounting": ACCOUNT,
+        "studies": STUDIES,
+    }
+    return CampaignResults(**{**known, **given})
+
+
+def findings(found: CampaignResults | None = None, **given: Any) -> ReportData:
+    """Returns the data of a report on it."""
+    known: dict[str, Any] = {
+        "results": found or results(),
+        "optima": OPTIMA,
+        "generations": [generation(0), generation(1)],
+        "solutions": [*OPTIMA, WORSE],
+        "influence": ROWS,
     }
     return ReportData(**{**known, **given})

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.unit.report.rows import findings
+from tests.unit.report.rows import findings, results
 
-from drivecal.cli.views.front import print_front
-from drivecal.cli.views.output import print_campaign
-from drivecal.contracts.campaign import CellCounts
+from drivecal.cli.views.output import print_blocks
 from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow
+from drivecal.report.blocks import Table
+from drivecal.report.fronts import SHOWN, front_blocks, shown_of_front
 from drivecal.report.page import page
-from drivecal.report.rows import shown_of_front
-from drivecal.report.sections import front, influence
 from drivecal.report.writing import figures
 
 SIZE, KNEE = 30, 25
@@ -70,21 +68,20 @@ def test_as_many_different_sets_as_asked_for_are_shown(points: list[tuple[float,
     assert len(ranks) == min(limit, len(rows))
 
 
-def test_the_command_line_prints_as_many_sets_as_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    print_front(ROWS, SUMMARY, 4)
-    printed = capsys.readouterr()
-    assert [int(line.split()[0]) for line in printed.out.splitlines()[-4:]] == [1, 13, KNEE, SIZE]
-    assert f"4 of {SIZE}" in printed.err
-    assert f"--limit {SIZE}" in printed.err
+def test_as_many_sets_are_listed_as_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    print_blocks(front_blocks(ROWS, SUMMARY, "c", limit=4))
+    printed = capsys.readouterr().out
+    assert [int(line.split()[0]) for line in printed.splitlines()[-4:]] == [1, 13, KNEE, SIZE]
+    assert f"4 of {SIZE}" in printed
 
 
 def test_a_report_with_objectives_has_a_section_about_the_front() -> None:
-    (_, listed, _, command) = front.parts(ROWS, SUMMARY, "c")
-    assert listed.count("<tr") == front.SHOWN + 1
-    assert "knee" in listed
-    assert "best jerk" in listed
-    assert "drivecal front c" in command
-    assert 'id="section-front"' in page(findings(front=ROWS, front_summary=SUMMARY), {}, [], "0")
+    table = front_blocks(ROWS, SUMMARY, "c")[-1]
+    assert isinstance(table, Table)
+    assert len(table.rows) == SHOWN
+    assert table.command == f"drivecal front c --limit {SIZE}"
+    assert {"knee", "best jerk", "best comfort"} <= {value for row in table.rows for value in row}
+    assert 'id="section-front"' in page(findings(results(front=SUMMARY), front=ROWS), {}, [], "0")
     assert 'id="section-front"' not in page(findings(), {}, [], "0")
 
 
@@ -97,7 +94,7 @@ def test_a_report_draws_the_front_its_knee_and_extremes_and_the_hypervolume() ->
             "growth": [FrontGrowth(iteration=number, hypervolume=volume, size=3) for number, volume in ((0, 10.0), (1, 12.5))],
         }
     )
-    (figure,) = [each for each in figures(findings(front=ROWS, front_summary=summary)) if each.name == "figure-front"]
+    (figure,) = [each for each in figures(findings(results(front=summary), front=ROWS)) if each.name == "figure-front"]
     pair, volumes = figure.figure.axes
     drawn = {line.get_marker(): np.asarray(line.get_xydata()).tolist() for line in pair.lines}
     assert drawn["o"] == [[each.objectives["comfort"], each.objectives["jerk"]] for each in ROWS]
@@ -106,22 +103,5 @@ def test_a_report_draws_the_front_its_knee_and_extremes_and_the_hypervolume() ->
     assert sum(line.get_marker() == "D" for line in pair.lines) == 2
     assert np.asarray(volumes.lines[0].get_xydata()).tolist() == [[1, 10.0], [2, 12.5]]
     assert (pair.get_xlabel(), pair.get_ylabel()) == ("comfort (more is better)", "jerk / m/s3 (less is better)")
-    alone = findings(front=ROWS, front_summary=SUMMARY)
+    alone = findings(results(front=SUMMARY), front=ROWS)
     assert not [each for each in figures(alone) if each.name == "figure-front"]
-
-
-@pytest.mark.parametrize("objectives", [None, [{"score": "comfort"}]])
-def test_a_campaign_with_objectives_names_the_command_for_its_front(
-    objectives: list[object] | None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    campaign = findings().campaign.model_copy(update={"spec": {"objectives": objectives}})
-    print_campaign(campaign)
-    assert (f"drivecal front {campaign.id}" in capsys.readouterr().out) is (objectives is not None)
-
-
-def test_without_a_map_predictions_answer_too() -> None:
-    (equal,) = influence.parts([], None, [], CellCounts(requested=9, simulated=9))
-    assert "only equal parameter sets" in equal
-    (predicted,) = influence.parts([], None, [], CellCounts(requested=9, simulated=5, predicted=4))
-    assert "only equal" not in predicted
-    assert "predictions" in predicted

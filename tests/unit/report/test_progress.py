@@ -88,8 +88,7 @@ def test_what_never_occurred_is_not_in_the_legend() -> None:
 
 def test_areas_differ_in_more_than_colour() -> None:
     marks = [
-        (to_rgb(part.get_facecolor()), part.get_hatch())
-        for part in areas(cells_figure([generation(0, certified=3, predicted=3)])).values()
+        (to_rgb(part.get_facecolor()), part.get_hatch()) for part in areas(cells_figure([generation(0, predicted=3)])).values()
     ]
     bright = [0.299 * r + 0.587 * g + 0.114 * b for (r, g, b), hatch in marks if not hatch]
     assert len({hatch for _, hatch in marks if hatch}) + len(bright) == len(marks)

@@ -18,7 +18,7 @@ from tests.unit.report.rows import ROWS, nowhere, row
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.report.figures.drawing import png, svg
 from drivecal.report.figures.spider import HUB, PANELS_PER_SHEET, overview_figures, scenario_figure
-from drivecal.report.rows import segment
+from drivecal.report.sections import segment
 
 TITLES = {"S1": "Change lane on a curved road to overtake a slower vehicle", "S2": "Keep the lane"}
 LARGE = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -30,12 +30,12 @@ from tests.unit.report.rows import (
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.tables import ValidationRow
-from drivecal.report.data import Studied
-from drivecal.report.figures import optima_coordinates, robustness_degrees
+from drivecal.contracts.results import StudyResult
+from drivecal.domain.scales import COMFORT
+from drivecal.report import robustness, sections
+from drivecal.report.blocks import Table
+from drivecal.report.figures import optima_coordinates, robustness_degrees, validation
 from drivecal.report.figures.drawing import KINDS, svg
-from drivecal.report.rows import interval_text
-from drivecal.report.sections import optima, robustness, validation
 
 
 def lines(figure: Figure, name: str) -> list[list[list[float]]]:
@@ -63,8 +63,8 @@ def test_each_best_set_is_a_line_through_its_values_in_the_searched_ranges() -> 
 
 
 def test_an_axis_is_marked_where_all_best_sets_agree() -> None:
-    assert optima.constant(OPTIMA, PARAMETERS[:2]) == {"P1": 1}
-    assert optima.constant(OPTIMA[:1], PARAMETERS[:2]) == {}
+    assert sections.constant(OPTIMA, PARAMETERS[:2]) == {"P1": 1}
+    assert sections.constant(OPTIMA[:1], PARAMETERS[:2]) == {}
     same = optima_coordinates.drawn(OPTIMA, OPTIMA, PARAMETERS)
     assert [one.get_gid() for one in same.figure.axes[0].lines] == ["same.P1"]
     assert "A diamond marks" in same.caption
@@ -80,9 +80,13 @@ def test_regions_beyond_the_kinds_of_lines_are_drawn_together() -> None:
     assert "3 other regions: 3 sets" in svg(figure, "test")
 
 
+def rows_of(blocks: Sequence[object]) -> list[list[list[str]]]:
+    return [[[str(value) for value in row] for row in block.rows] for block in blocks if isinstance(block, Table)]
+
+
 def test_regions_tell_how_far_the_nearest_worse_set_is() -> None:
-    cells = re.findall(r"<td[^>]*>([^<]*)</td>", optima.regions_table(OPTIMA))
-    assert cells == ["0", "2", "1", "0.100", "0.200", "1", "1", "2", "0.500", "0.500"]
+    (regions,) = rows_of(sections.optima_blocks(OPTIMA, 3, PARAMETERS, []))
+    assert regions == [["0", "2", "1", "0.100", "0.200"], ["1", "1", "2", "0.500", "0.500"]]
 
 
 def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> None:
@@ -128,39 +132,23 @@ def test_the_nominal_ranks_begin_with_the_best_score_and_end_with_none() -> None
     assert robustness.by_nominal(rows, sign=-1) == {3: 1, 1: 2, 2: 3, 4: 4}
 
 
-def test_table_9_sets_robust_beside_nominal_quality_and_the_degrees_of_other_conditions() -> None:
-    other = Studied(study(campaign="2" * 32, condition="mean", eta=0.2), [robust(2, 2, [trial(1, True, 0)])])
-    html = "".join(robustness.parts([Studied(study(), ROBUST), other], OPTIMA, CAMPAIGN, ""))
-    head = re.findall(r"<th[^>]*>([^<]*)</th>", html)
-    assert head[6:10] == ["degree: max ≤ 1, δ = 0.1", "degree: mean &lt; 0.2, δ = 0.1", "δ max", "limited by"]
-    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", line) for line in html.split("<tr>")]
-    first, second, third = cells[2:5]
-    assert first == ["1 *", "2", "6.0000", "5.100", "5", "7", "≥ 2", "–", "0.2", "–"]
+def test_table_9_sets_robust_beside_nominal_quality() -> None:
+    other = StudyResult(
+        study=study(campaign="2" * 32, condition="mean", eta=0.2), robustness=[robust(2, 2, [trial(1, True, 0)])]
+    )
+    blocks = robustness.robustness_blocks([StudyResult(study=study(), robustness=ROBUST), other], OPTIMA, CAMPAIGN, [])
+    quality = next(block for block in blocks if isinstance(block, Table))
+    assert list(quality.header[6:]) == ["degree: max ≤ 1, δ = 0.1", "degree: mean < 0.2, δ = 0.1", "δ max", "limited by"]
+    first, second, third = rows_of(blocks)[0]
+    assert first == ["1 *", "2", "6.0000", "5.100", "5", "7", "≥ 2", "None", "0.2", "None"]
     assert second == ["2", "1", "6.0000", "5.200", "5", "7", "1", "≥ 2", "0.1", "S1 (3), S2 (2)"]
-    assert third == ["3", "3", "5.5000", "5.300", "5", "7", "0", "–", "0", "S1 (no result)"]
-    assert "Recommended: rank 1, because it has the best." in html
-    studies = [Studied(study(vehicle=model), ROBUST) for model in ("single_track", "hybrid")]
-    head = re.findall(r"<th[^>]*>([^<]*)</th>", "".join(robustness.parts(studies, OPTIMA, CAMPAIGN, "")))
-    assert head[6:8] == ["degree: max ≤ 1, δ = 0.1, single_track", "degree: max ≤ 1, δ = 0.1, hybrid"]
+    assert third == ["3", "3", "5.5000", "5.300", "5", "7", "0", "None", "0", "S1 (no result)"]
 
 
 @pytest.mark.parametrize(("samples", "share"), [(1, "95.0%"), (30, "9.5%"), (300, "1.0%")])
 def test_a_box_that_holds_says_what_its_vehicles_do_not_exclude(samples: int, share: str) -> None:
     assert share in vehicles_text({"samples": samples, "condition": "max"})
     assert "%" not in vehicles_text({"samples": samples, "condition": "mean"})
-    assert vehicles_text(study().settings) in "".join(robustness.parts([Studied(study(), ROBUST)], OPTIMA, CAMPAIGN, ""))
-
-
-def test_the_file_of_boxes_holds_every_deviation() -> None:
-    header, *rows = robustness.boxes(Studied(study(), ROBUST))
-    assert header == ("rank", "box", "radius", "holds", "deviation_S1", "deviation_S2")
-    assert rows == [
-        (1, 1, 0.1, "true", 0.0, 0.0),
-        (1, 2, 0.2, "true", 1.0, 0.0),
-        (2, 1, 0.1, "true", 0.0, 0.0),
-        (2, 2, 0.2, "false", 3.0, 2.0),
-        (3, 1, 0.1, "false", None, 0.0),
-    ]
 
 
 def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() -> None:
@@ -173,31 +161,15 @@ def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() 
     assert list(validation.drawn(VALIDATED[1:])) == []
 
 
-def test_intervals_of_validated_predictions_name_their_own_method() -> None:
-    predicted = VALIDATED[0].model_copy(update={"released": 300})
-    assert "Clopper-Pearson" in interval_text([predicted])
-    assert "betting" in interval_text(VALIDATED)
-
-
-def test_intervals_over_variants_are_called_too_narrow() -> None:
-    """Studies of earlier versions stay readable, with what their limits are worth."""
-    stored = VALIDATED[0].model_dump(mode="json")
-    del stored["interval_over"]
-    earlier = ValidationRow.model_validate(stored)
-    assert (earlier.interval_over, VALIDATED[0].interval_over) == ("variants", "bases")
-    for kept, narrow in ((earlier, True), (VALIDATED[0], False)):
-        html = "".join(validation.parts(Studied(study("validation"), [kept]), "0" * 32, {}, ""))
-        assert ("too narrow" in html) == narrow
-
-
 def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
-    influence = {"S1": [row("S1", "P1"), row("S1", "P2", 2, 9), nowhere("S1", "P3")]}
-    html = "".join(validation.parts(Studied(study("validation"), VALIDATED), "0" * 32, influence, ""))
-    cells = [re.findall(r"<td[^>]*>([^<]*)</td>", line) for line in html.split("<tr>") if "<td" in line]
-    assert cells[0] == ["S1", "P2 P3", "2", "3", "3", "40", "20", "5", "100"]
-    assert cells[2] == ["S1", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
-    assert cells[3] == ["S2", "0", "0", "0", "–", "–", "–"]
-    assert cells[4] == ["S1", "1", "0", "0", "0", "0", "0", "4", "90", "0", "5", "0", "0", "0", "0", "0"]
+    influence = [row("S1", "P1"), row("S1", "P2", 2, 9), nowhere("S1", "P3")]
+    sizes = sections.sizes_table(VALIDATED, influence)
+    rates, deviations = sections.validation_tables(VALIDATED, COMFORT), sections.deviations_table(VALIDATED, COMFORT)
+    ((first, _), (wrong, empty), (numbers,)) = rows_of([sizes, *rates, *deviations])
+    assert first == ["S1", "P2 P3", "2", "3", "3", "40", "20", "5", "100"]
+    assert wrong == ["S1", "100", "10", "6", "6.00%", "0.00%", "50.00%"]
+    assert empty == ["S2", "0", "0", "0", "None", "None", "None"]
+    assert numbers == ["S1", "1", "0", "0", "0", "0", "0", "4", "90", "0", "5", "0", "0", "0", "0", "0"]
 
 
 def test_small_figures_have_room_for_their_labels() -> None:
@@ -212,13 +184,8 @@ def test_small_figures_have_room_for_their_labels() -> None:
     assert 0 <= label.y0 < label.y1 <= bar.bbox.height
 
 
-def test_what_differs_by_a_point_is_told_beside_what_is_wrong() -> None:
-    told = "".join(validation.parts(Studied(study("validation"), VALIDATED), "0" * 32, {}, ""))
-    assert re.search(r"\b100 variants 10 .*10\.00%.* 6 .* 1 point .*6\.00%", told)
-
-
 def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
-    assert validation.reducible([row("S1", "P1", 1, 9), row("S1", "P2", 0, 8), row("S1", "P3", None, None)]) == ["P2"]
+    assert sections.reducible([row("S1", "P1", 1, 9), row("S1", "P2", 0, 8), row("S1", "P3", None, None)]) == ["P2"]
 
 
 def test_costs_without_steps_are_drawn_in_bars_with_edges_at_the_tolerance() -> None:
@@ -232,7 +199,7 @@ def test_costs_without_steps_are_drawn_in_bars_with_edges_at_the_tolerance() -> 
     assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.-1", "S1.2", "S1.26"}
     assert drawn.figure.axes[0].get_xlim()[1] > 104
     assert "80 of 100 unchanged" in drawn.alt
-    html = "".join(validation.parts(Studied(study("validation"), [costs]), "0" * 32, {}, "", COST))
-    cells = [cell for line in html.split("<tr>") for cell in re.findall(r"<td[^>]*>([^<]*)</td>", line)]
-    assert cells[-5:] == ["S1", "4", "90", "5", "1"]
-    assert re.findall(r"<th[^>]*>([^<]*)</th>", html)[-4:] == ["\N{MINUS SIGN}4", "0", "+8", "beyond +100"]
+    (table,) = sections.deviations_table([costs], COST)
+    assert isinstance(table, Table)
+    assert list(table.rows[0][-4:]) == [4, 90, 5, 1]
+    assert list(table.header[-4:]) == ["\N{MINUS SIGN}4", "0", "+8", "beyond +100"]

@@ -1,42 +1,25 @@
 """Campaigns: submit, read, steer, run again."""
 
-from collections import defaultdict
 from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
-from sqlalchemy import Connection
 
-from drivecal.analysis.savings import MapOrigin, account
 from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
-from drivecal.api.responses import (
-    ROOT,
-    SECONDS_BETWEEN_POLLS,
-    ResponseCache,
-    calibration,
-    campaign_answer,
-    etag,
-    list_etag,
-    matches,
-)
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.contracts.accounting import Accounting
+from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, ResponseCache, campaign_answer, etag, list_etag, matches
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
-from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
-from drivecal.storage import admission, audits, campaigns, evaluations, lots, revision_queries
+from drivecal.storage import admission, campaigns, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.organising import deletion, labels
-from drivecal.storage.references import influence_maps
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
@@ -122,48 +105,6 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
         deletion.remove_cells(database, deleted)
     listed = [Referring(**asdict(reference)) for reference in referring]
     return Deletion(id=campaign_id, deleted=not listed, archived=bool(listed), referring=listed)
-
-
-@router.get("/{campaign_id}/accounting")
-def accounting(campaign_id: str, database: DatabaseDependency) -> Accounting:
-    """Savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
-    with database.read() as connection:
-        stored = calibration(campaigns.get(connection, campaign_id), ", which saves nothing")
-        rows = evaluations.costs_by_outcome(connection, stored.sequence)
-        origin = _map_origin(connection, stored)
-        resolved = resolved_spec(stored) if stored.resolution else None
-        proofs = audits.proofs(connection, stored.sequence, resolved.evaluator, resolved.scale) if resolved is not None else ()
-        searched = (stored.spec.get("optimizer") or {}).get("iterations", 0)
-        confirmed = evaluations.confirmed(connection, stored.sequence, searched)
-        of_predictions = lots.of_campaign(connection, stored.sequence, Outcome.PREDICTED)
-    known = [*stored.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
-    predictors: dict[str, float] = defaultdict(float)
-    for lot in of_predictions:  # `released` sums up those of whole generations
-        predictors[lot.scenario] += lot.seconds
-    return account(
-        stored.id,
-        stored.state,
-        dict.fromkeys(known),
-        rows,
-        origin,
-        proofs,
-        confirmed,
-        predictors,
-        pruned=stored.pruned_at is not None,
-    )
-
-
-def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
-    """Returns the map in use and what it cost; None without a map, and if the cells that say it were pruned."""
-    if campaign.influence_map_id is None or campaign.pruned_at is not None:
-        return None
-    stored = influence_maps.get(connection, campaign.influence_map_id)
-    if stored.basis is None:
-        return MapOrigin(stored.id, made_by=None)
-    maker = campaigns.get(connection, stored.source)
-    if maker.pruned_at is not None:
-        return None
-    return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 
 @router.post("/{campaign_id}/pause", status_code=202)

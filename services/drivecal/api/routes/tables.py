@@ -109,7 +109,7 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
     ranked = ranking(database, campaign, begun_with, query.weights, query.score)
-    columns = _columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
+    columns = ranked_columns(Solution, ranked.scenarios, replace(begun_with, scale=ranked.scale, goals=ranked.goals))
     return table_answer(f"solutions-{campaign.id}", query, accept, columns, slices(ranked.solutions, len(ranked)))
 
 
@@ -127,7 +127,7 @@ def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependenc
         placed = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
         return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
 
-    columns = _columns(OptimumRow, ranked.scenarios, begun_with)
+    columns = ranked_columns(OptimumRow, ranked.scenarios, begun_with)
     return table_answer(f"optima-{campaign.id}", query, accept, columns, slices(rows, len(known)))
 
 
@@ -144,7 +144,7 @@ def list_robustness(campaign_id: str, query: TableQuery, database: DatabaseDepen
     marked with the reason. None before the robustness stage."""
     campaign = _campaign(database, campaign_id)
     begun_with = _pinned(campaign)
-    columns = _columns(RobustnessRow, begun_with.weights, begun_with)
+    columns = ranked_columns(RobustnessRow, begun_with.weights, begun_with)
     pages = _study(database, campaign, StageName.ROBUSTNESS, RobustnessRow)
     return table_answer(f"robustness-{campaign.id}", query, accept, columns, pages)
 
@@ -165,7 +165,7 @@ def _study(database: Database, campaign: StoredCampaign, stage: StageName, model
     return slices(lambda start, stop: [model.model_validate(item) for item in items[start:stop]], len(items))
 
 
-def _columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
+def ranked_columns(model: type[BaseModel], scenarios: Iterable[str], begun_with: ResolvedSpec) -> Columns:
     """Returns the columns of a file with a column for each score and parameter."""
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "constraints": [] if begun_with.goals is None else begun_with.goals.bound_names,

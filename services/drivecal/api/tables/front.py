@@ -6,7 +6,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import EQUAL, Bound, Goal, Objective
 from drivecal.analysis.optima import distances
-from drivecal.analysis.robustness_difference import key_of
+from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember
 from drivecal.api.tables.ranking import given_weights
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec

@@ -30,13 +30,13 @@ def download(
     name: str, form: Literal["csv", "parquet"], columns: Sequence[Column], pieces: Iterable[Sequence[Row]]
 ) -> StreamingResponse:
     """Returns the answer with a whole table as a file called `name`."""
-    content = _csv(columns, pieces) if form == "csv" else _parquet(columns, pieces)
+    content = csv_pieces(columns, pieces) if form == "csv" else _parquet(columns, pieces)
     media_type = "text/csv; charset=utf-8; header=present" if form == "csv" else PARQUET
     headers = {"Content-Disposition": f'attachment; filename="{name}.{form}"', "Vary": "Accept"}
     return StreamingResponse(content, media_type=media_type, headers=headers)
 
 
-def _csv(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
+def csv_pieces(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
     """Yields CSV (RFC 4180) with a header: missing values are empty, truth is `true` and `false`, lists are JSON, floats round-trip.
 
     Texts that a spreadsheet would carry out as a formula begin with an apostrophe.

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.better_sets import Earlier, Later
 from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet as Ranked
 from drivecal.analysis.solutions import Ranking
+from drivecal.analysis.trust import Earlier, Later
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.bundle_source import stored_bundles
@@ -131,12 +131,12 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
     return Earlier(earlier.id, ranked[0].objective, weights, ranked[0].reused, score, is_pruned)
 
 
-def later_best(database: Database, campaign: StoredCampaign, withdrawn: int) -> Later | None:
-    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted, or whose
-    certificate was withdrawn (so many were); None if they simulated none."""
+def later_best(database: Database, campaign: StoredCampaign) -> Later | None:
+    """Returns the first set of the ranking of an ended campaign since others simulated cells that it had copied or predicted;
+    None if they simulated none."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None:
         return None
-    if not campaign.cells.reused + campaign.cells.predicted + withdrawn:
+    if not campaign.cells.reused + campaign.cells.predicted:
         return None
     resolved = resolved_spec(campaign)
     with database.read() as connection:

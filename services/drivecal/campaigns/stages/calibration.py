@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.confirmation import Confirmation, front_verdict, verdict_in
+from drivecal.analysis.confirmation import Confirming, front_outcome
+from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.cells.past_lots import skipped_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
@@ -82,10 +83,10 @@ class Calibration(BestSetStage):
             reduction, population = problem.specification.reduction, problem.optimization.population
             self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
-        self._confirmation: Confirmation | None = None
+        self._confirming: Confirming | None = None
         self._withdrawn = 0
         """Withdrawn answers that the ranking knows of."""
-        self._verdict = verdict_in(campaign.notes)
+        self._confirmation = campaign.confirmation
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -276,18 +277,18 @@ class Calibration(BestSetStage):
         if limit == 0 or believed is None:
             return None
         with self._database.transaction() as connection:
-            if self._confirmation is None:
+            if self._confirming is None:
                 tried = results.sets_since(connection, sequence, self.name, first)
-                self._confirmation, taken = Confirmation(limit, believed.objective, tried), 0
+                self._confirming, taken = Confirming(limit, believed.objective, tried), 0
             else:
-                tried, taken = self._confirmation.tried, len(self._confirmation.tried) - 1
+                tried, taken = self._confirming.tried, len(self._confirming.tried) - 1
             for number in range(taken, len(tried)):
                 self._ranking.add(self._answers.read(connection, sequence, first + number))
             if tried:
                 self._describe_best(connection)
-            chosen = self._confirmation.choose(self._ranking)
+            chosen = self._confirming.choose(self._ranking)
             if chosen is None:
-                self._give_verdict(connection, self._confirmation)
+                self._end_confirmation(connection, self._confirming)
             else:
                 parameters = parameter_sets.load(connection, [chosen.parameter_set])[chosen.parameter_set]
             self._save(connection)
@@ -297,22 +298,23 @@ class Calibration(BestSetStage):
         tried.append(chosen.parameter_set)
         return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], Policy("exact"))
 
-    def _give_verdict(self, connection: Connection, confirmation: Confirmation) -> None:
-        """Stores the verdict of the confirmation, once; its simulations may contradict others."""
+    def _end_confirmation(self, connection: Connection, confirming: Confirming) -> None:
+        """Stores the outcome of the confirmation, once; its simulations may contradict others."""
         best = self._ranking.best()
-        if confirmation.tried and best is not None:
+        if confirming.tried and best is not None:
             last, scenarios = self._optimization.iterations - 1, self._problem.scenarios
             self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
-            if self._verdict is None:
+            if self._confirmation is None:
                 goals = self._problem.goals
-                is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirmation.tried)
+                is_front, untried = goals is not None and goals.is_vector, self._ranking.doubtful(confirming.tried)
                 front = self._ranking.front() if is_front else []
                 if is_front and (not best[0].reused or any(member.solution.reused for member in front)):
-                    self._verdict = front_verdict(front, confirmation.tried, untried)
+                    self._confirmation = front_outcome(front, confirming.tried, untried)
                 else:
-                    self._verdict = confirmation.verdict(best[0], untried)
-                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": self._verdict})
-                if not is_front and confirmation.changed(best[0]):
+                    self._confirmation = confirming.outcome(best[0], untried)
+                text = confirmation_verdict(self._confirmation).text
+                events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": text})
+                if not is_front and confirming.is_changed(best[0]):
                     self._tell_best(connection, best[0])
 
     def _close(self) -> None:
@@ -376,8 +378,6 @@ class Calibration(BestSetStage):
         notes += self._score_notes()
         if (skipped := skipped_text(self._released)) is not None and self._iteration == self._optimization.iterations - 1:
             notes.append(skipped)
-        if self._verdict is not None:
-            notes.append(self._verdict)
         if self._best is not None and self._best.violation > 0 and self._iteration == self._optimization.iterations - 1:
             notes.append(f"no set keeps all constraints on results: the best set breaks them by {self._best.violation:.1%}")
         return replace(
@@ -387,6 +387,7 @@ class Calibration(BestSetStage):
             error_rate=self._error_rate,
             released=self._released,
             best=self._best,
+            confirmation=self._confirmation,
             baseline=self._baseline,
             notes=notes,
         )

@@ -17,19 +17,20 @@ from drivecal.cli.application import (
     connect,
     tell,
 )
-from drivecal.cli.views.evaluation import print_evaluation
 from drivecal.cli.views.live_table import SearchedCampaign, document, print_plain, show_live, table
-from drivecal.cli.views.output import dumped, duration, print_answer, print_campaign, print_json, print_page, saved, when
-from drivecal.cli.views.progress import follow
-from drivecal.cli.views.savings import (
-    pays_text,
-    print_accounting,
-    print_error_rates,
-    print_failures,
-    print_lots,
-    print_narrowed,
-    print_trust,
+from drivecal.cli.views.output import (
+    dumped,
+    duration,
+    print_answer,
+    print_campaign,
+    print_evaluation,
+    print_json,
+    print_page,
+    print_results,
+    saved,
+    when,
 )
+from drivecal.cli.views.progress import follow
 from drivecal.client.client import Action, Client
 from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
@@ -247,30 +248,24 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
 
 
 def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """Prints a campaign, with its account once a cell is answered and unless it is pruned; a single evaluation as `evaluate` does."""
+    """Prints a campaign with its results; a single evaluation as `evaluate` does."""
     if campaign.kind == "evaluation":
         print_answer(client.evaluation(campaign.id), as_json, print_evaluation)
         return
-    answered = campaign.cells.requested or campaign.sensitivity_cells.requested
-    accounted = answered and "generations" in campaign.links and campaign.pruned_at is None
-    account = client.accounting(campaign.id) if accounted else None
-    deserved = client.trust(campaign.id) if "trust" in campaign.links else None
+    results = client.results(campaign.id)
     if as_json:
-        accounting = None if account is None else account.model_dump(mode="json")
-        causes = dumped(client.failures(campaign.id).items) if answered else []
-        light = None if deserved is None else deserved.model_dump(mode="json")
-        print_json({**campaign.model_dump(mode="json"), "accounting": accounting, "failures": causes, "trust": light})
+        known = results.model_dump(mode="json", exclude={"campaign"})
+        print_json(campaign.model_dump(mode="json") | known)
         return
     print_campaign(campaign)
-    if deserved is not None:
-        print_trust(deserved)
-    print_narrowed(campaign.narrowed)
-    print_error_rates(campaign.error_rate, campaign.scale)
-    print_lots(campaign.released)
-    if answered:
-        print_failures(client.failures(campaign.id).items)
-    if account is not None:
-        print_accounting(account)
+    print_results(results)
+
+
+def pays_text(share: float) -> str:
+    """Returns the meaning of `ExpectedRuns.break_even_share` for a coming campaign."""
+    if share > 1:
+        return "the analysis cannot pay within this campaign: it takes more runs than there are cells to reuse; reruns share its map"
+    return f"the analysis pays within this campaign if its map answers {share:.1%} of the requested cells"
 
 
 def _print_expected(expected: ExpectedRuns) -> None:

@@ -14,7 +14,7 @@ from drivecal.client.documents import opened_document
 from drivecal.contracts.comparison import ComparedGroup, Comparison, ExpectedComparison, ReductionEffect
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.scales import objective_text
-from drivecal.report.rows import fixed, objective_number, percent
+from drivecal.report.blocks import fixed, objective_number, percent
 
 SECONDS_BETWEEN_LOOKS = 2.0
 

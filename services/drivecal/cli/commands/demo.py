@@ -17,12 +17,13 @@ from typing import Any
 import typer
 
 from drivecal.cli.application import ExitCode, JsonOption, app, tell
-from drivecal.cli.views.output import duration, lots_text, print_cells, print_json, print_solutions, saved, self_check_text
+from drivecal.cli.views.output import duration, print_blocks, print_cells, print_json, print_solutions, saved
 from drivecal.cli.views.progress import show_until_ended
 from drivecal.client.client import Client
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.domain.errors import ConflictError, DrivecalError
+from drivecal.report.sections import trust_blocks
 
 SECONDS_TO_START = 600.0
 """Ray needs some seconds, compiling the kernels for the first time half a minute on a slow machine, and many times that on a busy one."""
@@ -198,12 +199,11 @@ def _first(client: Client, as_json: bool) -> Campaign:
     if not as_json:
         _print_best(client, campaign, "The best parameter sets, with the comfort score (0 to 7) in each scenario")
         _print_comparison(campaign)
-        _print_answers(
-            campaign,
-            "How its cells were answered; certified: by a proof that the run would repeat a stored one",
-            campaign=campaign,
-        )
-        typer.echo(f"\nWhat that saved and cost: {client.accounting(campaign.id).sentence}")
+        results = client.results(campaign.id)
+        _print_answers("How its cells were answered", campaign=campaign)
+        print_blocks(trust_blocks(results.trust))
+        if results.accounting is not None:
+            typer.echo(f"\nWhat that saved and cost: {results.accounting.sentence}")
     return campaign
 
 
@@ -212,9 +212,7 @@ def _second(client: Client, first: Campaign, as_json: bool) -> Campaign:
     campaign = _carried_out(client, client.rerun(first.id, {"weights": OTHER_WEIGHTS}))
     if not as_json:
         _print_best(client, campaign, "The best sets when lane changes weigh three times as much")
-        _print_answers(
-            campaign, "What the first campaign had simulated was not simulated again", campaign=first, rerun=campaign
-        )
+        _print_answers("What the first campaign had simulated was not simulated again", campaign=first, rerun=campaign)
     return campaign
 
 
@@ -225,11 +223,9 @@ def _print_best(client: Client, campaign: Campaign, title: str) -> None:
     print_solutions(client.solutions(campaign.id, limit=SHOWN).items, campaign.spec)
 
 
-def _print_answers(checked: Campaign, title: str, **campaigns: Campaign) -> None:
+def _print_answers(title: str, **campaigns: Campaign) -> None:
     typer.echo(f"\n{title}:\n")
     print_cells([(name, campaign.cells) for name, campaign in campaigns.items()])
-    checks = [text for text in (self_check_text(checked), lots_text(checked)) if text]
-    typer.echo(f"\nSelf-check: {'; '.join(checks) or 'no reused cell was audited, and no lot of predictions inspected'}.")
 
 
 def _carried_out(client: Client, campaign: Campaign) -> Campaign:

@@ -19,9 +19,8 @@ from drivecal.cli.application import (
     tell,
 )
 from drivecal.cli.views import traces
-from drivecal.cli.views.evaluation import print_evaluation
 from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns
+from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer

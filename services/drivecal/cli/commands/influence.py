@@ -14,7 +14,8 @@ from drivecal.client.documents import opened_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.report.rows import by_scenario, fixed, segment
+from drivecal.report.blocks import fixed
+from drivecal.report.sections import by_scenario, segment
 from drivecal.sensitivity.agreement import Agreement, Pair, agreement
 from drivecal.sensitivity.thresholds import caveats
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,18 +18,19 @@ from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, campaign_ids, connect, tell
 from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.front import print_front, print_trade_off
 from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
-from drivecal.cli.views.output import dumped, print_answer, print_json, print_solutions
+from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.client.transport import harmless_text
 from drivecal.contracts.assignments import assignments, value_text
+from drivecal.contracts.results import TradeOff, ValuePair
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.report.review.content import differences, digest_in, read_sheet
-from drivecal.report.whole import read_report, write
+from drivecal.report import PAGE
+from drivecal.report.fronts import front_blocks
+from drivecal.report.sheet import differences, digest_in, read_sheet
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
 Format = Literal["csv", "parquet", "json", "dcm", "cdfx", "mf4"]
@@ -101,7 +104,22 @@ def front(
     if as_json:
         print_json({"summary": summary.model_dump(mode="json"), "items": dumped(rows)})
     else:
-        print_front(rows, summary, limit)
+        print_blocks(front_blocks(rows, summary, campaign_id, limit=limit))
+
+
+def print_trade_off(answer: TradeOff) -> None:
+    """Prints what the second of two sets gains and costs."""
+    for line in answer.text:
+        typer.echo(line)
+    typer.echo(f"{len(answer.parameters)} parameters differ, by {answer.distance:.3f} of their ranges (root mean square)")
+    typer.echo()
+    listed = [*answer.constraints, *answer.scores, *answer.values, *answer.parameters]
+    print_columns(["", f"rank {answer.first}", f"rank {answer.second}"], [_values(each) for each in listed])
+
+
+def _values(difference: ValuePair) -> list[str]:
+    values = (difference.first, difference.second)
+    return [difference.name, *("-" if value is None else value_text(value) for value in values)]
 
 
 def _ranks(text: str) -> tuple[int, int]:
@@ -305,12 +323,19 @@ def report(
 ) -> None:
     """Write a campaign's figures (SVG and PNG), tables (CSV) and one self-contained page, index.html."""
     with connect(url) as client:
-        whole = read_report(client, client.full_id(identifier))
-        written = write(whole, output)
+        campaign = client.full_id(identifier)
+        archive = zipfile.ZipFile(io.BytesIO(client.report(campaign, "zip")))
+    try:
+        archive.extractall(output)
+    except OSError as error:
+        where = str(error.filename or output)
+        raise InvalidInputError(Problem(where, f"it cannot be written: {error.strerror}", "give another folder")) from error
+    written = [str(output / name) for name in archive.namelist()]
+    page = str(output / PAGE)
     if as_json:
-        print_json({"campaign": whole.data.campaign.id, "page": str(written[-1]), "files": [str(path) for path in written]})
+        print_json({"campaign": campaign, "page": page, "files": written})
     else:
-        typer.echo(f"{written[-1]}: the report, with {len(written) - 1} files beside it")
+        typer.echo(f"{page}: the report, with {len(written) - 1} files beside it")
 
 
 @app.command()

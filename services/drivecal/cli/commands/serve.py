@@ -16,7 +16,7 @@ from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
 from drivecal.domain.errors import DrivecalError
-from drivecal.report.rows import fixed
+from drivecal.report.blocks import fixed
 
 log = logging.getLogger(__name__)
 

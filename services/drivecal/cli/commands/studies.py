@@ -10,7 +10,7 @@ import typer
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
 from drivecal.cli.views import robustness_differences
-from drivecal.cli.views.output import dumped, parameters_text, print_columns, print_json
+from drivecal.cli.views.output import dumped, parameters_text, print_blocks, print_columns, print_json
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
@@ -20,7 +20,8 @@ from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.scales import COMFORT, Scale
-from drivecal.report.rows import PREDICTIONS, errors_text, fixed, interval_text, objective_number, percent, predictions, totals
+from drivecal.report.blocks import fixed, objective_number
+from drivecal.report.sections import validation_tables
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
@@ -124,8 +125,6 @@ def validate(
         rows = client.validation(maker.id)
     if as_json:
         print_json(dumped(rows))
-    elif predicted:
-        print_released(rows, campaign.scale)
     else:
         print_validation(rows, campaign.scale)
 
@@ -137,32 +136,9 @@ def _map_of(campaign: Campaign) -> dict[str, str]:
     return {"map": link.rpartition("/")[2]}
 
 
-def print_released(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
-    """Prints how many released predictions are right."""
-    print_columns(PREDICTIONS, predictions(rows))
-    compared, different, wrong = totals(rows, "compared", "different", "wrong")
-    if compared:
-        typer.echo(errors_text("predictions", compared, different, wrong, scale))
-
-
 def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
-    """Prints Tables 1 and 2 of the paper for this map."""
-    print_columns(
-        ["scenario", "n", "n*_LHS", "n_ref", "compared", "different", "wrong", "R_err", "95 % interval", "effects covered"],
-        [
-            [
-                *(row.scenario, row.reducible, row.bases, row.references, row.compared, row.different, row.wrong),
-                percent(row.error_rate, 3),
-                None if row.lower_95 is None or row.upper_95 is None else f"{row.lower_95:.3%} to {row.upper_95:.3%}",
-                f"{row.covered} of {row.effects}",
-            ]
-            for row in rows
-        ],
-    )
-    compared, different, wrong = totals(rows, "compared", "different", "wrong")
-    if compared:
-        typer.echo(errors_text("variants", compared, different, wrong, scale))
-        typer.echo(interval_text(rows))
+    """Prints Tables 1 and 2 of the paper for a map, or how many released predictions are right."""
+    print_blocks(validation_tables(rows, scale))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

@@ -11,15 +11,28 @@ from pydantic import BaseModel
 from drivecal.cli.application import tell
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.evaluation import Evaluation
+from drivecal.contracts.results import CampaignResults
 from drivecal.contracts.tables import Solution
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, told
-from drivecal.report.rows import OUTCOMES, totals
-from drivecal.report.sections.commands import evaluation
+from drivecal.report.blocks import Block, Bullets, CommandLines, Heading, Paragraph, Table, shortened
+from drivecal.report.sections import (
+    OUTCOMES,
+    account_blocks,
+    audits_table,
+    evaluation_command,
+    failures_table,
+    lots_table,
+    narrowed_table,
+    solutions_table,
+    trust_blocks,
+)
 
 Shown = TypeVar("Shown", bound=BaseModel)
 
-OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#009e73", "#d55e00"), strict=True))
+OUTCOME_COLOURS = dict(zip(OUTCOMES, ("#e69f00", "#56b4e9", "#3f9fe0", "#cc79a7", "#d55e00"), strict=True))
 """Colours on terminals, those of the page on a dark ground."""
 
 
@@ -87,10 +100,6 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("alternatives", f"{share} the best objective"))
         if campaign.spec.get("objectives"):
             lines.append(("front", f"drivecal front {campaign.id} lists the compromises between the objectives"))
-    if self_check := self_check_text(campaign):
-        lines.append(("self-check", self_check))
-    if lots := lots_text(campaign):
-        lines.append(("predictions", lots))
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
@@ -105,24 +114,68 @@ def print_solutions(solutions: Sequence[Solution], spec: Mapping[str, Any]) -> N
     if not solutions:
         typer.echo("no parameter set has a result in every scenario yet")
         return
-    first = solutions[0]
-    broken = ["breaks constraints by"] if any(solution.violation > 0 for solution in solutions) else []
-    header = ["rank", "objective", "rating", *broken, *first.constraints, *first.scores, *first.parameters]
-    rows = [
-        [
-            *(solution.rank, objective_text(solution.objective), f"{solution.rating:.3f}"),
-            *(f"{solution.violation:.1%}" if solution.violation > 0 else "-" for _ in broken),
-            *(f"{amount:.6g}" for amount in solution.constraints.values()),
-            *(f"{told(score)}*" if scenario in solution.reused else score for scenario, score in solution.scores.items()),
-            *solution.parameters.values(),
-        ]
-        for solution in solutions
-    ]
-    print_columns(header, rows)
+    print_blocks(solutions_table(solutions, shown=len(solutions)))
     reused = next((solution for solution in solutions if solution.reused), None)
     if reused is not None:
-        command = evaluation(reused.parameters, spec, reused.scores)
-        typer.echo(f"* taken from a reference; this simulates the set of rank {reused.rank}:\n{command}")
+        command = evaluation_command(reused.parameters, spec, reused.scores)
+        typer.echo(f"this simulates the set of rank {reused.rank}:\n{command}")
+
+
+def print_blocks(blocks: Iterable[Block]) -> None:
+    """Prints parts of a page."""
+    for block in blocks:
+        if isinstance(block, Table):
+            if block.caption:
+                typer.echo(f"\n{block.caption}")
+            print_columns(block.header, block.rows)
+        elif isinstance(block, Bullets):
+            for item in block.items:
+                typer.echo(f"  {item}")
+        elif isinstance(block, Paragraph | Heading | CommandLines):
+            typer.echo(block.text)
+
+
+def print_results(results: CampaignResults) -> None:
+    """Prints the results of a campaign below its summary: verdicts, checks, failures, and what it cost."""
+    campaign = results.campaign
+    typer.echo("")
+    print_blocks(
+        [
+            *trust_blocks(results.trust),
+            *narrowed_table(campaign.narrowed),
+            *audits_table(campaign.error_rate, campaign.scale),
+            *lots_table(campaign.released),
+            *failures_table(results.failures),
+            *account_blocks(results.accounting),
+        ]
+    )
+
+
+def print_evaluation(evaluation: Evaluation) -> None:
+    """Prints the parameters, the result in each scenario, and the measures if there is one scenario."""
+    if not CampaignState(evaluation.state).ended:
+        typer.echo(f"evaluation {evaluation.id} is {evaluation.state}")
+    typer.echo(parameters_text(evaluation.parameters))
+    for note in evaluation.notes:
+        typer.echo(f"note: {note}")
+    if evaluation.error:
+        typer.echo(f"error: {evaluation.error}")
+    header = ["scenario", "outcome", "score", "rating", "failure", "worker ms"]
+    print_columns(
+        header,
+        [[item.scenario, item.outcome, item.score, item.rating, item.failure, item.milliseconds] for item in evaluation.items],
+    )
+    for item in evaluation.items:
+        if item.detail:
+            typer.echo(f"{item.scenario}: {shortened(item.detail)}; --json shows all of it")
+    if evaluation.objective is not None and len(evaluation.items) > 1:
+        typer.echo(f"mean score {objective_text(evaluation.objective)}")
+    if evaluation.metrics:
+        typer.echo("")
+        print_columns(
+            ["metric", "value"],
+            [[name, None if value is None else f"{value:.4g}"] for name, value in evaluation.metrics.items()],
+        )
 
 
 def state_text(campaign: Campaign) -> str:
@@ -169,37 +222,9 @@ def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
     return {name: getattr(cells, name, 0) for name in OUTCOMES}
 
 
-def self_check_text(campaign: Campaign) -> str:
-    """Returns the audits' results on a line; empty before the first audit."""
-    rates = campaign.error_rate
-    audited, different, wrong = totals(rates.values(), "audited", "different", "wrong")
-    if not audited:
-        return ""
-    tolerated = campaign.scale.amount(campaign.scale.tolerance)
-    cells = "1 reusable cell was" if audited == 1 else f"{audited:,} reusable cells were"
-    text = f"{cells} simulated all the same: {different:,} scored differently, {wrong:,} by more than {tolerated}"
-    stopped = [name for name, rate in rates.items() if rate.stopped]
-    lots, rejected = totals(rates.values(), "lots", "rejected")
-    if lots:
-        inspected = "1 lot of references was" if lots == 1 else f"{lots:,} lots of references were"
-        text = f"{text}; {inspected} inspected, {rejected:,} rejected"
-    return f"{text}; reuse was stopped in {', '.join(stopped)}" if stopped else text
-
-
-def lots_text(campaign: Campaign) -> str:
-    """Returns the inspections of predicted answers on a line; empty before the first."""
-    names = ("lots", "rejected", "predicted", "sampled", "different")
-    lots, rejected, predicted, sampled, beyond = totals(campaign.released.values(), *names)
-    if not lots:
-        return ""
-    inspected = "1 lot was" if lots == 1 else f"{lots:,} lots were"
-    samples = f"{beyond:,} of {sampled:,} samples beyond the tolerance"
-    return f"{inspected} inspected, {rejected:,} rejected; {predicted:,} answers released; {samples}"
-
-
 def saved(cells: CellCounts) -> float:
     """Returns the share of the requested cells that needed no simulation."""
-    answered = cells.repeated + cells.reused + cells.predicted + cells.certified
+    answered = cells.repeated + cells.reused + cells.predicted
     return answered / cells.requested if cells.requested else 0.0
 
 

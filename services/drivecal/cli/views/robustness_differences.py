@@ -6,12 +6,12 @@ from typing import Any
 
 import typer
 
-from drivecal.analysis.robustness_difference import difference, pairs_of
+from drivecal.analysis.robustness import difference, pairs_of
 from drivecal.cli.views.output import dumped, parameters_text, print_columns
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import RobustnessRow
-from drivecal.report.rows import fixed
+from drivecal.report.blocks import fixed
 
 BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""

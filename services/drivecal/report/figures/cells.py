@@ -1,4 +1,4 @@
-"""Figure 11: the accumulated cells by outcome, drawn and as a table."""
+"""Figure 11: the accumulated cells by outcome."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -8,14 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from drivecal.contracts.tables import Generation
-from drivecal.report.figures.drawing import BLUE, GREEN, PURPLE, SKY, VERMILION, Drawn, style, whole_numbers
-from drivecal.report.sections.search import in_numbers
+from drivecal.report.figures.drawing import BLUE, PURPLE, SKY, VERMILION, Drawn, style, whole_numbers
 
 OUTCOMES = (
     ("simulated", "simulated", "#D9D9D9", ""),
     ("audited", "simulated as an audit", "#B0B0B0", "\\\\\\\\"),
     ("failed", "failed", VERMILION, "xxxx"),
-    ("certified", "certified", GREEN, "...."),
     ("predicted", "predicted", PURPLE, "++++"),
     ("repeated", "repeated", SKY, ""),
     ("reused", "answered by a reference", BLUE, "////"),
@@ -40,21 +38,13 @@ def drawn(generations: Sequence[Generation]) -> Drawn:
     return Drawn("figure-11-cells", caption, cells_figure(generations), alt=alt)
 
 
-def cells_table(generations: Sequence[Generation]) -> str:
-    """Returns Figure 11 as a table, with every outcome."""
-    counts = zip(generations, zip(*accumulated(generations).values(), strict=True), strict=True)
-    rows = {generation.iteration: [sum(totals), *totals] for generation, totals in counts}
-    header = ["requested", *(label for _, label, *_ in OUTCOMES)]
-    return in_numbers("Answers of the cells in numbers, added up", header, rows, generations)
-
-
 def cells_figure(generations: Sequence[Generation]) -> Figure:
     """Draws the requested cells of all iterations up to each, stacked by outcome, without outcomes that never occurred."""
     totals = accumulated(generations)
     numbers = [generation.iteration + 1 for generation in generations]
     edges = np.append(np.array(numbers) - 0.5, numbers[-1] + 0.5)
     requested = sum(values[-1] for values in totals.values())
-    saved = sum(totals[field][-1] for field in ("repeated", "reused", "predicted", "certified")) / max(1, requested)
+    saved = sum(totals[field][-1] for field in ("repeated", "reused", "predicted")) / max(1, requested)
     with style():
         figure = Figure(figsize=(7.4, 3.6), layout="constrained")
         axes = figure.subplots()

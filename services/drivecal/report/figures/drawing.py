@@ -2,17 +2,22 @@
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from typing import Any, Literal
 
 import matplotlib as mpl
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+
+from drivecal.report.blocks import Figure as Block
 
 DOTS_PER_INCH = 200
 BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
@@ -69,10 +74,14 @@ class Drawn:
     alt: str = ""
 
 
+_DRAWING = threading.RLock()
+"""Settings of matplotlib belong to the process: one thread draws at a time."""
+
+
 @contextmanager
 def style() -> Iterator[None]:
     """Applies `STYLE` to figures inside the block."""
-    with mpl.rc_context(STYLE):
+    with _DRAWING, mpl.rc_context(STYLE):
         yield
 
 
@@ -106,6 +115,12 @@ def inlined(document: str, name: str, title: str) -> str:
     attributes = f' width="100%"{limit} role="img" aria-label="{title}"'
     # By a function: a backslash in the title is not a reference.
     return re.sub(r'(<svg[^>]*?) width="[^"]*"', lambda match: match[1] + attributes, body, count=1)
+
+
+def in_page(drawn: Drawn, document: str, files: Iterable[str] = ()) -> Block:
+    """Returns a figure, whose SVG is known, as a part of a page."""
+    inline = Markup(inlined(document, drawn.name, escape(drawn.alt or drawn.caption)))  # noqa: S704  # matplotlib's own SVG
+    return Block(inline, drawn.caption, list(files))
 
 
 def plotted(value: float | None) -> float:

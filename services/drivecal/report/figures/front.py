@@ -1,6 +1,6 @@
 """The front of a campaign with objectives: two objectives at a time, and its hypervolume over the iterations."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 
 from matplotlib.axes import Axes
@@ -15,8 +15,8 @@ MOST_PAIRS = 3
 """Pairs of objectives that are drawn: all of three; of more, those with the first come first."""
 
 
-def drawn(rows: Sequence[FrontRow], summary: FrontSummary) -> Drawn:
-    """Returns the figure of a front with at least one set and two objectives."""
+def drawn(rows: Sequence[FrontRow], summary: FrontSummary, chosen: Collection[int] = ()) -> Drawn:
+    """Returns the figure of a front with at least one set and two objectives; ranks that were `chosen` have a circle."""
     caption = (
         "Each point is a set that no other set dominates. Star: the knee, which gives the most for what it costs; diamonds: the "
         "best set of each objective; cross: the baseline. Last panel: the hypervolume of all sets by iteration."
@@ -26,10 +26,10 @@ def drawn(rows: Sequence[FrontRow], summary: FrontSummary) -> Drawn:
         for each in summary.objectives
         if each.worst is not None and each.best is not None
     )
-    return Drawn("figure-front", caption, front_figure(rows, summary), alt=alt)
+    return Drawn("figure-front", caption, front_figure(rows, summary, chosen), alt=alt)
 
 
-def front_figure(rows: Sequence[FrontRow], summary: FrontSummary) -> Figure:
+def front_figure(rows: Sequence[FrontRow], summary: FrontSummary, chosen: Collection[int] = ()) -> Figure:
     """Draws a panel for each pair of objectives, and one of the hypervolume if it is known."""
     pairs = list(combinations(summary.objectives, 2))[:MOST_PAIRS]
     growth = [(step.iteration + 1, step.hypervolume) for step in summary.growth if step.hypervolume is not None]
@@ -40,7 +40,7 @@ def front_figure(rows: Sequence[FrontRow], summary: FrontSummary) -> Figure:
         figure = Figure(figsize=(7.4, 3.0 * lines), layout="constrained")
         places = list(figure.subplots(lines, columns, squeeze=False).flat)
         for (first, second), axes in zip(pairs, places, strict=False):
-            _pair(axes, rows, summary, first, second)
+            _pair(axes, rows, summary, (first, second), chosen)
         if growth:
             axes = places[len(pairs)]
             (line,) = axes.plot(*zip(*growth, strict=True), color=BLUE, linewidth=1.4, drawstyle="steps-post")
@@ -52,7 +52,15 @@ def front_figure(rows: Sequence[FrontRow], summary: FrontSummary) -> Figure:
     return figure
 
 
-def _pair(axes: Axes, rows: Sequence[FrontRow], summary: FrontSummary, first: FrontObjective, second: FrontObjective) -> None:
+def _pair(
+    axes: Axes,
+    rows: Sequence[FrontRow],
+    summary: FrontSummary,
+    pair: tuple[FrontObjective, FrontObjective],
+    chosen: Collection[int],
+) -> None:
+    first, second = pair
+
     def place(objectives: dict[str, float]) -> tuple[float, float]:
         return objectives[first.name], objectives[second.name]
 
@@ -60,6 +68,8 @@ def _pair(axes: Axes, rows: Sequence[FrontRow], summary: FrontSummary, first: Fr
     (points,) = axes.plot(*zip(*(place(row.objectives) for row in rows), strict=True), "o", color=BLUE, markersize=4)
     points.set_gid(name)
     for row in rows:
+        if row.rank in chosen:
+            axes.plot(*place(row.objectives), "o", markerfacecolor="none", markeredgecolor=VERMILION, markersize=12)
         if row.knee:
             axes.plot(*place(row.objectives), "*", color=VERMILION, markersize=11)
         if first.name in row.best_in or second.name in row.best_in:

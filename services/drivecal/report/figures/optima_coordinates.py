@@ -15,8 +15,9 @@ from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.domain.scales import unit_text
 from drivecal.plugins.ports import Floats
+from drivecal.report.blocks import counted
 from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
-from drivecal.report.sections.optima import constant, count, searched, summary
+from drivecal.report.sections import constant, optima_text, searched
 
 MOST_BEST, MOST_OTHERS = 200, 200
 """Lines that are drawn of the best sets and of those that rank next."""
@@ -53,7 +54,7 @@ def drawn(
     axes = searched(parameters)
     worse = [solution for solution in solutions if solution.rank > len(optima)][:MOST_OTHERS]
     same = constant(optima, axes)
-    shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else count(len(optima), "set")
+    shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else counted(len(optima), "set")
     caption = (
         f"{shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
         f"upper bound of each searched parameter; lines of one kind lie in one region."
@@ -64,7 +65,7 @@ def drawn(
         caption += " A diamond marks an axis on which all sets with the best objective have the same value."
     if recommended is not None:
         caption += " Black with dots: the set that the robustness study recommends."
-    alt = f"Parallel coordinates of {summary(optima)}"
+    alt = f"Parallel coordinates of {optima_text(optima)}"
     if same:
         alt += " All have " + ", ".join(f"{name} = {value_text(value)}" for name, value in same.items()) + "."
     return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
@@ -122,10 +123,10 @@ def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[Search
     for region in sorted(counts):
         members = [solution for solution in best if min(solution.region, len(KINDS)) == region]
         if region < len(KINDS):
-            (colour, dashes), label = KINDS[region], f"region {region}: {count(len(members), 'set')}"
+            (colour, dashes), label = KINDS[region], f"region {region}: {counted(len(members), 'set')}"
         else:
             others = len({member.region for member in members})
-            colour, dashes, label = OTHER_REGIONS, "-", f"{count(others, 'other region')}: {count(len(members), 'set')}"
+            colour, dashes, label = OTHER_REGIONS, "-", f"{counted(others, 'other region')}: {counted(len(members), 'set')}"
         width = 1.5 if region < len(KINDS) else 0.7
         _lines(axes, positions(members, parameters), colour, dashes, width, f"optima.{region}", 5 - 0.01 * region)
         handles.append(Line2D([], [], color=colour, linestyle=dashes, linewidth=width, label=label))

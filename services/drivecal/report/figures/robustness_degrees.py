@@ -5,9 +5,10 @@ from collections.abc import Iterator, Sequence
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from drivecal.contracts.results import StudyResult
 from drivecal.contracts.tables import BoxTrial, RobustnessRow
 from drivecal.report.figures.drawing import INK, SKY, VERMILION, Drawn, style
-from drivecal.report.sections.robustness import Robust, condition, degree
+from drivecal.report.robustness import condition, degree
 
 MOST_DRAWN = 40
 """Sets that are drawn; all of them are in the table."""
@@ -16,16 +17,16 @@ NARROW = 0.035
 """Boxes that are narrower than this share of the figure have no room for a number."""
 
 
-def drawn(studies: Sequence[Robust]) -> Iterator[Drawn]:
+def drawn(studies: Sequence[StudyResult]) -> Iterator[Drawn]:
     """Yields Figure 12, right, of each study."""
     for number, studied in enumerate(studies, 1):
         yield _drawn(studied, "figure-12-robustness" if number == 1 else f"figure-12-robustness-{number}")
 
 
-def _drawn(studied: Robust, name: str) -> Drawn:
+def _drawn(studied: StudyResult, name: str) -> Drawn:
     some = (
-        f"the first {MOST_DRAWN} of {len(studied.rows)} examined sets"
-        if len(studied.rows) > MOST_DRAWN
+        f"the first {MOST_DRAWN} of {len(studied.robustness)} examined sets"
+        if len(studied.robustness) > MOST_DRAWN
         else "each examined set"
     )
     model = f"; vehicle model: {studied.study.vehicle}" if studied.study.vehicle else ""
@@ -34,13 +35,13 @@ def _drawn(studied: Robust, name: str) -> Drawn:
         f"around the nominal vehicle, the first of half width {studied.study.settings['delta']:g}; condition: "
         f"{condition(studied.study.settings)}{model}. The heavy line is the widest box that holds."
     )
-    if any(row.recommended for row in studied.rows[:MOST_DRAWN]):
+    if any(row.recommended for row in studied.robustness[:MOST_DRAWN]):
         caption += " A star marks the recommended set."
     alt = "Bars by examined set. " + "; ".join(
         f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"
-        for row in studied.rows[:MOST_DRAWN]
+        for row in studied.robustness[:MOST_DRAWN]
     )
-    return Drawn(name, caption, robustness_figure(studied.rows[:MOST_DRAWN]), alt=f"{alt}.")
+    return Drawn(name, caption, robustness_figure(studied.robustness[:MOST_DRAWN]), alt=f"{alt}.")
 
 
 def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:

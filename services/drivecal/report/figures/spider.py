@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, Patch, Polygon
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.scales import unit_text
 from drivecal.report.figures.drawing import INFLUENTIAL, INK, RULE, style
-from drivecal.report.rows import by_scenario, segment
+from drivecal.report.sections import by_scenario, segment
 
 HUB = 0.2
 """Radius at which the axes begin, of the rim's: at 0 they would cover each other."""

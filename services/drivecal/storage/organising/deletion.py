@@ -104,6 +104,7 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
         "comment": "",
         "notes": [],
         "best": None,
+        "confirmation": None,
         "baseline": None,
         "narrowed": None,
         "secret": None,

@@ -1,18 +1,14 @@
-"""Robustness: Table 9 of the paper, with the rankings by robustness and by nominal quality."""
+"""Robustness: Table 9 of the paper, with the rankings by robustness and by nominal quality. Pure."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from drivecal.analysis.better_sets import sign_of
-from drivecal.analysis.robustness import vehicles_text
-from drivecal.analysis.robustness_difference import key_of
+from drivecal.analysis.robustness import key_of, vehicles_text
+from drivecal.analysis.trust import sign_of
 from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.results import StudyResult
 from drivecal.contracts.tables import OptimumRow, RobustnessRow
-from drivecal.report.data import Studied
-from drivecal.report.markup import paragraph, table
-from drivecal.report.rows import Number, fixed, objective_number
-
-Robust = Studied[RobustnessRow]
+from drivecal.report.blocks import Block, Number, Paragraph, Table, fixed, objective_number
 
 
 def condition(settings: Mapping[str, Any]) -> str:
@@ -22,7 +18,7 @@ def condition(settings: Mapping[str, Any]) -> str:
     return f"{settings['condition'].replace('_', ' ')} {'≤' if settings['condition'] == 'max' else '<'} {bound}"
 
 
-def _label(studied: Robust, vehicles: Collection[str | None]) -> str:
+def _label(studied: StudyResult, vehicles: Collection[str | None]) -> str:
     """Returns the column head of a study."""
     settings, vehicle = studied.study.settings, studied.study.vehicle
     model = f", {vehicle}" if vehicle and len(vehicles) > 1 else ""
@@ -57,22 +53,14 @@ def by_nominal(rows: Sequence[RobustnessRow], sign: int = 1) -> dict[int, int]:
     return {row.rank: place for place, row in enumerate(sorted(rows, key=worth), 1)}
 
 
-def boxes(studied: Robust) -> Iterator[Sequence[object]]:
-    """Yields a header and a row for every set in every box."""
-    scenarios = list(studied.rows[0].scores)
-    yield "rank", "box", "radius", "holds", *(f"deviation_{name}" for name in scenarios)
-    for row in studied.rows:
-        for trial in row.trials:
-            deviations = [trial.deviations.get(name) for name in scenarios]
-            yield row.rank, trial.box, trial.radius, str(trial.holds).lower(), *deviations
-
-
-def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: Campaign, drawings: Sequence[str]) -> list[str]:
-    """Returns the section: the study, Table 9, the figure, the recommended set."""
+def robustness_blocks(
+    studies: Sequence[StudyResult], optima: Sequence[OptimumRow], campaign: Campaign, drawings: Sequence[Block]
+) -> list[Block]:
+    """Returns the study, Table 9, the figure, the recommended set."""
     main, *others = studies
     settings, made_by = main.study.settings, main.study.campaign
     of = f" of campaign {settings['of']}" if settings.get("of") not in {None, campaign.id} else ""
-    sets = f"best set{of} was" if len(main.rows) == 1 else f"{len(main.rows)} best sets{of} were"
+    sets = f"best set{of} was" if len(main.robustness) == 1 else f"{len(main.robustness)} best sets{of} were"
     text = (
         f"The {sets} driven in other vehicles: {settings['samples']} in each box, boxes of half width "
         f"k·{settings['delta']:g} of the vehicle parameters' ranges, k = 1 … {settings['steps']}; condition {condition(settings)}. The "
@@ -82,16 +70,18 @@ def parts(studies: Sequence[Robust], optima: Sequence[OptimumRow], campaign: Cam
         text += f" The vehicle model is {main.study.vehicle}."
     if made_by != campaign.id:
         text += f" Campaign {made_by} made this study."
-    tables = [
-        paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key") for row in main.rows if row.recommended
+    recommended = [
+        Paragraph(f"Recommended: rank {row.rank}, because it has {row.reason}.", "key")
+        for row in main.robustness
+        if row.recommended
     ]
-    return [paragraph(text), *tables, _quality(main, others, sign_of(campaign)), *drawings, _values(main, optima)]
+    return [Paragraph(text), *recommended, _quality(main, others, sign_of(campaign)), *drawings, _values(main, optima)]
 
 
-def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
+def _quality(main: StudyResult, others: Sequence[StudyResult], sign: int) -> Table:
     """Returns the ranking by robustness with the nominal one."""
-    nominal, settings = by_nominal(main.rows, sign), main.study.settings
-    elsewhere = [{key_of(row.parameters): Number(degree(row)) for row in other.rows} for other in others]
+    nominal, settings = by_nominal(main.robustness, sign), main.study.settings
+    elsewhere = [{key_of(row.parameters): Number(degree(row)) for row in other.robustness} for other in others]
     rows = [
         [
             Number(f"{row.rank}{' *' if row.recommended else ''}"),
@@ -102,27 +92,36 @@ def _quality(main: Robust, others: Sequence[Robust], sign: int) -> str:
             Number(f"{row.radius:.4g}"),
             _limited(row, settings),
         ]
-        for row in main.rows
+        for row in main.robustness
     ]
     vehicles = {study.study.vehicle for study in (main, *others)}
     degrees = [_label(study, vehicles) for study in (main, *others)]
-    header = ["rank, robust", "rank, nominal", "objective", "rating", *main.rows[0].scores, *degrees, "δ max", "limited by"]
+    header = [
+        "rank, robust",
+        "rank, nominal",
+        "objective",
+        "rating",
+        *main.robustness[0].scores,
+        *degrees,
+        "δ max",
+        "limited by",
+    ]
     caption = (
         "Robustness: sorted by degree, then by the objective; * recommended. All scores were simulated in the nominal vehicle: "
         "a set that ranked higher in the search had the score of a reference. δ max: the widest box that holds; limited by: the "
         "scenarios that broke the condition first, with their deviations"
     )
-    return table(header, rows, caption, wrap_header=True)
+    return Table(header, rows, caption, wrap_header=True)
 
 
-def _values(studied: Robust, optima: Sequence[OptimumRow]) -> str:
+def _values(studied: StudyResult, optima: Sequence[OptimumRow]) -> Table:
     regions = {key_of(optimum.parameters): optimum.region for optimum in optima}
     rows = [
         [row.rank, *row.parameters.values(), Number(degree(row)), regions.get(key_of(row.parameters)), fixed(row.to_worse, 3)]
-        for row in studied.rows
+        for row in studied.robustness
     ]
     caption = "The sets: parameter values in their units, regions as above, distance to the nearest worse set"
-    return table(["rank", *studied.rows[0].parameters, "degree", "region", "to worse"], rows, caption)
+    return Table(["rank", *studied.robustness[0].parameters, "degree", "region", "to worse"], rows, caption)
 
 
 def _limited(row: RobustnessRow, settings: Mapping[str, Any]) -> str | None:

@@ -7,23 +7,18 @@ from importlib.metadata import version
 from typing import TypeVar
 from urllib.parse import urlencode
 
-from drivecal.api.responses import ROOT, calibration, campaign_answer
-from drivecal.api.routes import background
-from drivecal.api.tables.chosen import set_at
+from drivecal.api.responses import ROOT, calibration
+from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import ranking
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import baseline_of, front_of
-from drivecal.contracts.campaign import Study, StudyName
-from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution, ValidationRow
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.report.data import Row, Studied
-from drivecal.report.review.data import RankedIn, Review, ReviewedSet, ScoreOrigin
-from drivecal.storage import campaigns, results, studies
+from drivecal.report.data import RankedIn, Review, ReviewedSet, ScoreOrigin
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 from drivecal.storage.references import runs
 
 Ranked = TypeVar("Ranked", Solution, FrontRow)
@@ -52,9 +47,9 @@ def review_of(database: Database, choice: Choice, against: str | None) -> Review
     else:
         second = _reviewed(database, _other(against, first))
         sets = {"A": first, "B": second}
-        named = {"against": f"{second.campaign.id}:{second.chosen.rank}"}
+        named = {"against": f"{second.id}:{second.chosen.rank}"}
     field = "front" if first.table == "front" else "set"
-    query = f"/campaigns/{first.campaign.id}/review?{urlencode({field: str(first.chosen.rank)} | named, safe=':')}"
+    query = f"/campaigns/{first.id}/review?{urlencode({field: str(first.chosen.rank)} | named, safe=':')}"
     return Review(sets, query, version("drivecal"))
 
 
@@ -64,7 +59,7 @@ def _other(against: str, first: ReviewedSet) -> Choice:
         remedy = f"a rank, the id of a campaign, or ID:RANK as in GET {ROOT}/campaigns/ID/review?against=ID:2"
         raise InvalidInputError(Problem("against", "it names no set", remedy))
     if given["own"] is not None:
-        return Choice(first.campaign.id, first.table, int(given["own"]), "against")
+        return Choice(first.id, first.table, int(given["own"]), "against")
     return Choice(given["campaign"], first.table, int(given["rank"] or 1), "against")
 
 
@@ -82,21 +77,14 @@ def _reviewed(database: Database, choice: Choice) -> ReviewedSet:
     else:
         ranked = ranking(database, stored, resolved, None)
         chosen = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
-    made = background.list_studies(stored.id, database).items
-    baseline = baseline_of(database, stored, front)
     place = (chosen.iteration or 0, chosen.individual or 0)  # both are known: no set of another campaign is among them
-    in_question = set_at(database, stored, front, place, baseline)
     return ReviewedSet(
-        campaign=campaign_answer(stored, now(), silent=None),
-        setup=background.setup(stored.id, database),
+        results=results_of(database, stored, front, place),
         table=table,
         chosen=chosen,
         cells=_cells(database, stored, chosen),
-        summary=summary(front, baseline),
-        trust=background.trust_in(database, stored.id, front, in_question),
+        summary=summary(front, baseline_of(database, stored, front)),
         front=rows if several else (),
-        robustness=studied_by(database, made, "robustness", RobustnessRow),
-        validation=studied_by(database, made, "validation", ValidationRow),
     )
 
 
@@ -122,23 +110,8 @@ def _cells(database: Database, stored: StoredCampaign, chosen: Solution | FrontR
             cell = results.by_id(connection, number)
             outcome = "failed" if cell.outcome is None else cell.outcome.value
             run = corrected.get((cell.parameter_set_id, scenario))
-            if not cell.is_copied or scenario in chosen.reused:
-                cells[scenario] = ScoreOrigin(number, outcome)
-            elif run is not None:
+            if cell.is_copied and scenario not in chosen.reused and run is not None:
                 cells[scenario] = ScoreOrigin(run.evaluation, "later", run.campaign)
-            else:  # a certificate says which run it repeats
-                cells[scenario] = ScoreOrigin(number, "certified")
+            else:
+                cells[scenario] = ScoreOrigin(number, outcome)
     return cells
-
-
-def studied_by(database: Database, made: list[Study], stage: StudyName, model: type[Row]) -> list[Studied[Row]]:
-    """Returns the rows of those studies that succeeded, each with its study."""
-    studied = []
-    for study in made:
-        if study.stage == stage and study.state == CampaignState.SUCCEEDED:
-            with database.read() as connection:
-                sequence = campaigns.get(connection, study.campaign).sequence
-                document = studies.get(connection, sequence, StageName(stage)) or {"items": []}
-            rows = [model.model_validate(item) for item in document["items"]]
-            studied += [Studied(study, rows)] if rows else []
-    return studied

@@ -3,10 +3,9 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from drivecal.api.responses import calibration, campaign_answer
-from drivecal.api.review.collected import Choice, of_rank, studied_by
-from drivecal.api.routes import background
-from drivecal.api.tables.chosen import set_at
+from drivecal.api.responses import calibration
+from drivecal.api.results.document import results_of
+from drivecal.api.results.review import Choice, of_rank
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import CampaignRanking, ranking
 from drivecal.calibration_data.chosen import RankedBy, characteristics_of, front_figures, quality_of, solution_figures
@@ -15,11 +14,10 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import baseline_of, front_of
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.strict_json import shown
-from drivecal.contracts.tables import FrontRow, RobustnessRow, Solution
+from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.types import now
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,30 +46,26 @@ def written(
     baseline = baseline_of(database, stored, front)
     table = choice.table or ("front" if len(front.goals.objectives) > 1 else "solutions")
     _check(table, by, everything=everything)
-    campaign, setup = campaign_answer(stored, now(), silent=None), background.setup(stored.id, database)
-    studied = studied_by(database, background.list_studies(stored.id, database).items, "robustness", RobustnessRow)
-    robustness = [row for each in studied if each.study.in_own_vehicle for row in each.rows]
     given = None if by.weights is None else assignments(by.weights.split(","), "weights")
     chosen: Solution | FrontRow
-    figures: Iterator[tuple[str, str]]
+    ranked = None
     if table == "front":
-        row = of_rank(front_table(database, stored, front, by.weights), choice, stored.id, table)
-        chosen, figures = row, front_figures(campaign, row, summary(front, baseline), robustness, given)
+        chosen = of_rank(front_table(database, stored, front, by.weights), choice, stored.id, table)
     else:
         ranked = ranking(database, stored, resolved, by.weights, by.score)
-        solution = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
-        before = None if baseline is None else _objective_of(ranked, baseline.parameter_set)
-        ranked_by = None if by == RankedOtherwise() else RankedBy(by.score, given, before)
-        chosen, figures = solution, solution_figures(campaign, setup, solution, robustness, ranked_by)
-    deserved = None
-    if chosen.iteration is not None and chosen.individual is not None:  # else other campaigns alone evaluated it
-        searched = front_of(database, stored, resolved) if everything else front
-        place = (chosen.iteration, chosen.individual)
-        in_question = set_at(database, stored, searched, place, baseline_of(database, stored, searched))
-        deserved = background.trust_in(database, stored.id, searched, in_question)
-    named = labels_of(_document(labels), [parameter.name for parameter in setup.parameters])
-    characteristics = characteristics_of(chosen.parameters, setup.parameters, named)
-    return write(form, characteristics, quality_of(campaign, setup, chosen, deserved, figures))
+        chosen = of_rank(ranked.solutions(choice.rank - 1, choice.rank), choice, stored.id, table)
+    own = chosen.iteration is not None and chosen.individual is not None  # else other campaigns alone evaluated it
+    place = (chosen.iteration or 0, chosen.individual or 0) if own else None
+    known = results_of(database, stored, None if everything else front, place)
+    figures: Iterator[tuple[str, str]]
+    if isinstance(chosen, FrontRow):
+        figures = front_figures(known, chosen, summary(front, baseline), given)
+    else:
+        before = None if baseline is None or ranked is None else _objective_of(ranked, baseline.parameter_set)
+        figures = solution_figures(known, chosen, None if by == RankedOtherwise() else RankedBy(by.score, given, before))
+    parameters = known.setup.parameters
+    named = labels_of(_document(labels), [parameter.name for parameter in parameters])
+    return write(form, characteristics_of(chosen.parameters, parameters, named), quality_of(known, chosen, figures, judged=own))
 
 
 def _check(table: str, by: RankedOtherwise, *, everything: bool) -> None:

@@ -1,0 +1,168 @@
+"""Verdicts on a campaign's results: the only place where a code with its numbers becomes a sentence. Pure."""
+
+from collections.abc import Mapping, Sequence
+from string import Formatter
+from typing import Any, Literal
+
+from drivecal.analysis.goals import EQUAL
+from drivecal.bundles.scoring import REMEDY
+from drivecal.contracts.assignments import value_text
+from drivecal.contracts.campaign import Confirmation
+from drivecal.contracts.results import Light, ResultVerdict
+from drivecal.domain.scales import objective_text, unit_text
+
+SHORT = 8
+"""Characters of a campaign's id in a sentence."""
+CONFIRMED = {
+    "confirmed": "Confirmed by simulation: the best objective is {objective:objective}, {belief}; {tried:n set} tried.",
+    "untried": "Better sets may exist: the best simulated objective is {objective:objective}, others are believed to reach "
+    "{reach:objective}; no more than {tried:n set} (reduction.confirm) were tried.",
+    "unconfirmed": "Not confirmed: the best set's score in {copied:list} is still a copy; {tried:n set} (reduction.confirm) tried.",
+    "unconfirmed_failed": "Not confirmed: the best set's score in {copied:list} is still a copy, for its simulation failed; "
+    "{tried:n set} tried.",
+    "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have only scores of their own; {tried:n set} tried.",
+    "front_untried": "Better sets may exist: others are believed to be on the front; no more than {tried:n set} (reduction.confirm) "
+    "were tried.",
+    "front_unconfirmed": "Not confirmed: {front_copied:,} of the {front:n set} of the front have copied scores; {tried:n set} "
+    "(reduction.confirm) tried.",
+}
+SCORES = CONFIRMED | {
+    "failed": "The campaign failed: {error}",
+    "no_result": "No parameter set has a score in every scenario.",
+    "not_judged": "The chosen set has no value of an objective or a constraint of the campaign: not every scenario has a result of its "
+    "own.",
+    "constraints_broken": "The chosen set breaks the constraints by {share:.1%}.",
+    "no_set_keeps_constraints": "No set keeps all constraints; the best set breaks them by {share:.1%}.",
+    "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
+    "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
+    "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
+    "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
+    "later_worse": "Later simulations{by:campaigns} show that the best set is worse, and the first set has {objective:objective} beside "
+    "{best:objective} at the end of the search; `drivecal solutions {campaign:id}` lists it.",
+    "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
+    "map_validated": "The influence map was validated: at most {worst:.1%} of {variants:,} variants in a scenario are wrong.",
+    "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
+    "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong, and no lots were inspected.",
+    "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
+    "lots": "A sample of each of {lots:,} lots of {kind} answers was simulated: {rejected:,} had too many errors, and all their cells were "
+    "simulated.",
+    "predictions_validated": "{share:.1%} of the simulated predictions in {scenario} are wrong (validation {study:id}); up to "
+    "{allowed:.1%} of the {released:,} released ones may be: {limit:.1%} of the {inspected:,} in lots.",
+    "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
+    "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1%}).",
+    "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1%}).",
+    "cut": "{count:n score} ({share:.1%} of the cells) are worse than {failed:g} and count as it{best:in best}: "
+    + REMEDY
+    + ".",
+    "robust": "The recommended set keeps its scores, within the study's limit, in the vehicles of the study that differ by up to "
+    "{least}{radius:.1%} of the ranges.",
+    "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1%} of the "
+    "ranges).",
+}
+SEARCH = {
+    "cancelled": "The campaign was cancelled before its search was complete.",
+    "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
+    "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
+    "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
+    "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",
+    "not_better": "No set is better than the baseline.",
+    "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
+    "front_not_better": "No set is better than the baseline in an objective and worse in none: each is worse in one, or equal.",
+    "later_better": "Later simulations{by:campaigns} show a better set: {objective:objective} beside {best:objective} at the end of the "
+    "search; `drivecal solutions {campaign:id}` lists it.",
+    "later_chosen": "Later simulations{by:campaigns} show that the chosen set is the best: {objective:objective} beside {best:objective} "
+    "at the end of the search; `drivecal solutions {campaign:id}` lists it.",
+    "earlier_pruned": "The earlier campaign {earlier:id} was pruned: it may have held a better set.",
+    "earlier_front": "The earlier campaign {earlier:id} holds a set with a better {name}: {objective:.6g}{reused:copies} beside "
+    "{best:.6g}; `drivecal front {campaign:id} --everything` lists what is stored, and a campaign file with it in "
+    "`optimizer.start_sets` searches from there.",
+    "earlier_better": "The earlier campaign holds a better set under these weights: {objective:objective}{reused:copies} beside "
+    "{best:objective}; `{command}` lists it, and the same rerun with --from-best searches from there.",
+    "seen": "The search asked for {asked} of the {grid} sets on the grid of its space, constraints aside.",
+    "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
+    "stood_still": "No iteration after the first found a better set ({tried} tried). More iterations, wider ranges or another optimizer "
+    "may find one.",
+    "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
+    "was for at least {unchanged} iterations.",
+    "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "
+    "would have to stay for at least {unchanged} iterations.",
+    "at_ends": "In {subject} {values:ends} at or near an end of the range; a wider range may hold better sets.",
+}
+SENTENCES: Mapping[str, str] = SCORES | SEARCH
+
+
+def verdict(code: str, light: Light | Literal["neutral"], scenario: str | None = None, **numbers: Any) -> ResultVerdict:
+    """Returns a verdict with its sentence.
+
+    Args:
+        code: one of `SENTENCES`.
+        light: what it means for the result.
+        scenario: the only scenario that it is about.
+        numbers: what it was found from, by the names in its sentence.
+    """
+    question: Literal["scores", "search"] = "scores" if code in SCORES else "search"
+    text = sentence(code, numbers | {"scenario": scenario})
+    return ResultVerdict(code=code, question=question, light=light, scenario=scenario, numbers=numbers, text=text)
+
+
+def sentence(code: str, numbers: Mapping[str, Any]) -> str:
+    """Returns the sentence of a code with its numbers."""
+    return _Words().vformat(SENTENCES[code], (), numbers)
+
+
+def confirmation_verdict(confirmation: Confirmation) -> ResultVerdict:
+    """Returns the verdict on the best set of a search, or its front, after its confirmation."""
+    numbers = confirmation.model_dump()
+    code: str = confirmation.state if confirmation.front is None else f"front_{confirmation.state}"
+    if confirmation.failed:
+        code += "_failed"
+    if confirmation.objective is not None and confirmation.believed is not None:
+        equal = abs(confirmation.objective - confirmation.believed) <= EQUAL
+        numbers["belief"] = (
+            "as the search believed" if equal else f"the search believed {objective_text(confirmation.believed)}"
+        )
+    lights: dict[str, Light] = {"confirmed": "green", "untried": "amber", "unconfirmed": "red"}
+    return verdict(code, lights[confirmation.state], **numbers)
+
+
+class _Words(Formatter):
+    """Formats numbers, and lists and mappings of them, by formats that `str.format` does not have."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Returns a value in words; `n THING` counts things."""
+        if format_spec.startswith("n "):
+            return f"{value:,} {format_spec[2:]}{'' if value == 1 else 's'}"
+        known = _FORMATS.get(format_spec)
+        return str(super().format_field(value, format_spec)) if known is None else known(value)
+
+
+def _joined(parts: Sequence[str]) -> str:
+    return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "".join(parts)
+
+
+def _compared(objectives: Sequence[Mapping[str, Any]]) -> str:
+    texts = []
+    for each in objectives:
+        unit, gain, tolerance = unit_text(each["unit"]), each["gain"], each["tolerance"]
+        change = "equal" if abs(gain) <= EQUAL else f"{'better' if gain > 0 else 'worse'} by {abs(gain):.4g}{unit}"
+        tolerated = f", within the tolerance of {tolerance:.4g}{unit}" if EQUAL < abs(gain) <= tolerance else ""
+        texts.append(f"{each['name']} {each['value']:.6g}{unit}, baseline {each['baseline']:.6g}{unit}: {change}{tolerated}")
+    return "; ".join(texts)
+
+
+def _ends(values: Mapping[str, float]) -> str:
+    return f"{', '.join(f'{name} ({value_text(value)})' for name, value in values.items())} {'lies' if len(values) == 1 else 'lie'}"
+
+
+_FORMATS: Mapping[str, Any] = {
+    "objective": objective_text,
+    "id": lambda value: value[:SHORT],
+    "list": ", ".join,
+    "shares": lambda rates: _joined([f"{rate:.1%} in {scenario}" for scenario, rate in rates.items()]),
+    "counts": lambda counts: _joined([f"{count:,} in {scenario}" for scenario, count in counts.items()]),
+    "campaigns": lambda ids: f" (campaign {', '.join(each[:SHORT] for each in ids)})" if ids else "",
+    "copies": lambda scenarios: f" (a copied score in {', '.join(scenarios)})" if scenarios else "",
+    "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
+    "compared": _compared,
+    "ends": _ends,
+}

@@ -1,0 +1,303 @@
+"""The document of a campaign's results, from stored rows."""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from importlib.metadata import version
+from math import prod
+from typing import Any
+
+from sqlalchemy import Connection
+
+from drivecal.analysis.convergence import CoursePoint
+from drivecal.analysis.goals import Objective
+from drivecal.analysis.savings import MapOrigin, account
+from drivecal.analysis.solutions import EvaluatedSet
+from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, Search, trust
+from drivecal.api.responses import campaign_answer
+from drivecal.api.tables.front import bound_text, summary
+from drivecal.api.tables.ranking import earlier_best, later_best
+from drivecal.campaigns.resolve.maps import measure
+from drivecal.campaigns.resolve.meanings import Meanings, meanings
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
+from drivecal.campaigns.results.failures import causes_of
+from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
+from drivecal.contracts.accounting import Accounting
+from drivecal.contracts.campaign import Study
+from drivecal.contracts.results import CampaignResults, ResultTrust, StudyResult
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.tables import RobustnessRow, ValidationRow
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import Outcome
+from drivecal.domain.parameters import Parameter, Value
+from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
+from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
+from drivecal.storage.references import influence_maps, setups
+from drivecal.storage.studies import StoredStudy
+
+SAME_FOR_A_MAP = ("setups", "evaluator", "space", "fixed")
+"""Parts of the setup that a validation shares with every campaign whose map it confirms, beside the measure of the scale."""
+
+
+def results_of(
+    database: Database,
+    campaign: StoredCampaign,
+    front: CampaignFront | None = None,
+    place: tuple[int, int] | None = None,
+) -> CampaignResults:
+    """Returns the document.
+
+    Args:
+        database: where the rows are.
+        campaign: a calibration.
+        front: the campaign's front, if it is known already.
+        place: iteration and individual of a set that the verdicts are about, in the place of the best.
+
+    Raises NotFoundError if the search has no such place.
+    """
+    with database.read() as connection:
+        known = setup_of(connection, campaign)
+        answered = any(cells.get("requested") for cells in campaign.stages.values())
+        accounting = account_of(connection, campaign) if answered else None
+        causes = causes_of(connection, campaign) if answered else []
+        made = studies_of(connection, campaign)
+    objectives = campaign.resolution is not None and bool(campaign.spec.get("objectives")) and campaign.best is not None
+    if front is None and (objectives or place is not None):
+        front = front_of(database, campaign, resolved_spec(campaign))
+    baseline = None if front is None else baseline_of(database, campaign, front)
+    chosen = None if front is None or place is None else set_at(database, campaign, front, place, baseline)
+    return CampaignResults(
+        campaign=campaign_answer(campaign, now(), silent=None),
+        setup=known,
+        trust=_trust(database, campaign, made, front, chosen),
+        accounting=accounting,
+        front=summary(front, baseline) if objectives and front is not None else None,
+        failures=causes,
+        studies=made,
+    )
+
+
+def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
+    """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, those of today."""
+    begun_with = resolved_spec(campaign)
+    documents = setups.documents(connection, list(begun_with.setups.values()))
+    words = meanings(connection, campaign.spec)
+    return CampaignSetup(
+        evaluator=begun_with.evaluator,
+        parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
+        scenarios=[_scenario(name, begun_with, documents, words) for name in begun_with.weights],
+        server=version("drivecal"),
+        constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
+    )
+
+
+def studies_of(connection: Connection, campaign: StoredCampaign) -> list[StudyResult]:
+    """Returns the studies that succeeded with their rows, those in the campaign's own vehicle first, the newest first."""
+    made = [study for study in about(connection, campaign) if study.state == CampaignState.SUCCEEDED]
+    found = []
+    for study in sorted(made, key=lambda each: not studies.is_in_own_vehicle(each, campaign)):
+        document = studies.get(connection, study.campaign_sequence, study.stage) or {"items": []}
+        answer = study_answer(study, campaign)
+        if not document["items"]:
+            continue
+        if study.stage == StageName.ROBUSTNESS:
+            rows = [RobustnessRow.model_validate(item) for item in document["items"]]
+            found.append(StudyResult(study=answer, robustness=rows))
+        else:
+            found.append(
+                StudyResult(study=answer, validation=[ValidationRow.model_validate(item) for item in document["items"]])
+            )
+    return found
+
+
+def account_of(connection: Connection, campaign: StoredCampaign) -> Accounting:
+    """Returns savings of cells answered without a simulation, cost of the sensitivity stage, and the break-even of its map."""
+    rows = evaluations.costs_by_outcome(connection, campaign.sequence)
+    searched = (campaign.spec.get("optimizer") or {}).get("iterations", 0)
+    predictors: dict[str, float] = defaultdict(float)
+    for lot in lots.of_campaign(
+        connection, campaign.sequence, Outcome.PREDICTED
+    ):  # `released` sums up those of whole generations
+        predictors[lot.scenario] += lot.seconds
+    known = [*campaign.error_rate, *(row.scenario for row in rows if row.stage is StageName.CALIBRATION)]
+    return account(
+        campaign.id,
+        campaign.state,
+        dict.fromkeys(known),
+        rows,
+        _map_origin(connection, campaign),
+        evaluations.confirmed(connection, campaign.sequence, searched),
+        predictors,
+        pruned=campaign.pruned_at is not None,
+    )
+
+
+def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin | None:
+    """Returns the map in use and what it cost; None without a map, and if the cells that say it were pruned."""
+    if campaign.influence_map_id is None or campaign.pruned_at is not None:
+        return None
+    stored = influence_maps.get(connection, campaign.influence_map_id)
+    if stored.basis is None:
+        return MapOrigin(stored.id, made_by=None)
+    maker = campaigns.get(connection, stored.source)
+    if maker.pruned_at is not None:
+        return None
+    return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
+
+
+def _trust(
+    database: Database,
+    campaign: StoredCampaign,
+    made: list[StudyResult],
+    front: CampaignFront | None,
+    chosen: Chosen | None,
+) -> ResultTrust:
+    with database.read() as connection:
+        first = None if campaign.rerun_of is None else campaigns.get(connection, campaign.rerun_of, deleted=True)
+        search = _search(connection, campaign)
+    compromises = _compromises(database, campaign, front)
+    known = Evidence(
+        studies=made,
+        search=search,
+        front=compromises,
+        chosen=chosen,
+        earlier=None if first is None else earlier_best(database, campaign, first),
+        later=None if compromises is not None else later_best(database, campaign),
+    )
+    return trust(campaign_answer(campaign, now(), silent=None), known)
+
+
+def _compromises(database: Database, campaign: StoredCampaign, front: CampaignFront | None) -> Compromises | None:
+    """Returns the front of several objectives in numbers, without sets before the end; None with a single objective."""
+    if campaign.resolution is None or not has_several_objectives(campaign):
+        return None
+    if not campaign.state.ended:
+        return Compromises(0, None)
+    front = front or front_of(database, campaign, resolved_spec(campaign))
+    baseline = baseline_of(database, campaign, front)
+    copied = sum(bool(member.solution.reused) for member in front.members)
+    return Compromises(len(front.members), None if baseline is None else front.dominating(baseline), copied)
+
+
+def set_at(
+    database: Database,
+    stored: StoredCampaign,
+    front: CampaignFront,
+    place: tuple[int, int],
+    baseline: EvaluatedSet | None,
+) -> Chosen:
+    """Returns the set at a `place` of the search, its iteration and individual, with its objectives beside those of the `baseline`. Raises
+    NotFoundError if the search has no such place."""
+    scenario = next(iter(front.goals.objectives[0].shares))
+    with database.read() as connection:
+        cell = results.by_id(connection, results.number_at(connection, stored.sequence, *place, scenario))
+    parameters = cell.parameters.floats
+    is_best = stored.best is not None and stored.best.parameters == parameters
+    judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
+    if judged is None or judged.judgement is None:
+        return Chosen(parameters, is_judged=False, is_best=is_best)
+    compared: list[BesideBaseline] = []
+    if baseline and baseline.judgement:
+        amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
+        compared = [
+            BesideBaseline(goal.name, value, before, goal.sign, goal.unit, _tolerance(goal, len(front.goals.objectives)))
+            for goal, value, before in amounts
+        ]
+    return Chosen(
+        parameters=parameters,
+        compared=compared,
+        copied=judged.reused,
+        violation=judged.shares_violated,
+        baseline_violation=0.0 if baseline is None else baseline.shares_violated,
+        is_best=is_best,
+    )
+
+
+def _tolerance(goal: Objective, objectives: int) -> float:
+    """Returns the differences that do not count: the objective's own; if it is the only one, else those of its score's scale."""
+    if goal.tolerance or objectives > 1 or goal.value.scale is None:
+        return goal.tolerance
+    return goal.value.scale.tolerance
+
+
+def has_several_objectives(campaign: StoredCampaign) -> bool:
+    """Returns whether a campaign has a front in the place of a best set."""
+    goals = resolved_spec(campaign).goals
+    return goals is not None and len(goals.objectives) > 1
+
+
+def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
+    """Returns the course of an ended search; None before its end."""
+    if not campaign.state.ended or campaign.resolution is None:
+        return None
+    begun_with = resolved_spec(campaign)
+    searched = [parameter for parameter in begun_with.space.searched if parameter.kind != "choice" and parameter.n_values > 2]
+    ranges = {parameter.name: (float(parameter.lower), float(parameter.upper)) for parameter in searched}
+    course = [] if has_several_objectives(campaign) else generations.course(connection, campaign.sequence)
+    whole = campaign.pruned_at is None and all(parameter.kind != "continuous" for parameter in begun_with.space.searched)
+    grid = prod(parameter.n_values for parameter in begun_with.space.searched) if whole else 0
+    requested = campaign.cells.proposed // max(1, len(begun_with.weights))
+    is_exact = 100 * requested >= grid > 0  # else the share is negligible, and counting takes as long as reading the campaign
+    if is_exact:
+        scenario = next(iter(begun_with.weights))
+        requested = results.number_of_sets(connection, campaign.sequence, StageName.CALIBRATION, scenario)
+    return Search([CoursePoint(*each) for each in course], ranges, requested, grid, is_exact)
+
+
+def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:
+    as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
+    held = fixed.get(parameter.name)
+    value = held if held is None or isinstance(held, str) else float(held)
+    description = words.parameters.get(parameter.name, "")
+    return SearchedParameter.model_validate(as_it_is | {"fixed": value, "description": description})
+
+
+def _scenario(
+    name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]], words: Meanings
+) -> ScenarioSetup:
+    fingerprint = begun_with.setups[name]
+    known: dict[str, Any] = {"title": words.scenarios.get(name, "")}
+    document = documents.get(fingerprint, {})
+    if "files" in document:
+        known |= {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
+    elif document:
+        made_of = DrivenSetup.from_document(document)
+        known |= {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
+        known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
+        known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"
+        known["vehicle_parameters"] = dict(made_of.vehicle_parameters)
+    return ScenarioSetup(scenario=name, weight=begun_with.weights[name], fingerprint=fingerprint, **known)
+
+
+def about(connection: Connection, campaign: StoredCampaign) -> list[StoredStudy]:
+    """Returns the studies of a campaign's best sets and its map, its own and those of other campaigns, the newest first."""
+    made = studies.about(connection, campaign.id, campaign.sequence, campaign.influence_map_id)
+    return [study for study in made if _of_the_same(study, campaign)]
+
+
+def _vehicle(spec: Mapping[str, Any]) -> str | None:
+    model: str | None = (spec.get("vehicle") or {}).get("model")
+    return model
+
+
+def _of_the_same(made: StoredStudy, campaign: StoredCampaign) -> bool:
+    """Returns whether a study is about this campaign: about its sets, or about its map with equal scenarios, space, evaluator and scale."""
+    if made.campaign_sequence == campaign.sequence or made.stage == "robustness":
+        return True
+    theirs, ours = made.resolution, campaign.resolution
+    return theirs is not None and ours is not None and is_same_for_a_map(theirs, ours)
+
+
+def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> bool:
+    """Returns whether campaigns with these resolutions can use the same maps."""
+    alike = measure(stored_scale(theirs)) == measure(stored_scale(ours))
+    return alike and all(theirs.get(field) == ours.get(field) for field in SAME_FOR_A_MAP)
+
+
+def study_answer(made: StoredStudy, campaign: StoredCampaign) -> Study:
+    """Returns a study of the results of a campaign."""
+    as_it_is = {name: getattr(made, name) for name in Study.model_fields if hasattr(made, name)}
+    own = studies.is_in_own_vehicle(made, campaign)
+    return Study(**as_it_is, settings=made.spec.get(made.stage) or {}, vehicle=_vehicle(made.spec), in_own_vehicle=own)

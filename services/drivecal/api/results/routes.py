@@ -1,0 +1,196 @@
+"""Results of a campaign: their document, the report, and a chosen set as a review sheet or a file for calibration tools."""
+
+import io
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Response
+from pydantic import Field, StringConstraints
+
+from drivecal.api.dependencies import DatabaseDependency, ReportPlace, computed
+from drivecal.api.http.bodies import StrictRoute
+from drivecal.api.http.queries import ImportanceQuery, Parameters, PlaceQuery, SummaryOf
+from drivecal.api.responses import calibration
+from drivecal.api.results.calibration_file import RankedOtherwise, written
+from drivecal.api.results.document import about, results_of, setup_of, study_answer
+from drivecal.api.results.report import report_of
+from drivecal.api.results.review import LARGEST_RANK, Choice, review_of
+from drivecal.api.tables.influence import importance
+from drivecal.calibration_data.files import CalibrationFormat
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.contracts.campaign import StudyPage
+from drivecal.contracts.results import CampaignResults, ImportanceAnswer
+from drivecal.contracts.setup import CampaignSetup
+from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.report import PAGE
+from drivecal.report.data import RankedIn
+from drivecal.storage import campaigns
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["results"], route_class=StrictRoute)
+
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+}
+MEDIA_TYPES: dict[CalibrationFormat, str] = {"dcm": "text/plain", "cdfx": "application/xml", "csv": "text/csv"}
+Rank = Annotated[int, Field(ge=1, le=LARGEST_RANK)]
+
+
+class SetOf(Parameters):
+    """A set: of rank `set` in the solutions, or of rank `front` on the front; without either the first of the front if the campaign has
+    several objectives, else of the solutions."""
+
+    rank: Annotated[Rank | None, Field(alias="set")] = None
+    front: Rank | None = None
+
+    def choice(self, campaign_id: str) -> Choice:
+        """Returns the set. Raises InvalidInputError for two ranks."""
+        if self.rank is not None and self.front is not None:
+            raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
+        table: RankedIn | None = "front" if self.front is not None else "solutions" if self.rank is not None else None
+        return Choice(campaign_id, table, self.front or self.rank or 1, "set" if self.front is None else "front")
+
+
+class ReviewOf(SetOf):
+    """A set, and `against` it another one: a rank in the same table, a campaign's id, or `ID:RANK`."""
+
+    against: Annotated[str, StringConstraints(max_length=80)] | None = None
+
+
+class CalibrationFileOf(SetOf, SummaryOf):
+    """A set, ranked by `weights` and, in the solutions, by another `score`, as in those tables. `label`: a name in the file for a
+    parameter, such as `P1=ACC_tGap_C`; others keep their names."""
+
+    format: CalibrationFormat
+    score: Annotated[str, StringConstraints(max_length=300)] | None = None
+    label: Annotated[list[Annotated[str, StringConstraints(max_length=300)]], Field(max_length=2000, default_factory=list)]
+
+
+class ReportOf(Parameters):
+    """`format`: one page without links to files, or a ZIP archive of the page, its figures as SVG and PNG, and tables as CSV."""
+
+    format: Literal["html", "zip"] = "html"
+
+
+ReportQuery = Annotated[ReportOf, Query()]
+ReviewQuery = Annotated[ReviewOf, Query()]
+CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
+
+
+@router.get("/results")
+@computed
+def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependency) -> CampaignResults:
+    """The results of a campaign: what was asked for, what is best, what was checked and what is doubtful, and what it cost; the verdicts
+    are about its best set, or about the set at a place of its search."""
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
+    return results_of(database, campaign, place=query.place)
+
+
+@router.get("/setup")
+def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
+    """The parameters, versions and fingerprints that the campaign began with; while it is queued, those of today."""
+    with database.read() as connection:
+        return setup_of(connection, calibration(campaigns.get(connection, campaign_id)))
+
+
+@router.get("/importance")
+@computed
+def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
+    """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search, under the campaign's
+    weights and score or others."""
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
+    return importance(database, campaign, resolved_spec(campaign), query)
+
+
+@router.get("/studies")
+def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
+    """The robustness and validation studies of its best sets and its map, its own and those of other campaigns, newest first."""
+    with database.read() as connection:
+        campaign = calibration(campaigns.get(connection, campaign_id))
+        made = about(connection, campaign)
+    return StudyPage(items=[study_answer(study, campaign) for study in made])
+
+
+@router.get(
+    "/report",
+    response_class=Response,
+    responses={
+        200: {
+            "content": {
+                "text/html": {"schema": {"type": "string"}},
+                "application/zip": {"schema": {"type": "string", "format": "binary"}},
+            },
+            "description": "The report",
+        }
+    },
+)
+@computed
+def report(campaign_id: str, query: ReportQuery, database: DatabaseDependency, _: ReportPlace) -> Response:
+    """The report of a campaign, which needs no server: question, result, trust, search, reuse, best sets and cost. Takes
+    some seconds; two at a time are written."""
+    from drivecal.report.writing import write  # matplotlib takes a second or two
+
+    name = f"report-{campaign_id}"
+    whole = report_of(database, campaign_id)
+    with tempfile.TemporaryDirectory(prefix="drivecal-report-") as folder:
+        write(whole, Path(folder), page_alone=query.format == "html")
+        if query.format == "html":
+            return Response((Path(folder) / PAGE).read_bytes(), headers=HEADERS, media_type="text/html")
+        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"', "Cache-Control": "no-cache"}
+        return Response(_archive(Path(folder)), headers=headers, media_type="application/zip")
+
+
+def _archive(folder: Path) -> bytes:
+    """Returns the files of a folder as a ZIP archive."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                archive.write(path, path.relative_to(folder).as_posix())
+    return stream.getvalue()
+
+
+@router.get(
+    "/review",
+    response_class=Response,
+    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}, "description": "The sheet"}},
+)
+@computed
+def review(campaign_id: str, query: ReviewQuery, database: DatabaseDependency) -> Response:
+    """A chosen set as one page without scripts and other files: question, values, result against the baseline, origin of each score,
+    confidence, and the digest of its content. Equal results give equal bytes."""
+    from drivecal.report.review import sheet  # Jinja, for this answer only
+
+    with database.read() as connection:
+        campaigns.get(connection, campaign_id)
+    page = sheet(review_of(database, query.choice(campaign_id), query.against))
+    return Response(page, headers=HEADERS, media_type="text/html")
+
+
+@router.get(
+    "/calibration-file",
+    response_class=Response,
+    responses={
+        200: {"content": {type_: {"schema": {"type": "string"}} for type_ in MEDIA_TYPES.values()}, "description": "The file"}
+    },
+)
+@computed
+def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: DatabaseDependency) -> Response:
+    """A chosen set as a DCM, CDFX or CSV file (the latter without quality data): its values, how sure they are, and what is known of
+    them."""
+    choice = query.choice(campaign_id)
+    content = written(
+        database, choice, query.format, RankedOtherwise(query.weights, query.score), query.label, everything=query.everything
+    )
+    name = f"{choice.field}-{choice.rank}-{campaign_id}.{query.format}"
+    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-cache"}
+    return Response(content, headers=headers, media_type=MEDIA_TYPES[query.format])

@@ -1,1 +1,0 @@
-"""The review sheet: one page about a chosen set, to check, print and sign."""
