@@ -202,7 +202,7 @@ def test_the_command_prints_the_front_and_a_trade_off(ended: Ended, tmp_path: Pa
     with Client(ended.api.url) as client:
         baseline = client.front_summary(ended.first).baseline
     assert baseline is not None
-    (line,) = (line for line in shown.stdout.splitlines() if line.startswith("baseline:"))
+    (line,) = (line for line in shown.stdout.splitlines() if line.strip().startswith("baseline:"))
     assert all(f"{name} {amount:.6g}" in line for name, amount in baseline.objectives.items())
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])

@@ -137,10 +137,10 @@ def list_studies(campaign_id: str, database: DatabaseDependency) -> StudyPage:
 def report(campaign_id: str, query: ReportQuery, database: DatabaseDependency, _: ReportPlace) -> Response:
     """The report of a campaign, which needs no server: question, result, trust, search, reuse, best sets and cost. Takes
     some seconds; two at a time are written."""
-    from drivecal.report.writing import write  # matplotlib takes a second or two
-
     name = f"report-{campaign_id}"
     whole = report_of(database, campaign_id)
+    from drivecal.report.writing import write  # matplotlib takes a second or two, which a refused request need not pay
+
     with tempfile.TemporaryDirectory(prefix="drivecal-report-") as folder:
         write(whole, Path(folder), page_alone=query.format == "html")
         if query.format == "html":
