@@ -7,8 +7,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from drivecal.sensitivity.settings import caveats
-
 from drivecal.analysis.optima import NEIGHBOURS
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.assignments import value_text
@@ -35,6 +33,7 @@ from drivecal.report.blocks import (
     shortened,
     totals,
 )
+from drivecal.sensitivity.thresholds import caveats
 
 OUTCOMES = ("simulated", "repeated", "reused", "predicted", "failed")
 """Outcomes of requested cells, frequent ones first."""
