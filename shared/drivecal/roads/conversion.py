@@ -208,7 +208,7 @@ def _named(element: str) -> str:
 
 
 def _told(warnings: list[str]) -> list[str]:
-    """Returns netconvert's warnings, of those that differ in names and numbers only the first."""
+    """Returns netconvert's warnings; if several differ in names and numbers only, the first."""
     alike: dict[str, list[str]] = {}
     for warning in warnings:
         alike.setdefault(_VARYING.sub("", warning), []).append(warning)

@@ -24,7 +24,7 @@ from drivecal.roads.network import Lane, Network, check_limits, limited, limits_
 from drivecal.roads.route import Chain, Guide, Lanes, guide_of, lanes_of, refusal
 
 SAMPLES = 1.0
-"""Metres between the points at which lanes are measured, beside those of the file."""
+"""Metres between the points at which lanes are measured, in addition to the file's."""
 LARGEST_BACKWARDS = 1.0
 """Metres that a lane may seem to run backwards along the line, at a corner."""
 NARROWEST = 0.9
@@ -32,8 +32,8 @@ NARROWEST = 0.9
 WHOLE_DEGREE = 1.0
 """Shortest route (m) on small coordinates that are no degrees."""
 LARGEST_DIFFERENCE = 0.04
-"""Share by which the mean length of an edge's lanes may differ from that of their shapes, as do speed and way of SUMO's vehicles. The
-networks of eclipse-sumo's A10KW, ramp and highway keep 0.035 in each lane, and 0.021 in lanes of more than 100 m."""
+"""Largest difference, as a share, of the mean length of an edge's lanes from their shapes'; speed and way of SUMO's vehicles differ alike.
+The networks of eclipse-sumo's A10KW, ramp and highway keep 0.035 in each lane, and 0.021 in lanes of more than 100 m."""
 LARGEST_IN_CURVES = 0.1
 """The same of a single lane: netconvert gives all lanes of an edge the mean of their lengths, which differ in curves."""
 OUTER_GAP = 30.0
@@ -326,7 +326,7 @@ def _check_lengths(network: Network, lanes: Lanes) -> None:
 
 
 def _fits(length: float, size: float, share: float, jumped: float) -> bool:
-    """Whether a length belongs to a shape of this size, all m. `jumped`: what it may have of junctions."""
+    """Returns whether a length belongs to a shape of this size, all m. `jumped`: what it may have of junctions."""
     allowed = share * max(size, SHORT)
     return -allowed <= length - size <= allowed + jumped
 
@@ -393,7 +393,7 @@ def other_levels(network: Network, corridor: Corridor) -> dict[str, tuple[float,
 
 
 def _crossing(network: Network, corridor: Corridor) -> dict[str, Floats]:
-    """Returns positions in the area of the corridor's lanes, along edges beside the corridor's own."""
+    """Returns positions in the area of the corridor's lanes, along edges other than the corridor's own."""
     line = corridor.line
     half = 0.5 * corridor.widths
     right, left = np.nanmin(corridor.centres - half, axis=1) - BESIDE, np.nanmax(corridor.centres + half, axis=1) + BESIDE

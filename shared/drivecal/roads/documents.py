@@ -39,7 +39,7 @@ def joined(places: Sequence[str]) -> str:
 
 
 def cut(notes: Iterable[str], most: int = MOST_NOTES) -> tuple[str, ...]:
-    """Returns the first notes, and a last one that counts the others."""
+    """Returns the first notes, and a last note with the number of the others."""
     lines = tuple(notes)
     return lines if len(lines) <= most else (*lines[:most], f"and {len(lines) - most} more notes")
 

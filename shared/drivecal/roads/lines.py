@@ -17,7 +17,7 @@ NODE_SPACING = 1.0
 SMOOTHING_LENGTH = 10.0
 """Metres. Waves of a polyline shorter than some six times of it, such as its corners, are smoothed away where the tolerance allows."""
 ROUNDS = 60
-"""Most rounds in which points that leave the tolerance get more weight."""
+"""Most rounds that give more weight to points outside the tolerance."""
 PROJECTION_ROUNDS = 40
 PROJECTION_TOLERANCE = 1e-9
 

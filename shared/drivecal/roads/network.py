@@ -38,7 +38,7 @@ MOST_CONNECTIONS = 1_000
 MOST_POINTS = 200_000
 """Points of a lane."""
 OTHER_FILES = ("href", "file", "output", "dest")
-"""Attributes by which SUMO reads or writes other files: of `<include>`, and of signs, detectors and events of additional files."""
+"""Attributes that make SUMO read or write other files: of `<include>`, and of signs, detectors and events of additional files."""
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
 LIMITS = "drivecal.limits"
@@ -49,7 +49,7 @@ UNKNOWN = "none"
 UNPLACED = "drivecal.unplaced"
 """Parameter of lanes that are not at their place in the OpenDRIVE file: the cause."""
 ORIGIN = "origId"
-"""Parameter of lanes by which netconvert names the roads and lanes of an OpenDRIVE file."""
+"""Parameter of lanes with which netconvert names the roads and lanes of an OpenDRIVE file."""
 
 CONVERTED = ".net.xml"
 """Ending of a converted network's file, after that of its OpenDRIVE file."""
@@ -60,7 +60,7 @@ _ANY_SOURCE = re.compile(rb"<!-- converted [^>]*from an OpenDRIVE file of SHA-25
 
 
 def network_file(name: str) -> str:
-    """Returns the file of a bundle that holds a network: that of an OpenDRIVE file stands beside it since the bundle was packed."""
+    """Returns the file of a bundle that holds a network: that of an OpenDRIVE file lies next to it since the bundle was packed."""
     return name + CONVERTED if name.endswith(".xodr") else name
 
 
@@ -71,12 +71,12 @@ def source_of(network: bytes) -> str | None:
 
 
 def is_of_another_converter(network: bytes) -> bool:
-    """Whether an earlier or later conversion made the network of an OpenDRIVE file, without what this one keeps of it."""
+    """Returns whether an earlier or later conversion made the network of an OpenDRIVE file, without what this one keeps of it."""
     return _ANY_SOURCE.search(network, 0, 300) is not None and source_of(network) is None
 
 
 def source_comment(content: bytes) -> bytes:
-    """Returns the line of a converted network by which `source_of` finds the digest of its OpenDRIVE file."""
+    """Returns the line of a converted network with which `source_of` finds the digest of its OpenDRIVE file."""
     digest = hashlib.sha256(content).hexdigest().encode()
     return b"<!-- converted (version %d) from an OpenDRIVE file of SHA-256 %s -->\n" % (CONVERTER, digest)
 
@@ -106,7 +106,7 @@ class Lane:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Edge:
-    """Lanes beside each other, from the right. `function` is empty for roads, else `internal`, `crossing`, ..."""
+    """Adjacent lanes, from the right. `function` is empty for roads, else `internal`, `crossing`, ..."""
 
     id: str
     function: str

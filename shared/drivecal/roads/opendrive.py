@@ -30,7 +30,7 @@ MOST_PANELS = 1_000_000
 
 @dataclass(slots=True)
 class Cubics:
-    """Records a + b ds + c ds² + d ds³, each from its begin on; 0 before the first."""
+    """Records a + b ds + c ds² + d ds³, each beginning at its place; 0 before the first."""
 
     records: list[tuple[float, float, float, float, float]] = field(default_factory=list)
 

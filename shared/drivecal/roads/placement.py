@@ -212,7 +212,7 @@ def _shape(lane: Element) -> Floats:
 
 
 def _stations(road: FileRoad, points: Floats) -> Floats:
-    """Returns the stations of a road beside points (n, 2)."""
+    """Returns the stations of a road nearest to points (n, 2)."""
     s = np.linspace(0.0, road.length, max(2, ceil(road.length / STEP) + 1))
     x, y, _ = road.reference(s)
     best = np.array([s[int(np.argmin(np.hypot(x - point[0], y - point[1])))] for point in points])

@@ -1,6 +1,6 @@
 """Routes over a network: checks that the edges follow each other, chains their lanes, and joins the guide's to the reference line.
 
-The guide is the lane that the reference line follows: the rightmost of those that reach the end with the fewest lane changes. Traffic
+The guide is the lane that the reference line follows: the rightmost lane that reaches the end with the fewest lane changes. Traffic
 lights, stop signs, and ways of others that cross the route's at junctions are refused.
 """
 
@@ -272,7 +272,7 @@ def _matched(ways: Sequence[Way], first: Way) -> list[Way]:
 
 
 def _chains(edges: Sequence[Edge], chosen: Sequence[Sequence[Way]]) -> tuple[Chain, ...]:
-    """Returns the chains from right to left: of two that lie beside each other on any edge, the right one comes first."""
+    """Returns the chains from right to left: of two that are adjacent on any edge, the right one comes first."""
     open_: dict[int, int] = {}
     chains: list[tuple[int, list[Lane], list[tuple[Lane, ...]]]] = []
     order: TopologicalSorter[int] = TopologicalSorter()
@@ -314,7 +314,7 @@ SMALLEST_RADIUS = 30.0
 SHORTEST_TURN = 20.0
 """Metres. Longer turns are the road's own."""
 AROUND = 25.0
-"""Metres before and after such a corner in which the line leaves the lane."""
+"""Metres before and after such a corner where the line leaves the lane."""
 WIDENINGS = 10
 """Times that the tolerance grows by half there, at most."""
 LARGEST_GAP = 100.0
@@ -330,7 +330,7 @@ class Guide:
     line: Floats
     ranges: tuple[tuple[float, float], ...]
     left: tuple[tuple[float, float], ...]
-    """Ranges of s in which the line is farther than the tolerance from the guide's lanes, apart from lane changes."""
+    """Ranges of s where the line is farther than the tolerance from the guide's lanes, apart from lane changes."""
 
 
 def guide_of(network: Network, lanes: Lanes) -> Guide:
@@ -397,7 +397,7 @@ class _Joined:
 
 
 def _direction(shape: Floats) -> Floats:
-    """Returns the unit vector in which a lane starts, zero if it is a point."""
+    """Returns the direction of a lane at its start, a unit vector, zero if it is a point."""
     steps = shape[1:] - shape[0]
     far = np.hypot(*steps.T)
     index = int(np.argmax(far > min(1.0, far.max())))
@@ -414,7 +414,7 @@ def _blended(begin: Lane, end: Lane) -> Floats:
 
 
 def _drivable(nodes: Floats, limits: Floats) -> tuple[Floats, tuple[tuple[float, float], ...]]:
-    """Returns the line through nodes (n, 2), and the ranges in which it leaves them for want of a curve that can be driven.
+    """Returns the line through nodes (n, 2), and the ranges where it leaves them for want of a curve that can be driven.
 
     It leaves them only if that helps: around corners that nothing makes fit for the limit, it stays as long as their radius is not below
     `SMALLEST_RADIUS`.

@@ -17,7 +17,7 @@ _LONGEST_TEXT = 300
 
 
 def document(content: bytes, source: str) -> dict[str, Any]:
-    """Returns the JSON object in `content`. Raises NoMeasuresError. `source`: what wrote it, for the message."""
+    """Returns the JSON object in `content`. Raises NoMeasuresError. The message names its `source`."""
     try:
         value = json.loads(content)
     except (ValueError, RecursionError):
@@ -31,7 +31,7 @@ def document(content: bytes, source: str) -> dict[str, Any]:
 def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, replay: bool = False) -> RunOutcome:
     """Returns the outcome that an answer reports. Raises NoMeasuresError if it reports an error or breaks the declaration.
 
-    `replay`: whether the answer may hold one beside its series; other simulators report none.
+    Answers may hold a replay next to their series if `replay` is true; other simulators report none.
     A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
     """
     if answer.get("error") is not None:

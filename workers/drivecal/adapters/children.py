@@ -40,7 +40,7 @@ REPLY_SECONDS = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """Command of a child, found beside the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits.
+    """Command of a child, found among the bundle's files or on PATH, the limit of its memory, and names of variables that it inherits.
 
     `writable`: folders outside of its scratch folder that it may change.
     """
@@ -76,7 +76,7 @@ class Children:
         self._next_look = 0.0
         self._disk = Disk(scratch.folder, launch.memory_mb)
         self._exceeds = self._overflows = False
-        """Whether the child exceeds a limit, or one of the disk in particular."""
+        """The child exceeds a limit, or a limit of the disk in particular."""
         self._lost_seconds = self._ended_seconds = 0.0
         """CPU time of children of earlier keepers, and of ended children of this keeper."""
 
@@ -253,7 +253,7 @@ class Children:
         return reply
 
     def _lose(self) -> None:
-        """Forgets the keeper, and kills what is left of one that was killed or does not answer."""
+        """Forgets the keeper, and kills the rest of a keeper that was killed or does not answer."""
         if self._keeper is not None:
             self._scratch.is_spoilt = True
             self._lost_seconds = self.cpu_seconds()

@@ -1,4 +1,4 @@
-"""What a simulator cannot reach: rules of Landlock, and system calls refused by seccomp. The keeper imports this: standard library only.
+"""Confinement of simulators: rules of Landlock, and system calls refused by seccomp. The keeper imports this: standard library only.
 
 Landlock (https://docs.kernel.org/userspace-api/landlock.html): a confined process writes below its own folders only, cannot read hidden
 files, cannot debug processes outside, and reads neither their memory nor their environment. From Linux 6.12 on it cannot signal them,
@@ -32,7 +32,7 @@ _NUMBER, _ARCHITECTURE, _ARGUMENTS = 0, 4, 16
 """Offsets in `struct seccomp_data`."""
 _ALLOW, _REFUSE, _UNKNOWN, _PRETEND = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS, 0x00050000
 _X32 = 0x40000000
-"""Numbers from here on are those of a second table of x86-64, which hardly any kernel has."""
+"""Larger numbers belong to a second table of x86-64, which hardly any kernel has."""
 
 
 class _Call(NamedTuple):
@@ -135,7 +135,7 @@ _CAPABILITIES_3 = 0x20080522
 _KEPT = 0x8464FB
 """Capabilities of root that a simulator may need: for files of all users, other users, low ports, locked memory, priorities."""
 _DEVICES = ("null", "zero", "full", "random", "urandom", "tty", "ptmx", "dri", "dxg", "infiniband", "kfd", "nvidia*")
-"""Devices in /dev that simulators use: those of every program, GPUs, and fast networks. Others would be the user's terminals and root's
+"""Devices in /dev that simulators use: the standard ones, GPUs, and fast networks. Others would be the user's terminals and root's
 disks. `tty` is a process's own terminal, which a simulator has not."""
 SCOPES_SINCE, TRUNCATION_SINCE = 6, 3
 """Versions of Landlock that hold back signals and abstract sockets, and that hold back `truncate`."""
@@ -144,7 +144,7 @@ AUDITS_SINCE = SCOPES_SINCE + 1
 _QUIET = 1 << 0
 """Flag: refusals of this program are not logged. A signal to all processes is refused for each that is no descendant."""
 MOST_RULES = 20_000
-"""Limit of the rules of a session, each of which takes four microseconds at its start. A path that would need more is not hidden."""
+"""Limit of the rules of a session; a rule takes four microseconds at its start. A path that would need more is not hidden."""
 
 _library = ctypes.CDLL(None, use_errno=True)
 
@@ -263,7 +263,7 @@ def _call(result: int) -> None:
 
 
 def _beside(hidden: Collection[str]) -> list[str]:
-    """Returns paths that together hold everything but the hidden ones: what lies beside them and beside each folder above them.
+    """Returns paths that together hold everything but the hidden ones: their siblings and those of each folder above them.
 
     Returns nothing if these are too many.
     """
@@ -277,7 +277,7 @@ def _beside(hidden: Collection[str]) -> list[str]:
 
 
 def _affordable(hidden: Collection[str]) -> set[str]:
-    """Returns the paths that can be hidden together: those that need the fewest rules first."""
+    """Returns the paths that can be hidden together, by number of rules needed, least first."""
     chosen: set[str] = set()
     needed = {path: beside for path in hidden if (beside := _beside({path}))}
     for path in sorted(needed, key=lambda path: len(needed[path])):

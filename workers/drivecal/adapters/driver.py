@@ -75,7 +75,7 @@ def blames_files(error: BaseException) -> bool:
 
 
 def described(error: BaseException) -> str:
-    """Returns type, message and location of an exception; of one that drivecal raises on purpose, the message alone."""
+    """Returns type, message and location of an exception; only the message if drivecal raises it on purpose."""
     if isinstance(error, DrivecalError):
         return " | ".join(str(error).splitlines())[:LONGEST_MESSAGE]
     frames = [

@@ -16,14 +16,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 TRIES = 5
-"""Passes over a folder in which a process still writes."""
+"""Passes over a folder while a process still writes there."""
 _FOLDER = os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def remove(folder: Path) -> None:
     """Removes a folder with all that is in it. Follows no link, and leaves a link in the folder's place as it is.
 
-    Raises nothing: what cannot be removed stays, such as files of other users and those of a process that writes faster.
+    Raises nothing: what cannot be removed stays, such as files of other users and of a process that writes faster.
     """
     for _ in range(TRIES):
         with contextlib.suppress(OSError):
@@ -115,7 +115,7 @@ class Nameless:
     in_memory: dict[tuple[int, int], int] = field(default_factory=dict)
     """Bytes of memory by device and inode, of memfd_create and of files that were in /dev/shm."""
     is_complete: bool = True
-    """Whether all processes show their files, and all threads were looked at."""
+    """All processes show their files, and all threads were looked at."""
 
 
 def count_written(folder: str, most: int) -> tuple[int, int]:
@@ -150,8 +150,8 @@ def count_written(folder: str, most: int) -> tuple[int, int]:
 def find_nameless(numbers: Iterable[int], folder: str, *, of_every_thread: bool = True) -> Nameless:
     """Returns what processes keep open of files without a name, of a folder and in memory.
 
-    `of_every_thread`: a thread can have descriptors of its own, and those of the first end with it. A look at one takes six microseconds.
-    Raises UncountableError if the processes have too many; most threads share those of the first, so that too many of threads are left out.
+    `of_every_thread`: a thread can have descriptors of its own, and the first thread's end with it. A look at one takes six microseconds.
+    Raises UncountableError if the processes have too many; most threads share the first's, so that too many of threads are left out.
     """
     kept, looks = Nameless(), 0
     for number in numbers:

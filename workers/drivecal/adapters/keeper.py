@@ -2,7 +2,7 @@
 
 It starts a child on request, limits it, and ends all its descendants: when the child ends, when the worker asks, or when the worker is
 gone. As a subreaper it inherits orphans, including those in sessions of their own, so none is missed. A worker cannot do this itself:
-`preexec_fn` is unsafe beside threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
+`preexec_fn` is unsafe with threads, the signal of a parent's death follows the starting thread, and orphans would mix with others.
 
 Runs by path, `python -I -S keeper.py FD`, with the standard library, `confinement` and `files` only. FD is a socket of messages
 (SOCK_SEQPACKET): the worker sends `s` with three descriptors (standard input, output, error) for a start, `t` for an end and `k` for one at
@@ -137,7 +137,7 @@ class Keeper:
         the arguments of `ruleset`, or None."""
         self._control, self._settings = control, settings
         self._reaches_its_own_only = settings["confinement"] is not None and _reaches_its_own_only(worker)
-        """Whether a signal to all processes reaches the descendants and none besides."""
+        """A signal to all processes reaches the descendants only."""
         self._rules = None if settings["confinement"] is None else ruleset(**settings["confinement"])
         self._library = ctypes.CDLL(None, use_errno=True)
         self._library.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -264,7 +264,7 @@ class Keeper:
 
     def _send(self, *numbers: int) -> None:
         """Sends signals to every descendant. If the kernel holds this process to its own, it signals all at once, which no process escapes
-        by a fork; else those that a look finds."""
+        by a fork; else the descendants that a look finds."""
         with contextlib.suppress(OSError):  # a machine without files for a look, which is tried again
             family = [-1] if self._reaches_its_own_only else [process.pid for process in descendants(os.getpid())]
             for number in numbers:

@@ -67,7 +67,7 @@ class Pipes:
 
     @property
     def has_more(self) -> bool:
-        """Whether the child wrote more than the answer, or answered before it had read the request."""
+        """The child wrote more than the answer, or answered before it had read the request."""
         return bool(self._received or self._waiting)
 
     def is_fresh(self) -> bool:

@@ -79,7 +79,7 @@ class ProcessSession:
 
     @property
     def has_failed(self) -> bool:
-        """Whether the first start has failed, which the next run will report."""
+        """The first start has failed, which the next run will report."""
         return self._failed_start is not None
 
     def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
@@ -184,7 +184,7 @@ class ProcessAdapter:
     def open(
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
     ) -> ProcessSession:
-        """Starts the program in a scratch folder beside links to the bundle's files."""
+        """Starts the program in a scratch folder with links to the bundle's files."""
         command = section["command"]
         scratch = Scratch(folder)
         try:

@@ -31,7 +31,7 @@ _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_TH
 class Scratch:
     """Folder of one session: `work`, a working directory with links to the bundle's files, and `home` for temporary files.
 
-    Programs find the bundle's files by relative paths and write beside the links, so that the bundle stays as it is.
+    Programs find the bundle's files by relative paths and write next to the links, so that the bundle stays as it is.
     """
 
     def __init__(self, bundle: Path) -> None:
@@ -41,7 +41,7 @@ class Scratch:
         self.work, self.home = self.folder / "work", self.folder / "home"
         self._kept: set[Path] = {self.work, self.home}
         self.is_spoilt = False
-        """Whether a process may live that nothing ends, and put links where the worker writes."""
+        """A process may live that nothing ends, and put links where the worker writes."""
         try:
             self.home.mkdir()
             self.renew()
@@ -64,7 +64,7 @@ class Scratch:
 
     def clear(self) -> None:
         """Empties the working directory and the folder of temporary files: locks and halves of files that a child has left would meet the
-        next one. What a driver unpacked beside them stays."""
+        next one. Files that a driver unpacked next to them stay."""
         self.renew()
         discard(self.home)
         self.home.mkdir()
@@ -81,7 +81,7 @@ class Scratch:
         self.clear()
 
     def keep(self, name: str, text: str) -> Path:
-        """Writes a file beside the folders, which stays when these are emptied."""
+        """Writes a file next to the folders, which stays when these are emptied."""
         path = self.folder / name
         path.write_text(text)
         self._kept.add(path)
@@ -155,7 +155,7 @@ def discard(path: Path) -> None:
 
 
 def environment(home: Path, named: Collection[str] = (), inherited: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Returns the environment of a child: a few of the worker's variables, and those that the manifest has `named`.
+    """Returns the environment of a child: a few of the worker's variables, and the ones `named` by the manifest.
 
     An allow list, because no pattern knows all secrets. This prevents accidents, not theft: a child of the same
     user can read the worker's memory and files.

@@ -75,6 +75,32 @@ def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, f
 
 
 @compiled_with()
+def frenet_motion(
+    line: Floats, pose: Floats, near: float
+) -> tuple[float, float, float, float, float, float, float, float]:  # fmt: skip
+    """Returns s, s', s'', d, d', d'' of a vehicle, its heading relative to the line (rad), and metres of its way per metre of s.
+
+    Formulas as in `drivecal.domain.roads.to_frenet`.
+
+    Args:
+        line: reference line.
+        pose: as from `ports.VehicleModel`, accelerations in the vehicle's own axes.
+        near: s from which the foot point is searched.
+    """
+    s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
+    yaw = pose[2] - heading
+    course = yaw + pose[4]
+    stretch = 1.0 - curvature * d
+    s_dot = pose[3] * cos(course) / stretch
+    d_dot = pose[3] * sin(course)
+    cosine, sine = cos(yaw), sin(yaw)
+    tangential = pose[6] * cosine - pose[7] * sine
+    normal = pose[6] * sine + pose[7] * cosine
+    s_dot_dot = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch
+    return s, s_dot, s_dot_dot, d, d_dot, normal - curvature * s_dot * s_dot * stretch, yaw, stretch
+
+
+@compiled_with()
 def hit(outlines: Floats, pose: Floats, size: Floats) -> int:
     """Returns the first of `outlines` that overlaps the ego vehicle's rectangle, -1 if there is none; separating axis theorem.
 

@@ -151,7 +151,7 @@ def _shown(message: str) -> str:
 
 
 def is_current(load: int) -> bool:
-    """Whether SUMO still runs as of this load: the process's other simulator may have loaded another network since."""
+    """Returns whether SUMO still runs as of this load: the process's other simulator may have loaded another network since."""
     return load == _current and bool(libsumo.isLoaded())
 
 
@@ -173,7 +173,10 @@ def clear() -> None:
 
 
 def place(starts: Sequence[Start]) -> list[str]:
-    """Adds vehicles, the ego vehicle's speed and lane free of SUMO's models. Returns those that SUMO left out, which it does not report."""
+    """Adds vehicles, the ego vehicle's speed and lane free of SUMO's models.
+
+    Returns vehicles that SUMO left out, which it does not report.
+    """
     for name, route, lane_id, position, speed, offset in starts:
         vehicle.add(name, route, typeID=name)
         vehicle.moveTo(name, lane_id, position)

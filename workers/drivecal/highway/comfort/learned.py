@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Learned:
-    """Rates time series by MiniRocket features and ridge regression, after Moser et al. [38]; see `learned.md` beside this file."""
+    """Rates time series by MiniRocket features and ridge regression, after Moser et al. [38]; see `learned.md` next to this file."""
 
     name = "learned"
 

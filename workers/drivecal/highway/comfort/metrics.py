@@ -1,4 +1,4 @@
-"""Metrics measured and stored for every run: those of the reference scale and others for user-defined evaluators.
+"""Metrics measured and stored for every run, for the reference scale and for user-defined evaluators.
 
 Frequency weightings follow ISO 2631-1, which defines them as products of analogue second-order sections (Annex A; parameters also in ISO
 8041-1, Table 3): band limits, transition from acceleration to velocity, upward step. Each section becomes a digital one whose poles are the
@@ -208,7 +208,7 @@ def comfort_metrics(dynamics: Floats, offset: Floats) -> dict[str, float]:
     `dynamics`: one row per 0.01 s: speed, longitudinal acceleration, lateral acceleration, yaw rate, steering angle of the front wheels
     (SI), shape (n, 5). `offset`: signed distance (m) from the centre of the target lane every 0.1 s, shape (m,).
 
-    Peaks are the largest absolute moving averages over 0.5 s, including those of jerk. `iso2631_*_rms` are weighted by Wd with k = 1 (ISO
+    Peaks are the largest absolute moving averages over 0.5 s, also of jerk. `iso2631_*_rms` are weighted by Wd with k = 1 (ISO
     2631-1, Section 8.2: comfort of seated persons, on the seat). `iso2631_*_msdv` are motion sickness dose values in m/s^1.5 (Annex D)
     weighted by Wf. The standard defines them for vertical motion; here they are applied to horizontal motion, as is usual for cars.
     Raises ValueError if a series is empty.

@@ -75,7 +75,7 @@ def _whole(value: float) -> int:
 
 
 MIRROR: npt.NDArray[np.int32] = np.array([[1], [-1], [1], [-1], [-1], [-1]], dtype=np.int32)
-"""Factors that turn channels into those of the mirrored run, with left and right exchanged."""
+"""Factors that mirror channels: left and right exchanged."""
 
 
 def channels_of(dynamics: Floats, offset: Floats) -> npt.NDArray[np.int32]:

@@ -65,7 +65,7 @@ class Watch:
     """The trigger of an action in one run."""
 
     def __init__(self, name: str, trigger: Trigger, step: float) -> None:
-        """`name`: of the vehicle that acts; `step`: of the traffic (s)."""
+        """`name` is the acting vehicle's; `step` is the traffic's (s)."""
         self._after = [_Watched(name, condition, step) for condition in trigger.after]
         self._when = [_Watched(name, condition, step) for condition in _conditions(trigger)]
         self._is_open = not self._after
@@ -164,7 +164,7 @@ class _Watched:
 
 DEFAULT_RATE, DEFAULT_SECONDS = 4.0, 3.0
 SHORTEST, SLOWEST_BRAKING = 0.1, 0.1
-"""Seconds of a motion to the side at least; speed (m/s) by which a distance is divided at least."""
+"""Seconds of a motion to the side at least; least speed (m/s) that divides a distance."""
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
 """Largest speed and acceleration of a motion of least jerk, per its mean speed, and per way / seconds²."""
 
@@ -224,7 +224,7 @@ class Actions:
     def __init__(
         self, vehicles: Mapping[str, TrafficEntry], lateral: Lateral = lambda _, d, __: d, stretch: Stretch = straight
     ) -> None:
-        """`vehicles`: by id; `lateral`, `stretch`: on the road."""
+        """`vehicles` have ids; `lateral` and `stretch` belong to the road."""
         self._entries = [(name, action) for name, vehicle in vehicles.items() for action in vehicle.actions]
         self._vehicles, self._lateral, self._stretch = vehicles, lateral, stretch
         self.reset()
@@ -239,11 +239,11 @@ class Actions:
 
     @property
     def pending(self) -> bool:
-        """Whether something is still to be done."""
+        """Some action is still to be done."""
         return bool(self._waiting or self._late or self._speeding or self._shifts)
 
     def act(self, time: float, step: float, names: Sequence[str], others: Floats, ego: EgoPlace, length: float) -> None:
-        """Begins and continues actions for the step from `time` on. `others` and `ego`: at that time; `length`: the ego vehicle's.
+        """Begins and continues actions for the step from `time` on. `others` and `ego` belong to that time; `length`: the ego vehicle's.
 
         Vehicles that have left the network do nothing. Vehicles that are due to cut in inside of a junction do so behind it, on the edge
         whose lanes the scenario numbers.
@@ -325,7 +325,7 @@ class Actions:
         self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
 
     def _end(self, name: str, ended: Collection[str]) -> None:
-        """Ends those of these actions of a vehicle that run: it keeps its speed, and its place in its lane.
+        """Ends the running ones of these actions of a vehicle: it keeps its speed, and its place in its lane.
 
         What is done at once is done already, also if it has begun in this step.
         """

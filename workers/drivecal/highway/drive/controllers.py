@@ -45,7 +45,7 @@ class ProgramController:
         names: Sequence[str] = NAMES,
         role: str = "controller",
     ) -> None:
-        """`names`: of the signals; `role`: what the program is, for messages."""
+        """`names` are the signals'; messages name the program's `role`."""
         self._role = role
         self._command, self._work, self._scenario, self._period = section["command"], work, scenario, period
         self._output = list(section["output"])
@@ -180,7 +180,7 @@ class Controller(Protocol):
         """Starts a run with these parameters, from the controller's initial state."""
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        """Returns the commands in the order of the manifest's `output`. `signals`: in the order of `observation.NAMES`."""
+        """Returns the commands in the order of the manifest's `output`. `signals` have the order of `geometry.NAMES`."""
 
 
 class FunctionController(Controller):
@@ -220,7 +220,7 @@ class FmuControl(Controller):
     def __init__(
         self, file: Path, unpacked: Path, section: Mapping[str, Any], period: float, units: Mapping[str, str] | None = None
     ) -> None:
-        """`section`: the manifest's; `units`: of the problem's parameters by name. Raises UnusableError."""
+        """`section` is the manifest's; `units` holds those of the problem's parameters. Raises UnusableError."""
         signals, output = section["signals"], section["output"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")

@@ -47,7 +47,7 @@ NAMES: tuple[str, ...] = (
 )
 """Signals that a controller observes, in the order of `observe`."""
 FRAMED = 40
-"""Signals, from the first on, in the binary frames of a program that names none: programs may have been compiled for that many."""
+"""Number of the first signals in the binary frames of a program that names none: programs may have been compiled for that many."""
 SPEED, LIMIT_AHEAD, GAP, LEADER_SPEED = (NAMES.index(name) for name in ("speed", "limit_ahead", "gap", "leader_speed"))
 
 TIME_HEADWAY, STANDSTILL_GAP, ACCELERATION, DECELERATION = 1.5, 2.0, 1.5, 2.0
@@ -77,9 +77,9 @@ GORE = 4.0
 FAR = 1000.0
 """Gap without a vehicle; `highway_catalogue.FAR`."""
 OWN, BESIDE = 20, 7
-"""Number of signals of the vehicle itself, and of each lane beside its own; the own lane has one less. Order: see `observe`."""
+"""Number of signals of the vehicle itself, and of each adjacent lane; the own lane has one less. Order: see `observe`."""
 OF_LEADER = OWN + 3 * BESIDE - 1
-"""First of the two signals made of those of the leader in the own lane."""
+"""First of the two signals that follow from the leader's in the own lane."""
 SIGNALS = OF_LEADER + 2
 RECORDED = 17
 """Columns of a record, see `record`."""
@@ -197,7 +197,7 @@ def locate(line: Floats, raw: Floats, others: Floats, outlines: Floats, step: fl
     """Updates `others` and `outlines` in place from SUMO's raw values: x and y of each vehicle's front, speed and heading, shape (k, 4).
 
     `step`: seconds since the last update; 0 means that there was none, so that foot points are searched and accelerations are 0. A vehicle
-    on another level has x = NaN, and no place. One that keeps to the route has the heading NaN: the line's, which has no corners.
+    on another level has x = NaN, and no place. A vehicle that keeps to the route has the heading NaN: the line's, which has no corners.
     """
     for i in range(len(raw)):
         half = 0.5 * others[i, 4]
@@ -375,7 +375,7 @@ def settle(
 
 @compiled
 def path_of(line: Floats, lanes: Floats, track: int, s: float, speed: float, path: Floats) -> None:
-    """Writes the path along a track's centre at a constant speed from s on, as a trajectory (t, x, y, heading, curvature, speed, 0).
+    """Writes the path along a track's centre at a constant speed, beginning at s, as a trajectory (t, x, y, heading, curvature, speed, 0).
 
     `path`, shape (n, 7), has its times. Where the track does not exist, the path goes on at the last offset.
     """

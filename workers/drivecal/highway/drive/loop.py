@@ -91,7 +91,7 @@ class Loop:
     def prepare(self) -> None:
         """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError.
 
-        It leaves the warm-up out, whose kernels are those of vehicles that enter and that overlap.
+        It leaves the warm-up out, whose kernels concern vehicles that enter and that overlap.
         """
         road, traffic, vehicle, motion = self._road, self._traffic, self._vehicle, self._motion
         dynamics = np.zeros((1, 5))
@@ -122,7 +122,7 @@ class Loop:
         vehicle.keep(self._path, 0.0, 0.0, dynamics)
 
     def _check_apart(self, pose: Floats) -> None:
-        """Raises StartError if two vehicles overlap that start at time 0; those of the warm-up leave them room."""
+        """Raises StartError if two vehicles overlap that start at time 0; vehicles of the warm-up leave them room."""
         starting = self._traffic.starting
         names, outlines = [*self._traffic.names[:starting], "ego"], self._traffic.outlines[:starting]
         starts = np.vstack([outlines, [*pose[:3], *self._size, 0.0]])

@@ -22,7 +22,7 @@ from drivecal.highway.vehicle.parameters import SingleTrackParameters
 UNITS = {name: quantity.unit for name, quantity in {**COMMANDS, **VEHICLE_STATES}.items()} | {"start_speed": "m/s"}
 """Units of a vehicle's inputs, states and start speed."""
 JUMP, TURN, SURGE = 1.0, 0.2, 1.0
-"""Metres, rad and m/s by which the state after the first step may differ from that of a steady drive."""
+"""Largest differences (m, rad, m/s) of the state after the first step from a steady drive."""
 STRONGEST = 20.0
 """Acceleration (m/s²) that a vehicle may have besides."""
 _NO_PATH: Floats = np.zeros((2, 7))
@@ -78,7 +78,7 @@ class FmuPlant(Plant):
     """An FMU for co-simulation, which is reset for each run. Its inputs hold for a step, at whose end its outputs are read."""
 
     def __init__(self, file: Path, unpacked: Path, section: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
-        """`section`: the manifest's; `units`: of the problem's parameters by name. Raises UnusableError."""
+        """`section` is the manifest's; `units` holds those of the problem's parameters. Raises UnusableError."""
         signals, state = section["signals"], section["state"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
@@ -124,7 +124,7 @@ class UserVehicleModel(SingleTrackModel):
         self._begun: tuple[Mapping[str, Any]] | None = None
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
-        """Sets the parameters of the runs that start from now on."""
+        """Sets the parameters of later runs."""
         self._begun = (parameters,)
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:

@@ -1,7 +1,7 @@
 """Replays of drives: the ego vehicle and the others near it, and the roads: areas of lanes, edges of roads, markings between lanes.
 
-All is in the coordinates of the network. The lanes of the route have the borders of their corridor. All other lanes have those of their
-shapes in the network.
+All is in the coordinates of the network. The lanes of the route have the borders of their corridor. All other lanes have their shapes'
+borders in the network.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,12 +39,12 @@ MOST_POINTS = 40_000
 """Points of other lanes; the nearest lanes come first."""
 DIGITS = 2
 SHARPEST = 0.5
-"""Least cosine of half a corner's angle by which a border is moved outwards; beyond it, a border would stick out far."""
+"""Least cosine of half a corner's angle for a border that is moved outwards; beyond it, a border would stick out far."""
 
 
 @dataclass(frozen=True, slots=True)
 class NeighbouringLane:
-    """A lane beside the route. `has_right`, `has_left`: whether another lane for cars is there on the same edge."""
+    """A lane off the route. `has_right`, `has_left`: whether another lane for cars is there on the same edge."""
 
     lane: Lane
     is_road: bool
@@ -133,7 +133,7 @@ def route_surface(corridor: Corridor, rows: slice) -> RoadSurface:
 
 
 def surface_beside(lanes: Neighbourhood, corridor: Corridor, rows: slice) -> RoadSurface:
-    """Returns lanes beside the route as far as they are near these rows, the nearest ones first up to `MOST_POINTS`."""
+    """Returns lanes off the route as far as they are near these rows, the nearest ones first up to `MOST_POINTS`."""
     surface = RoadSurface(lanes=[], edges=[], markings=[])
     tree = KDTree(corridor.line[rows, 1:3][:: max(1, round(LINE_SPACING / corridor.line.item(1, 0)))])
     near = lanes.near(corridor.line[rows, 1:3]).lanes  # each costs a search, and a route may pass thousands of others

@@ -1,6 +1,6 @@
 """SUMO's route file and command line options of a scenario, and the traffic before a run.
 
-SUMO's flows drive alone until the run's time 0, and vehicles too close to those that start then are removed. This warm-up is simulated
+SUMO's flows drive alone until the run's time 0, and vehicles too close to a vehicle that starts then are removed. This warm-up is simulated
 before each run. A state that SUMO has written would be there in a tenth of the time, but not always with the same bits: vehicles with
 SL2015 go on otherwise each time that they are restored (SUMO 1.28).
 """
@@ -25,7 +25,7 @@ RANDOM = frozenset({"EIDM", "W99"})
 LANE_CHANGE_SECONDS = 3.0
 """Duration of LC2013's lane changes, which SUMO makes in one step by default."""
 SUBLANE = 0.8
-"""Width (m) of the strips in which vehicles with SL2015 move."""
+"""Width (m) of the strips of vehicles with SL2015."""
 ANY_LIMIT = 100.0
 """Factor of the limit with which a desired speed holds whatever the limit is."""
 
@@ -101,7 +101,7 @@ _NOBODY = Driver.model_validate({})
 
 
 def _route(scenario: HighwayScenario, driver: TrafficEntry | FlowEntry, field: str) -> list[str]:
-    """Returns the edges from the driver's `edge` on, which is its whole route if it is beside the scenario's."""
+    """Returns the edges that begin with the driver's `edge`: its whole route if it is off the scenario's."""
     edge, own = driver.edge, driver.route is not None
     route = scenario.route if driver.route is None else driver.route
     if edge is None:
@@ -183,8 +183,8 @@ def options(
 
 
 STANDING_GAP, HEADWAY, BRAKING, BESIDE = 2.0, 1.0, 3.0, 0.5
-"""A vehicle that starts has room: 2 m and 1 s of driving of the vehicle behind, and the way in which that one brakes to the speed of the
-one ahead at 3 m/s². A vehicle that is less than 0.5 m beside its way has to leave it."""
+"""A vehicle that starts has room: 2 m and 1 s of driving of the vehicle behind, and its braking distance to the speed of the
+one ahead at 3 m/s². A vehicle that is less than 0.5 m from its way has to leave it."""
 
 
 def drive_alone(steps: int, instruct: Callable[[str, float], None]) -> None:
@@ -202,7 +202,7 @@ def drive_alone(steps: int, instruct: Callable[[str, float], None]) -> None:
 def too_close(
     others: Floats, outlines: Floats, starting: int, ego: Floats, outline: Floats, sideways: Sequence[float]
 ) -> list[int]:
-    """Returns the rows of the vehicles that leave no room for one that starts: the first `starting` rows, and the ego vehicle.
+    """Returns the rows of the vehicles that leave no room for a starting vehicle: the first `starting` rows, and the ego vehicle.
 
     `others`, `outlines`: as in `drive.geometry`; `ego`, `outline`: rows of the ego vehicle of the same form, shape (6,); `sideways`: speeds
     to the left (m/s) of all rows. A vehicle that changes lanes is in the way at all places that it reaches until the change is done.
@@ -216,7 +216,7 @@ def too_close(
 
 
 def _hinders(vehicle: Floats, starts: Floats, sideways: float) -> bool:
-    """Returns whether a vehicle is too close to one that starts, all as in `others`. NaN, on another level, hinders nothing."""
+    """Returns whether a vehicle is too close to a starting vehicle, all as in `others`. NaN, on another level, hinders nothing."""
     way = LANE_CHANGE_SECONDS * (sideways if vehicle[2] >= 0.0 else -sideways)  # to the left of the route
     right, left = vehicle[1] + min(way, 0.0), vehicle[1] + max(way, 0.0)
     beside = np.maximum(right - starts[:, 1], starts[:, 1] - left).clip(0.0) - 0.5 * (starts[:, 5] + vehicle[5])

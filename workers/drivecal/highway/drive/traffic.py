@@ -46,7 +46,7 @@ CHECKED_STEPS = 50
 SPLITTING = str.maketrans(",$", "__")
 """Characters of a path that SUMO takes for a list of files and for variables of the environment."""
 LARGEST_BEYOND = 0.1
-"""Metres by which a vehicle may start behind its place, so that its front is on a lane."""
+"""Largest distance (m) of a start behind the vehicle's place, so that its front is on a lane."""
 
 
 class TrafficError(DrivecalError):
@@ -88,7 +88,7 @@ class Traffic:
         vehicles, flows = drivers(scenario)
         self._vehicles = list(vehicles)
         self.starting = len(vehicles)
-        """Number of the first rows, those of vehicles that exist from time 0; the others have come in the warm-up."""
+        """Number of the first rows, whose vehicles exist from time 0; the others have come in the warm-up."""
         self._drivers: dict[str, Driver] = {**vehicles, **flows}
         self._routes = routes
         field = f"scenarios.{name}"
@@ -96,7 +96,7 @@ class Traffic:
         self.start_s, start_d = _centre(road, ego, f"{field}.ego")
         self.start_d = start_d + ego.offset
         self._strays: dict[str, bool] = {}
-        """Whether a vehicle also drives on edges beside the scenario's route, e.g. against it."""
+        """True for vehicles that also drive on edges off the scenario's route, e.g. against it."""
         self._own = frozenset(scenario.route)
         try:
             contents = [("traffic.rou.xml", routes_file(scenario, routes))]
@@ -159,7 +159,7 @@ class Traffic:
         self._loaded = True
 
     def reset(self, *, is_warm: bool = True) -> None:
-        """Puts all vehicles to their starts, among those of the warm-up. Raises TrafficError if SUMO refuses one.
+        """Puts all vehicles to their starts, among the warm-up's. Raises TrafficError if SUMO refuses one.
 
         `is_warm`: false leaves the warm-up out, which most of a run's time may go to; its flows begin at time 0 then.
         """
@@ -168,7 +168,7 @@ class Traffic:
                 self._loaded = False
                 self._load(is_warm=is_warm)
                 steps = self._steps_before if is_warm else 0
-                # A vehicle of a route file enters in the step that begins at its time: one step more, and those of time 0 are there.
+                # A vehicle of a route file enters in the step that begins at its time: one step more, and vehicles of time 0 are there.
                 drive_alone(steps + (self._routes is not None), self._instruct)
             else:
                 sumo.clear()
@@ -193,7 +193,7 @@ class Traffic:
             self._make_room()
 
     def _make_room(self) -> None:
-        """Removes vehicles of the warm-up that are too close to those that start at time 0."""
+        """Removes vehicles of the warm-up that are too close to vehicles that start at time 0."""
         ego = self._scenario.ego
         start = np.array([self.start_s, self.start_d, ego.speed, 0.0, ego.length, ego.width])
         pose = self._road.start(self.start_s, self.start_d)
@@ -268,7 +268,7 @@ class Traffic:
         return True
 
     def _enlist(self, names: list[str]) -> None:
-        """Replaces the arrays by those of other vehicles; new ones are told what they may do."""
+        """Replaces the arrays for other vehicles; new ones are told what they may do."""
         raw, others, outlines = (
             np.full((len(names), sumo.COLUMNS), np.nan),
             np.zeros((len(names), 6)),
@@ -300,7 +300,7 @@ class Traffic:
             sumo.vehicle.setSpeed(name, driver.speed if isinstance(driver, TrafficEntry) else speed)
 
     def _driver(self, name: str) -> Driver | None:
-        """Returns the driver of a vehicle or of its flow, None for those of a route file, whom SUMO drives."""
+        """Returns the driver of a vehicle or of its flow, None for vehicles of a route file, which SUMO drives."""
         return self._drivers.get(name) or self._drivers.get(name.rpartition(".")[0])
 
     def _read(self) -> None:
@@ -316,7 +316,7 @@ class Traffic:
         geometry.locate(self._road.line, self.raw, self.others, self.outlines, 0.0)
 
     def _set_off(self) -> None:
-        """Moves the vehicles that start beside the centre of their lane there: SUMO does so in the first step only."""
+        """Moves the vehicles that start off the centre of their lane to their offset: SUMO does so in the first step only."""
         for row, start in enumerate(self._starts[:-1]):
             if start.offset:
                 heading = radians(90.0 - GET_ANGLE(start.name))

@@ -8,11 +8,12 @@ import numpy as np
 
 from drivecal.bundles.highway import Ego, HighwayScenario, PlannerController
 from drivecal.bundles.highway_catalogue import PLANNER_PARAMETERS
-from drivecal.domain.roads import Floats, to_frenet
+from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import EgoStart, Road, Scenario, SpeedKnot, Task
 from drivecal.highway.drive.controllers import Checked, ControllerError
 from drivecal.highway.drive.geometry import NAMES
 from drivecal.highway.drive.road import HighwayRoad
+from drivecal.highway.geometry import frenet_motion
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.highway.planner.following import follow
 from drivecal.highway.planner.planner import FrenetPlanner
@@ -29,7 +30,7 @@ PLANNER_STEP = 0.1
 SLOWEST = 0.5
 """Speed (m/s) below which a trajectory has the road's heading."""
 LANE_TOLERANCE = 0.5
-"""Share of a lane's width by which a track may lie off the planner's equally wide lanes."""
+"""Largest distance of a track from the planner's equally wide lanes, as a share of a lane's width."""
 SAME = 1e-6
 """Largest difference (s) of times that are the same but for rounding."""
 TRACK = NAMES.index("lane")
@@ -49,7 +50,7 @@ class TrajectorySource(Protocol):
         """Starts a run."""
 
     def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
-        """Returns the trajectory from now on. `pose`: as the vehicle's; `position`: its s; `lead`: seconds since `traffic` was read."""
+        """Returns the trajectory that begins now. `pose`: as the vehicle's; `position`: its s; `lead`: seconds since `traffic` was read."""
 
 
 class ControllerTrajectories(TrajectorySource):
@@ -151,11 +152,6 @@ class PlannerTrajectories(TrajectorySource):
         self._read, self._offsets, self._drifts = 0.0, {}, {}
 
     def plan(self, signals: Sequence[float], pose: Floats, position: float, traffic: VisibleTraffic, lead: float) -> Floats:
-        x, y, heading, speed, slip, _, forward, left = pose.tolist()
-        course, cosine, sine = heading + slip, np.cos(heading), np.sin(heading)
-        velocity = speed * np.cos(course), speed * np.sin(course)
-        acceleration = forward * cosine - left * sine, forward * sine + left * cosine
-        motion = to_frenet(self._road.line[:, :5], (x, y), velocity, acceleration, position)
         here = ~np.isnan(traffic.others[:, 0])  # not above or below the road
         rows = traffic.others[here]
         names = [name for name, is_here in zip(traffic.names, here.tolist(), strict=True) if is_here]
@@ -166,7 +162,8 @@ class PlannerTrajectories(TrajectorySource):
         s, d = rows[:, 0] + lead * along, rows[:, 1] + lead * drift
         neighbours = np.column_stack([s, d, along, drift, rows[:, 4], rows[:, 5]])
         observation = self._observation
-        observation.time, observation.ego, observation.neighbours = signals[0], np.array(motion), neighbours
+        observation.time, observation.neighbours = signals[0], neighbours
+        observation.ego = np.array(frenet_motion(self._road.line, pose, position)[:6])
         try:
             # Contiguous however many rows there are, so that the kernel has one form.
             self._planner.follow(observation, np.ascontiguousarray(rows[:, 3]))
@@ -195,7 +192,7 @@ class _CorridorPlanner(FrenetPlanner):
         self._wanted_speeds = self._road[:, 5].copy()
 
     def follow(self, observation: Observation, accelerations: Floats) -> None:
-        """Lowers the desired speed of the next plan behind a leader. `accelerations`: of the neighbours."""
+        """Lowers the desired speed of the next plan behind a leader. `accelerations` are the neighbours'."""
         scene = self._scenes[self._wanted(observation.time)]
         follow(self._road, self._wanted_speeds, scene, observation.ego, observation.neighbours, accelerations)
 

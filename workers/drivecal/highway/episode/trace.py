@@ -35,7 +35,7 @@ class Trace:
     """Time series of a run, with one row after each step. SI units.
 
     `times`: (n,) s. `ego`: (n, 10), `EGO_COLUMNS`. `frenet`: (n, 2), s and d. `plans`: trajectories by planning time, (m, 7),
-    `PLAN_COLUMNS`. `neighbours`: by vehicle id, (n, 7), `NEIGHBOUR_COLUMNS`.
+    `PLAN_COLUMNS`. `neighbours` by vehicle id, (n, 7), `NEIGHBOUR_COLUMNS`.
     """
 
     scenario: str

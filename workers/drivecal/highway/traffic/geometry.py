@@ -15,7 +15,7 @@ from math import cos, floor, sin
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.geometry import foot, hit, point
+from drivecal.highway.geometry import frenet_motion, hit, point
 
 compiled = compiled_with(geometry)
 
@@ -79,24 +79,11 @@ def locate(line: Floats, along: Floats, cells: Floats, neighbours: Floats, outli
 def place(line: Floats, along: Floats, frame: Floats, pose: Floats, near: float, motion: Floats, ego: Floats) -> bool:
     """Writes the ego vehicle's Frenet motion and SUMO's place of it; returns whether it is on the road.
 
-    `motion`: (s, s', s'', d, d', d''), shape (6,). `pose`: as from `ports.VehicleModel`, accelerations in the vehicle's own axes. Formulas
-    as in `drivecal.domain.roads.to_frenet`.
+    `motion`: (s, s', s'', d, d', d''), shape (6,). `pose`, `near`: as in `frenet_motion`.
     """
-    s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
-    yaw = pose[2] - heading
-    course = yaw + pose[4]
-    stretch = 1.0 - curvature * d
-    s_dot = pose[3] * cos(course) / stretch
-    d_dot = pose[3] * sin(course)
-    cosine, sine = cos(yaw), sin(yaw)
-    tangential = pose[6] * cosine - pose[7] * sine
-    normal = pose[6] * sine + pose[7] * cosine
-    motion[0] = s
-    motion[1] = s_dot
-    motion[2] = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch
-    motion[3] = d
-    motion[4] = d_dot
-    motion[5] = normal - curvature * s_dot * s_dot * stretch
+    s, s_dot, s_dot_dot, d, d_dot, d_dot_dot, yaw, stretch = frenet_motion(line, pose, near)
+    motion[0], motion[1], motion[2] = s, s_dot, s_dot_dot
+    motion[3], motion[4], motion[5] = d, d_dot, d_dot_dot
     lane = min(max(floor(d / frame[4] + 0.5), 0.0), frame[5])
     front = along_at(line, along, int(lane), s + frame[0] / stretch)
     ego[2], ego[3] = pose[3], 1.0
@@ -104,7 +91,7 @@ def place(line: Floats, along: Floats, frame: Floats, pose: Floats, near: float,
         front = max(front, ego[1])
         ego[2], ego[3] = (front - ego[1]) / frame[STEP], 0.0
     ego[0], ego[1] = lane, front
-    reach = frame[0] * abs(sine) + frame[1] * abs(cosine)
+    reach = frame[0] * abs(sin(yaw)) + frame[1] * abs(cos(yaw))
     return bool(d - reach >= frame[2] and d + reach <= frame[3])
 
 

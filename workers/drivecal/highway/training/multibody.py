@@ -22,7 +22,7 @@ from drivecal.plugins.ports import Floats
 
 STEP = 0.01
 QUIET = 1.0
-"""Seconds of straight driving at the begin, in which the suspension of the multi-body model settles. They are dropped."""
+"""Seconds of straight driving at the begin, while the suspension of the multi-body model settles. They are dropped."""
 DURATION = 5.0
 TRAINED = ("lane change", "curve", "slalom", "corrections")
 UNSEEN = "swerve"
@@ -97,7 +97,7 @@ _VX, _YAW, _YAW_RATE, _VY = 3, 4, 5, 10
 class Recording:
     """Motion of the multi-body vehicle in a manoeuvre, every 0.01 s; arrays of shape (n,), SI units.
 
-    `acceleration`: derivative of the speed over ground; `lateral_acceleration`: of the centre of mass, perpendicular to its course.
+    `acceleration`: derivative of the speed over ground; `lateral_acceleration` is the centre of mass's, perpendicular to its course.
     """
 
     manoeuvre: OpenLoopManoeuvre

@@ -135,7 +135,7 @@ YAW_RATE_SCALE, ACCELERATION_SCALE, POSITION_SCALE = 0.005, 0.15, 0.5
 DECAY = 0.05
 """Weight of the penalty on the network's weights."""
 TYPICAL: Floats = np.array([*[10.0] * 12, *[1.0] * 3, 0.01, 0.01])
-"""Typical weights of a unit's lateral inputs, other inputs and outputs, by which the search scales its steps."""
+"""Typical weights of a unit's lateral inputs, other inputs and outputs; the search scales its steps by them."""
 ITERATIONS = 40
 BOUND = 1.25
 """Bound of the residual, relative to its largest magnitude in training."""

@@ -12,7 +12,7 @@ from drivecal.plugins.ports import Vehicle, VehicleModel
 
 
 class Hybrid:
-    """The single-track vehicle with a neural residual on yaw rate and lateral acceleration, see `hybrid.md` beside this file."""
+    """The single-track vehicle with a neural residual on yaw rate and lateral acceleration, see `hybrid.md` next to this file."""
 
     name = "hybrid"
     parameters: tuple[VehicleParameter, ...] = TABLE_8

@@ -94,5 +94,5 @@ class HybridModel(SingleTrackModel):
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        """Seconds of the run outside the residual's training range, in which the vehicle fell back to the single track."""
+        """Seconds of the run outside the residual's training range, where the vehicle fell back to the single track."""
         return {"outside_training_range_s": self._state.item(9) * equations.STEP}

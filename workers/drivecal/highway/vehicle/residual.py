@@ -16,7 +16,7 @@ KIND = "drivecal hybrid vehicle residual 1"
 MOST_UNITS = 64
 GRAVITY = 9.81
 STEERING_HORIZON = 0.1
-"""Seconds over which the steering rate input extrapolates, about the time in which a tyre builds up its force."""
+"""Seconds over which the steering rate input extrapolates, about the time that a tyre takes to build up its force."""
 
 _EXPECTED = {
     "hidden": Expected("float64", (None, 15)),
