@@ -18,7 +18,7 @@ EXCEPT = {
     "services/drivecal/api/routes/inventory.py": "fills in that field",
     "shared/drivecal/contracts/tables.py": "files have columns for seven bins, those of the comfort score",
     "shared/drivecal/domain/roads.py": "points of lines",
-    "shared/drivecal/domain/scales.py": "the comfort score, the scale of campaigns of earlier releases",
+    "shared/drivecal/domain/scales.py": "the comfort score",
     "shared/drivecal/domain/scenarios.py": "`manoeuvre` is a name in digests of stored runs",
     "shared/drivecal/roads": "points of lines",
 }

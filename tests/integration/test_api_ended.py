@@ -10,7 +10,7 @@ from tests.support.answered_campaigns import analyse, carry_out, carry_out_evalu
 from tests.support.server import RunningApi, serving
 
 from drivecal.plugins import registry
-from drivecal.storage.engine import cursors
+from drivecal.storage.engine.records import encode_cursor
 
 SMALL: dict[str, Any] = {
     "catalogue": ["S1", "S4"],
@@ -62,5 +62,5 @@ def test_a_crafted_cursor_counts_nothing_from_the_end(api: RunningApi, table: st
     analyse(api.database, campaign["id"], lambda _, values: round(7 * min(values["P1"], 0.5)))
     carry_out(api.database, campaign["id"])
     position: tuple[int | str, ...] = (-3, 0, 0, "S1") if table == "evaluations" else (-3,)
-    response = api.http.get(f"/api/v1/campaigns/{campaign['id']}/{table}", params={"cursor": cursors.encode(*position)})
+    response = api.http.get(f"/api/v1/campaigns/{campaign['id']}/{table}", params={"cursor": encode_cursor(*position)})
     assert (response.status_code, response.json()["errors"][0]["field"]) == (422, "cursor")

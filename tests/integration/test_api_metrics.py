@@ -18,7 +18,7 @@ from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.measures import BOUNDS, Measures
-from drivecal.storage import campaign_stages, campaigns, processes
+from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.tables import processes as process_table
 from drivecal.storage.engine.types import now
@@ -110,7 +110,7 @@ def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
         for one in cells:
             stored = campaigns.insert(connection, name="x", spec={})
             values = {"simulating_seconds": 2.5, "state": "running"}
-            campaign_stages.save(connection, stored.sequence, {StageName.CALIBRATION: CellCounts(**one)})
+            campaigns.save_counts(connection, stored.sequence, {StageName.CALIBRATION: CellCounts(**one)})
             connection.execute(update(table).where(table.c.sequence == stored.sequence).values(values))
         campaigns.end(connection, stored.sequence, CampaignState.FAILED)
     found = metrics(api)

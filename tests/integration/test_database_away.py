@@ -107,7 +107,7 @@ def test_a_server_that_accepts_connections_and_answers_nothing_is_noticed(
         with postgres.frozen():
             says_so_everywhere(api)
         recovers(api)
-    told = [record.levelname for record in caplog.records if record.name == "drivecal.storage.engine.liveness"]
+    told = [record.levelname for record in caplog.records if record.name == "drivecal.storage.engine.failures"]
     assert told == ["WARNING", "INFO"]
 
 

@@ -14,7 +14,7 @@ from tests.support.effort import tries
 from tests.support.runs import everything, get, post_map, submit
 
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool

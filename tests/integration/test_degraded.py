@@ -14,8 +14,7 @@ from tests.support.runs import finish, get
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Heartbeat
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool

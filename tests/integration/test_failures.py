@@ -16,7 +16,7 @@ from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
@@ -27,7 +27,7 @@ from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.maintenance.invariants import check_counters
+from drivecal.storage.maintenance.consistency import check_counters
 
 MANIFEST: dict[str, Any] = {
     "problem": "mine",

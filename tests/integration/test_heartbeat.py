@@ -15,8 +15,7 @@ from sqlalchemy import Connection
 from tests.support.runs import get, submit
 from tests.support.serve import until
 
-from drivecal.dispatch.heartbeat import STUCK_AFTER_SECONDS, Heartbeat
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import STUCK_AFTER_SECONDS, Heartbeat, Leadership
 from drivecal.domain.errors import DatabaseError, SupersededError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.measures import MEASURES
@@ -134,7 +133,7 @@ def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_l
 STUCK = """
 import sys, time
 from drivecal.dispatch import heartbeat
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.storage.engine.database import Database
 heartbeat.GRACE_SECONDS = 0.5
 database = Database.open(sys.argv[1])

@@ -18,7 +18,7 @@ from drivecal.campaigns.stages.campaign import StagedCampaign
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.execution.leasing import StoredLeases

@@ -30,7 +30,7 @@ from drivecal.contracts.specification import RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import evaluations, known_answers, lots
+from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -107,7 +107,7 @@ def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCa
     predicted_sets = {row.parameter_set_id for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED}
     with database.read() as connection:
         answers = [row for row in rows_of(database, campaign) if row.parameters.floats == campaign.best.parameters]
-        known, _ = known_answers.known(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
+        known, _ = lots.known_answers(connection, campaign.sequence, {row.setup_id for row in answers}, 0)
     assert not {row.parameter_set_id for row in answers} & predicted_sets
     own = {(row.iteration, row.individual, row.scenario): row.outcome for row in rows_of(database, campaign)}
     learned = {own[answer.iteration, answer.individual, answer.scenario] for answer in known}

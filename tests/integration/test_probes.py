@@ -10,7 +10,7 @@ from tests.support.problems import store, submit_checked
 from tests.support.runs import finish, get, request
 
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool

@@ -19,7 +19,7 @@ from tests.support.server import new_database
 
 from drivecal.contracts.work import Batch, Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome

@@ -98,7 +98,6 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
         assert rate.rejected == sum(lot.verdict is LotVerdict.REJECTED for lot in here)
         assert rate.audited == sum(lot.sample for lot in here)
         assert rate.wrong == sum(lot.errors or 0 for lot in here)
-        assert not rate.stopped
         assert rate.upper_95 is not None
         wrong = sum(
             row.score != nearly(scenario, Cell(0, row.parameters.floats)).score

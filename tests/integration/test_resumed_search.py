@@ -11,7 +11,7 @@ from sqlalchemy import select
 from tests.support.databases import migrated
 from tests.support.runs import dispatcher, everything, finish, get, submit
 
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.optimizers import optuna_samplers
@@ -20,7 +20,7 @@ from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database, Patience
 from drivecal.storage.engine.tables import evaluations, generations
-from drivecal.storage.maintenance.invariants import INVARIANTS
+from drivecal.storage.maintenance.consistency import INVARIANTS
 
 SEARCH = {"kind": "optuna", "sampler": "random", "population": 8, "iterations": 6, "seed": 3}
 IMPATIENT = Patience(lock=0.05, connect=1, statement=None, watched=False)

@@ -13,10 +13,9 @@ from drivecal.api import submission
 from drivecal.campaigns.comparison import compared
 from drivecal.contracts.comparison import Comparison, ComparisonSpecification
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.storage import campaigns
+from drivecal.storage import campaigns, labels
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.organising import labels
 
 TWO_OPTIMIZERS: dict[str, Any] = {
     "parameters": EXPERT_SPACE,

@@ -15,7 +15,7 @@ from tests.support.databases import migrated
 from tests.support.runs import finish, run
 
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.storage.campaigns import StoredCampaign

@@ -21,11 +21,10 @@ from drivecal.client.problems import read_manifest
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.storage import admission
+from drivecal.storage import admission, bundles
+from drivecal.storage.bundles import StoredBundle
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
-from drivecal.storage.problems.bundles import StoredBundle
 
 LIMITS = Limits.of(load_settings())
 MANIFEST: dict[str, Any] = {

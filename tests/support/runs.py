@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.maps import resolve_map, store_posted_map
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.backend import Backend

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import Indices
 from drivecal.plugins.ports import Floats
 
@@ -18,8 +17,6 @@ ROWS = 1_000
 """Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
 """Reducible parameters up to which all 2^n - 1 effects are examined; beyond, those of up to three parameters."""
-STREAM = 2
-"""Version of the random stream. Version 1 drew the hypercube of a start population with the same seed."""
 HYPERCUBE, VARIANTS = 0, 1
 """Purposes of the stream."""
 
@@ -123,7 +120,6 @@ def design(
     references: int,
     seed: int,
     largest: int,
-    stream: int = STREAM,
     feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
 ) -> ValidationDesign | None:
     """The validation of one scenario; None if nothing can be reduced.
@@ -132,13 +128,13 @@ def design(
     `largest`: the coverage reports what is left uncovered then. Of those sets as many are kept as it takes to cover the same, and in the
     order of the draw up to `samples`: a large hypercube finds the few sets in which small regions meet, and is full of others. Each variant
     changes a random non-empty subset of what can vary. Bases that are not `feasible` are left out; variants may break constraints, and must
-    not be run then. A study that began with an earlier version of the random `stream` names it; raises ConflictError for an unknown one.
+    not be run then.
     """
     reducible = space.reducible
     if not reducible.size:
         return None
     for size in _sizes(samples, largest):
-        points = _latin_hypercube(space.n_values, size, _generator(stream, seed, HYPERCUBE))
+        points = _latin_hypercube(space.n_values, size, generator("validation", seed, HYPERCUBE))
         if feasible is not None:
             points = points[feasible(points)]
         varies = space.variable(points)
@@ -149,7 +145,7 @@ def design(
     if not len(qualified):
         return None
     qualified = qualified[_kept(masks, samples)]
-    drawing = _generator(stream, seed, VARIANTS)
+    drawing = generator("validation", seed, VARIANTS)
     variants = np.array(
         [[_variant(space, base, drawing) for _ in range(references)] for base in qualified], dtype=np.int64
     ).reshape(len(qualified), references, len(space.n_values))
@@ -196,14 +192,6 @@ def _sizes(samples: int, largest: int) -> Iterator[int]:
         yield size
         size *= 2
     yield largest
-
-
-def _generator(stream: int, seed: int, purpose: int) -> np.random.Generator:
-    if stream == 1:
-        return np.random.Generator(np.random.PCG64([seed, purpose]))
-    if stream == STREAM:
-        return generator("validation", seed, purpose)
-    raise ConflictError(f"a newer version of drivecal began this validation (random stream {stream}); submit it again")
 
 
 def _latin_hypercube(n_values: Indices, size: int, drawing: np.random.Generator) -> Indices:

@@ -13,9 +13,9 @@ from threading import Timer
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
 from drivecal.configuration import logs, memory
-from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
+from drivecal.configuration.tokens import check_exposure
 from drivecal.domain.errors import DatabaseError, DrivecalError, InvalidInputError
 from drivecal.plugins import registry
 from drivecal.storage.engine.database import PROMPT, Database

@@ -14,7 +14,7 @@ from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.resolved_spec import specification_of, stored_document
+from drivecal.campaigns.resolve.resolved_spec import specification_of
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
@@ -25,9 +25,7 @@ from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
     MapReference,
-    ReductionSpecification,
     RerunSpecification,
-    SensitivitySpecification,
 )
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem, TooLargeError
 from drivecal.domain.setups import canonical_json, digest
@@ -71,22 +69,22 @@ MAP = "sensitivity.map"
 
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
-    digests = digests_of("campaigns", specification)
-    earlier = accepted_before(database, key, digests)
+    body_digest = digest_of("campaigns", specification)
+    earlier = accepted_before(database, key, body_digest)
     if earlier is not None:
         return earlier
     problem = _checked(database, limits, specification)
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digests)
+        return _queue(connection, limits, problem, key, body_digest)
 
 
-def accepted_before(database: Database, key: str | None, digests: Sequence[str]) -> StoredCampaign | None:
+def accepted_before(database: Database, key: str | None, body_digest: str) -> StoredCampaign | None:
     """Returns the campaign that the same request made before, None without one. It is looked up before the request is checked: what it
     names may be gone. Raises ConflictError if the key belongs to another request."""
     if key is None:
         return None
     with database.read() as connection:
-        sequence = admission.earlier(connection, key, digests)
+        sequence = admission.earlier(connection, key, body_digest)
         return None if sequence is None else campaigns.by_sequence(connection, sequence)
 
 
@@ -145,8 +143,8 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
 
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
-    digests = digests_of(f"campaigns/{first_id}/rerun", changes)
-    earlier = accepted_before(database, key, digests)
+    body_digest = digest_of(f"campaigns/{first_id}/rerun", changes)
+    earlier = accepted_before(database, key, body_digest)
     if earlier is not None:
         return earlier
     with database.read() as connection:
@@ -163,7 +161,7 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = _checked(database, limits, validated(CampaignSpecification, document))
     with database.transaction() as connection:
-        return _queue(connection, limits, problem, key, digests, rerun_of=first_id)
+        return _queue(connection, limits, problem, key, body_digest, rerun_of=first_id)
 
 
 def compare(database: Database, limits: Limits, specification: ComparisonSpecification, key: str) -> str:
@@ -171,13 +169,13 @@ def compare(database: Database, limits: Limits, specification: ComparisonSpecifi
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """
-    digests, tag = digests_of("comparisons", specification), tag_of(specification.name, key)
-    if accepted_before(database, key, digests) is not None:
+    body_digest, tag = digest_of("comparisons", specification), tag_of(specification.name, key)
+    if accepted_before(database, key, body_digest) is not None:
         return tag
     problem = _checked_comparison(database, limits, specification)
     with database.transaction() as connection:
         admission.admit(connection, limits.queued_campaigns, key, len(problem.runs))
-        if admission.earlier(connection, key, digests) is not None:
+        if admission.earlier(connection, key, body_digest) is not None:
             return tag
         map_id = _compared_map(connection, problem)
         for place, run in enumerate(problem.runs):
@@ -188,7 +186,7 @@ def compare(database: Database, limits: Limits, specification: ComparisonSpecifi
                 tags=[tag],
                 influence_map_id=None if run.sensitivity is None else map_id,
                 idempotency_key=key if place == 0 else None,
-                body_digests=digests if place == 0 else (),
+                body_digest=body_digest if place == 0 else None,
                 priority=run.priority,
             )
             _pinned(connection, stored, problem.problems[0])
@@ -231,8 +229,8 @@ def _compared_map(connection: Connection, problem: ComparisonProblem) -> str | N
 
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
-    digests = digests_of("evaluations", specification)
-    earlier = accepted_before(database, key, digests)
+    body_digest = digest_of("evaluations", specification)
+    earlier = accepted_before(database, key, body_digest)
     if earlier is not None:
         return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))
@@ -244,7 +242,7 @@ def evaluate(database: Database, limits: Limits, specification: EvaluationSpecif
             spec=problem.specification.model_dump(mode="json"),
             kind="evaluation",
             idempotency_key=key,
-            body_digests=digests,
+            body_digest=body_digest,
             notes=problem.notes,
         )
         return _pinned(connection, stored, problem)
@@ -255,7 +253,7 @@ def _queue(
     limits: Limits,
     problem: CalibrationProblem,
     key: str | None,
-    body_digests: Sequence[str],
+    body_digest: str,
     rerun_of: str | None = None,
 ) -> StoredCampaign:
     specification = problem.specification
@@ -270,7 +268,7 @@ def _queue(
         influence_map_id=used,
         rerun_of=rerun_of,
         idempotency_key=key,
-        body_digests=body_digests,
+        body_digest=body_digest,
         priority=specification.priority,
         notes=warnings_of(connection, problem, used, now()),
     )
@@ -318,7 +316,7 @@ def named_map(connection: Connection, problem: CalibrationProblem) -> str | None
 
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
     """Returns the first campaign's specification with the changes and the influence map that it `used`."""
-    document = stored_document(first.spec)
+    document = dict(first.spec)
     document["weights"] = dict(changes.weights)
     document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
     for section in ("optimizer", "reduction"):
@@ -364,22 +362,6 @@ def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dic
     return {**before, **changes}
 
 
-def digests_of(path: str, body: BaseModel) -> list[str]:
-    """Returns the identities of a request, its path and body: today's, and the one that the same body had before predictions were the
-    default, so that a request that is sent again after an upgrade makes no second campaign."""
-    documents = [each.model_dump(mode="json") for each in (body, _before_predictions(body))]
-    return list(dict.fromkeys(digest(canonical_json({"path": path, "body": each}).encode()) for each in documents))
-
-
-def _before_predictions(body: BaseModel) -> BaseModel:
-    """Returns the body with the earlier defaults for missing fields."""
-    changes: dict[str, Any] = {}
-    if isinstance(body, CampaignSpecification) and "sensitivity" not in body.model_fields_set:
-        changes["sensitivity"] = SensitivitySpecification()
-    if isinstance(body, CampaignSpecification | RerunSpecification) and body.reduction is not None:
-        changes["reduction"] = _by_influence(body.reduction)
-    return body.model_copy(update=changes)
-
-
-def _by_influence(reduction: ReductionSpecification) -> ReductionSpecification:
-    return reduction if "mode" in reduction.model_fields_set else reduction.model_copy(update={"mode": "influence"})
+def digest_of(path: str, body: BaseModel) -> str:
+    """Returns the identity of a request, its path and body."""
+    return digest(canonical_json({"path": path, "body": body.model_dump(mode="json")}).encode())

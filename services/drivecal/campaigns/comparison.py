@@ -27,10 +27,9 @@ from drivecal.contracts.specification import CampaignSpecification, ReductionSpe
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
-from drivecal.storage import campaigns, generations, results
+from drivecal.storage import campaigns, generations, labels, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.generations import Figures
-from drivecal.storage.organising import labels
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
 """Settings that the comparison chooses for every optimizer, and their fields."""

@@ -21,10 +21,9 @@ from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
-from drivecal.storage import campaigns, results
+from drivecal.storage import bundles, campaigns, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.problems import bundles
 from drivecal.storage.retention import removal
 from drivecal.storage.retention.marking import Doomed, bytes_of, mark
 from drivecal.storage.retention.selection import (

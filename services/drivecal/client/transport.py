@@ -13,7 +13,7 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from drivecal.client.documents import Document, plain
-from drivecal.configuration.exposure import is_this_machine
+from drivecal.configuration.tokens import is_this_machine
 from drivecal.domain.errors import (
     ConflictError,
     DrivecalError,

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-from drivecal.configuration.exposure import is_loopback
 from drivecal.configuration.settings import Settings
+from drivecal.configuration.tokens import is_loopback
 from drivecal.domain.errors import InvalidInputError, Problem
 
 HEADER = "Drivecal-Push"

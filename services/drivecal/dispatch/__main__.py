@@ -18,16 +18,15 @@ from drivecal.campaigns.resolve.problem import trial
 from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Heartbeat
-from drivecal.dispatch.leadership import Leadership
+from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import Backend, BackendLostError
 from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.supervised import WorkerLimits
+from drivecal.storage import bundles
 from drivecal.storage.engine import locks
 from drivecal.storage.engine.database import LASTING, PROMPT, Database
-from drivecal.storage.problems import bundles
 
 LONGEST_PAUSE = 10.0
 GARBAGE = 20_000, 20, 20

@@ -1,4 +1,6 @@
-"""The dispatcher's heartbeat: a thread that stores its state every second, also while the main thread is busy."""
+"""The right to be the dispatcher, and its heartbeat: a thread that stores its state every second, also while the main thread is busy."""
+
+from __future__ import annotations
 
 import logging
 import os
@@ -10,7 +12,8 @@ from datetime import datetime
 from types import TracebackType
 from typing import Any, Self
 
-from drivecal.dispatch.leadership import Leadership
+from sqlalchemy import Connection
+
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import WorkerInfo
@@ -19,6 +22,26 @@ from drivecal.storage import campaigns, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.processes import DISPATCHER
+
+
+@dataclass(frozen=True, slots=True)
+class Leadership:
+    """A dispatcher's `term` number and start time."""
+
+    term: int
+    began_at: datetime
+
+    @classmethod
+    def begin(cls, database: Database) -> Leadership:
+        """Elects this process; from now on no other process writes. The caller must hold the lock."""
+        began_at = now()
+        with database.transaction() as connection:
+            return cls(processes.elect(connection, DISPATCHER, os.getpid(), began_at), began_at)
+
+    def fence(self, connection: Connection) -> None:
+        """Raises SupersededError if the leadership is over; see `Database.fenced`."""
+        processes.confirm(connection, DISPATCHER, self.term)
+
 
 EVERY_SECONDS = 1.0
 STUCK_AFTER_SECONDS = 60.0

@@ -46,8 +46,7 @@ class OptunaEngine:
         import optuna
 
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        # Earlier releases let Optuna count generations: a campaign that they began is refused for the right reason.
-        self.library = named("optuna") + (", a population a generation" if settings.sampler == "nsga2" else "")
+        self.library = named("optuna")
         self._population = settings.population
         self._last = searchable(n_values) - 1
         self._continuous = np.array([kind == "continuous" for kind in kinds])

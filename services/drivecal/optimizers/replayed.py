@@ -109,7 +109,7 @@ class Replayed:
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space, and ReplayError at
-        the first proposal whose digest is another one. States of earlier releases have no digests and are trusted.
+        the first proposal whose digest is another one.
         """
         self._first = self._population = fitting(np.array(state["first"], dtype=np.int64), self._first)
         self._digests = [_digest(self._first)]
@@ -127,9 +127,9 @@ class Replayed:
 
     def _compare(self, state: Mapping[str, Any]) -> None:
         """Raises ReplayError if the last proposal is not the saved one."""
-        iteration, saved = len(self._digests) - 1, state.get("digests")
-        if saved is not None and self._digests[iteration:] != saved[iteration : iteration + 1]:
-            raise ReplayError(iteration, state.get("library", ""), self._engine.library)
+        iteration, saved = len(self._digests) - 1, state["digests"]
+        if self._digests[iteration:] != saved[iteration : iteration + 1]:
+            raise ReplayError(iteration, state["library"], self._engine.library)
 
 
 def _digest(population: Indices) -> str:

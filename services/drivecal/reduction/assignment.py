@@ -4,7 +4,7 @@ Order of answers: repeated, reused, (predicted, certified,) simulated. The decis
 the seed alone, never on the workers' timing, so that it can be committed, resumed and repeated.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivecal.contracts.specification import ReductionMode
@@ -41,13 +41,11 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """Allowed answers. `audit`: share of reused cells that are simulated as audits; `stopped`: scenarios in which an
-    earlier release stopped reuse for too many wrong answers."""
+    """Allowed answers. `audit`: share of reused cells that are simulated as audits."""
 
     mode: ReductionMode
     audit: float = 0.0
     seed: int = 0
-    stopped: Collection[str] = ()
 
     @property
     def reuses(self) -> bool:
@@ -84,7 +82,7 @@ def assign(
             assignments.append(Assignment(Outcome.REPEATED, leader=same_set[identity]))
             continue
         donor = leader = None
-        reusable = policy.reuses and cell.reference_key is not None and cell.scenario not in policy.stopped
+        reusable = policy.reuses and cell.reference_key is not None
         if reusable and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
             donor = None if cell.is_given else references.get(kind)

@@ -45,7 +45,6 @@ def expected_error_rate(rate: ErrorRate | None) -> float:
 
 def error_rates(
     counts: Iterable[AuditCount],
-    before: Mapping[str, ErrorRate],
     scenarios: Iterable[str],
     contradictions: Mapping[str, int] | None = None,
     lots: Mapping[str, tuple[int, int]] | None = None,
@@ -54,18 +53,12 @@ def error_rates(
     """The error rate of each scenario (Eq. 8: wrong / audited), with its `contradictions` and its inspected and rejected `lots` beside it.
     `released`: upper limits of the share of wrong answers among those that lots released. Samples of lots are of different shares of these,
     so that only audits without lots have an interval.
-
-    An earlier release stopped reuse in a scenario for good once the lower end of the interval passed `max_error`: what it stopped stays
-    stopped (`before`).
     """
     by_scenario = {count.scenario: count for count in counts}
     rates: dict[str, ErrorRate] = {}
     for scenario in scenarios:
-        was_stopped = scenario in before and before[scenario].stopped
         inspected, rejected = (lots or {}).get(scenario, (0, 0))
-        rate = ErrorRate(
-            stopped=was_stopped, contradictions=(contradictions or {}).get(scenario, 0), lots=inspected, rejected=rejected
-        )
+        rate = ErrorRate(contradictions=(contradictions or {}).get(scenario, 0), lots=inspected, rejected=rejected)
         count = by_scenario.get(scenario)
         if count is not None and count.audited:
             upper = (released or {}).get(scenario) if inspected else clopper_pearson(count.wrong, count.audited)[1]

@@ -21,7 +21,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 
-from drivecal.cluster.lineage import end_with_parent, processes
+from drivecal.cluster.guard import end_with_parent, processes
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 

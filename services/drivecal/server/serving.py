@@ -8,8 +8,8 @@ import socket
 import sys
 from collections.abc import Callable
 
-from drivecal.configuration.exposure import is_loopback
 from drivecal.configuration.settings import Settings
+from drivecal.configuration.tokens import is_loopback
 from drivecal.domain.errors import ConflictError, DrivecalError, InvalidInputError, Problem
 from drivecal.server.supervisor import ChildProcess, Supervisor
 from drivecal.storage import processes

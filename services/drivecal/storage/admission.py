@@ -1,12 +1,10 @@
 """Admission of requests: each Idempotency-Key once, limits of the queue, and of the users' influence maps and problems."""
 
-from collections.abc import Sequence
-
 from sqlalchemy import Connection, func, select, text
 
 from drivecal.domain.errors import ConflictError, OverloadError, Problem, TooLargeError
+from drivecal.storage.bundles import is_stored
 from drivecal.storage.engine.tables import bundles, campaigns, influence_maps
-from drivecal.storage.problems.bundles import is_stored
 
 KEY = 0x64726332
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""
@@ -41,7 +39,7 @@ def admit(connection: Connection, most: int, idempotency_key: str | None, count:
         raise OverloadError(message, RETRY_SECONDS)
 
 
-def earlier(connection: Connection, idempotency_key: str | None, body_digests: Sequence[str]) -> int | None:
+def earlier(connection: Connection, idempotency_key: str | None, body_digest: str | None) -> int | None:
     """Returns the number of the campaign that an earlier request with this key queued, None without one. Raises ConflictError if that
     request was another one."""
     if idempotency_key is None:
@@ -49,7 +47,7 @@ def earlier(connection: Connection, idempotency_key: str | None, body_digests: S
     table = campaigns.c
     query = select(table.sequence, table.id, table.body_digest).where(table.idempotency_key == idempotency_key)
     row = connection.execute(query).one_or_none()
-    if row is not None and row.body_digest not in (body_digests or (None,)):
+    if row is not None and row.body_digest != body_digest:
         raise ConflictError(
             f"the Idempotency-Key was used for another request, which made campaign {row.id}; use a new key for a new request"
         )

@@ -6,22 +6,113 @@ from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any, Literal
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, Text, Update, bindparam, case, cast, func, select, text, update
+from sqlalchemy import (
+    JSON,
+    ColumnElement,
+    Connection,
+    Dialect,
+    Label,
+    Row,
+    Select,
+    SmallInteger,
+    Table,
+    Text,
+    Update,
+    bindparam,
+    case,
+    cast,
+    func,
+    select,
+    text,
+    type_coerce,
+    update,
+)
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import GenericFunction
+from sqlalchemy.types import TypeDecorator
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, Confirmation, ErrorRate, Narrowed, Progress, Released
+from drivecal.contracts.campaign import (
+    Baseline,
+    Best,
+    CellCounts,
+    Confirmation,
+    ErrorRate,
+    Narrowed,
+    Progress,
+    Released,
+    StageCellCounts,
+)
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.events import EventKind
-from drivecal.storage import admission, campaign_stages, events, leases
-from drivecal.storage.campaign_stages import Counts, CountsByStage, by_stage
-from drivecal.storage.engine import cursors
+from drivecal.storage import admission, events, leases
 from drivecal.storage.engine.bulk import insert as insert_into
-from drivecal.storage.engine.records import identified, record
-from drivecal.storage.engine.tables import campaigns
-from drivecal.storage.engine.types import now
+from drivecal.storage.engine.records import decode_cursor, encode_cursor, identified, record
+from drivecal.storage.engine.tables import campaign_stages, campaigns
+from drivecal.storage.engine.types import STAGES, now
 from drivecal.storage.references import runs
+
+Counts = StageCellCounts | CellCounts
+CountsByStage = Mapping[StageName, Mapping[str, int]]
+
+
+class _ByStage(TypeDecorator[dict[StageName, dict[str, int]]]):
+    """Cell counts by stage, for stages that have begun, in their order."""
+
+    impl = JSON
+    cache_ok = True
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> dict[StageName, dict[str, int]]:
+        del dialect
+        return {STAGES[number]: value[str(number)] for number in sorted(map(int, value or {}))}
+
+
+class _DocumentByNumber(GenericFunction[Any]):
+    """Aggregates rows of (number, document) into one JSON object."""
+
+    type = _ByStage()
+    inherit_cache = True
+
+
+@compiles(_DocumentByNumber, "sqlite")
+def _on_sqlite(element: _DocumentByNumber, compiler: SQLCompiler, **options: Any) -> str:
+    number, document = (compiler.process(clause, **options) for clause in element.clauses)
+    return f"json_group_object({number}, json({document}))"
+
+
+@compiles(_DocumentByNumber, "postgresql")
+def _on_postgresql(element: _DocumentByNumber, compiler: SQLCompiler, **options: Any) -> str:
+    return f"json_object_agg({compiler.process(element.clauses, **options)})"
+
+
+def by_stage(of: Table | Any = campaigns) -> Label[dict[StageName, dict[str, int]]]:
+    """Returns the column `stages` of a query over `of`, the campaigns: their counts by stage."""
+    number, cells = type_coerce(campaign_stages.c.stage, SmallInteger), type_coerce(campaign_stages.c.cells, JSON)
+    query = select(_DocumentByNumber(number, cells)).where(campaign_stages.c.campaign_sequence == of.c.sequence)
+    return query.correlate(of).scalar_subquery().label("stages")
+
+
+def stage_counts(stages: CountsByStage, stage: StageName) -> Counts:
+    """Returns the counts of a stage, zeros if it has not begun."""
+    kind = CellCounts if stage is StageName.CALIBRATION else StageCellCounts
+    return kind(**stages.get(stage, {}))
+
+
+def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, Counts]) -> None:
+    """Replaces the counts of some stages of a campaign."""
+    rows = [
+        {"campaign_sequence": campaign_sequence, "stage": stage, "cells": each.model_dump(mode="json")}
+        for stage, each in cells.items()
+    ]
+    if not rows:  # a comparison whose runs have requested nothing yet
+        return
+    statement = insert_into(connection, campaign_stages)
+    replaced = {"cells": statement.excluded.cells}
+    connection.execute(statement.on_conflict_do_update(index_elements=["campaign_sequence", "stage"], set_=replaced), rows)
+
 
 Kind = Literal["calibration", "evaluation"]
 LONGEST_LISTED = 20_000
@@ -89,7 +180,7 @@ class StoredCampaign(CampaignHeading):
 
     def counts(self, stage: StageName) -> Counts:
         """The counts of a stage, zeros if it has not begun."""
-        return campaign_stages.counts(self.stages, stage)
+        return stage_counts(self.stages, stage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,13 +215,14 @@ def insert(
     rerun_of: str | None = None,
     tags: Sequence[str] = (),
     idempotency_key: str | None = None,
-    body_digests: Sequence[str] = (),
+    body_digest: str | None = None,
     priority: int = 0,
     notes: Sequence[str] = (),
 ) -> StoredCampaign:
     """Queues a campaign, or gives the one that an earlier request with the same `idempotency_key` queued.
 
-    `body_digests` identify the request by all that tells requests apart, the path included: the first is stored, any identifies a retry.
+    `body_digest` identifies the request by all that tells requests apart, the path included.
+
     Raises ConflictError if the earlier request was another one.
     """
     row: dict[str, Any] = {
@@ -146,7 +238,7 @@ def insert(
         "influence_map_id": influence_map_id,
         **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
-        "body_digest": next(iter(body_digests), None),
+        "body_digest": body_digest,
         "notes": list(notes),
         "progress": Progress().model_dump(mode="json"),
         "error_rate": {},
@@ -161,7 +253,7 @@ def insert(
         for note in notes:
             events.add(connection, queued.sequence, EventKind.NOTE, {"text": note})
         return queued
-    earlier = admission.earlier(connection, idempotency_key, body_digests)
+    earlier = admission.earlier(connection, idempotency_key, body_digest)
     if earlier is None:
         raise AssertionError("a campaign conflicts with nothing but one of the same key")
     return by_sequence(connection, earlier)
@@ -198,7 +290,7 @@ def page(
     short = case((func.length(cast(campaigns.c.spec, Text)) <= LONGEST_LISTED, campaigns.c.spec)).label("spec")
     columns = [short if column is campaigns.c.spec else column for column in campaigns.c] + [by_stage()]
     page = [_campaign(row) for row in connection.execute(listed(columns, kind, state, limit + 1, cursor, conditions))]
-    following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
+    following = encode_cursor(page[limit - 1].sequence) if len(page) > limit else None
     return page[:limit], following
 
 
@@ -219,7 +311,7 @@ def listed(
     if state is not None:
         query = query.where(campaigns.c.state == state)
     if cursor is not None:
-        (before,) = cursors.decode(cursor, int)
+        (before,) = decode_cursor(cursor, int)
         query = query.where(campaigns.c.sequence < before)
     return query
 
@@ -299,7 +391,7 @@ def save_progress(connection: Connection, sequence: int, snapshot: Snapshot) -> 
     if snapshot.notes is not None:
         values["notes"] = list(snapshot.notes)
     connection.execute(_of(sequence).values(values))
-    campaign_stages.save(connection, sequence, snapshot.cells)
+    save_counts(connection, sequence, snapshot.cells)
 
 
 def set_resolution(connection: Connection, sequence: int, resolution: Mapping[str, Any]) -> None:

@@ -6,8 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select, update
 
-from drivecal.storage.engine import cursors
-from drivecal.storage.engine.records import record
+from drivecal.storage.engine.records import decode_cursor, encode_cursor, record
 from drivecal.storage.engine.tables import generations
 from drivecal.storage.engine.types import finite
 
@@ -145,8 +144,8 @@ def page(
         .limit(limit + 1)
     )
     if cursor is not None:
-        (after,) = cursors.decode(cursor, int)
+        (after,) = decode_cursor(cursor, int)
         query = query.where(generations.c.iteration > after)
     page = [(row.iteration, record(Figures, row)) for row in connection.execute(query)]
-    following = cursors.encode(page[limit - 1][0]) if len(page) > limit else None
+    following = encode_cursor(page[limit - 1][0]) if len(page) > limit else None
     return page[:limit], following

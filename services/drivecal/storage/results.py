@@ -24,8 +24,8 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
-from drivecal.storage.engine import cursors
 from drivecal.storage.engine.bulk import rows_among
+from drivecal.storage.engine.records import decode_cursor, encode_cursor
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import DONORS, of_iteration
@@ -134,7 +134,7 @@ def page(
     last). Raises InvalidInputError."""
     query = _of_campaign(campaign_sequence).limit(limit + 1)
     if cursor is not None:
-        number, *rest = cursors.decode(cursor, int, int, int, str)
+        number, *rest = decode_cursor(cursor, int, int, int, str)
         place = (STAGES.get(number, STAGES[len(STAGES)]), *rest)
         # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
         typed = (literal(value, column.type) for value, column in zip(place, _PLACE, strict=True))
@@ -143,7 +143,7 @@ def page(
     if len(page) <= limit:
         return page, None
     last = page[limit - 1]
-    return page[:limit], cursors.encode(ORDER[last.stage], last.iteration, last.individual, last.scenario)
+    return page[:limit], encode_cursor(ORDER[last.stage], last.iteration, last.individual, last.scenario)
 
 
 def stream(connection: Connection, campaign_sequence: int) -> Iterator[StoredEvaluation]:

@@ -9,8 +9,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, select
 
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.storage.campaign_stages import CountsByStage, by_stage
-from drivecal.storage.campaigns import Kind, listed
+from drivecal.storage.campaigns import CountsByStage, Kind, by_stage, listed
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, record
 from drivecal.storage.engine.tables import campaigns, processes

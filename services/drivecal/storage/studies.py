@@ -73,15 +73,13 @@ def is_in_own_vehicle(study: StoredStudy, campaign: StoredCampaign) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Wrong answers of an influence map in a scenario, of so many that were compared by a campaign's validation or audits; `stopped`: an
-    earlier release then stopped reuse there."""
+    """Wrong answers of an influence map in a scenario, among those that a campaign's validation or audits compared."""
 
     campaign: str
     scenario: str
     wrong: int
     compared: int
     audited: bool
-    stopped: bool = False
 
 
 def errors_of_map(connection: Connection, influence_map_id: str, before: datetime) -> list[MapError]:
@@ -89,7 +87,7 @@ def errors_of_map(connection: Connection, influence_map_id: str, before: datetim
     ended = campaigns.c.influence_map_id == influence_map_id, campaigns.c.ended_at < before
     audited = select(campaigns.c.id, campaigns.c.error_rate).where(*ended).order_by(campaigns.c.sequence)
     errors = [
-        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True, stopped=rate["stopped"])
+        MapError(row.id, scenario, rate["wrong"], rate["audited"], audited=True)
         for row in connection.execute(audited)
         for scenario, rate in row.error_rate.items()
         if rate["wrong"]

@@ -80,7 +80,7 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
     """
     strict_json.check_plain(document)
     try:
-        manifest = validated(Manifest, document, from_outside=True)
+        manifest = validated(Manifest, document)
         problems, faulty = [], set[str]()
     except InvalidInputError as error:
         problems = [_cut_formula(problem) for problem in error.problems]

@@ -11,7 +11,7 @@ from pydantic import Discriminator, Field, StringConstraints, Tag, model_validat
 from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Model
-from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number, Outside
+from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number
 
 CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
@@ -30,7 +30,7 @@ Variable = Annotated[str, StringConstraints(min_length=1, max_length=255)]
 Constant = (
     Annotated[float, Field(ge=-1e300, le=1e300)]
     | bool
-    | Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=r"^[^\x00-\x1f\x7f]+$"), Outside(ONE_LINE)]
+    | Annotated[str, StringConstraints(min_length=1, max_length=255, pattern=ONE_LINE)]
 )
 """A value of an FMU's variable, which may be in any unit; its type has closer limits (`bundles.fmus.checks`)."""
 Constants = Annotated[dict[Variable, Constant], Field(max_length=200)]

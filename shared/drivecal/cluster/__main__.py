@@ -17,8 +17,7 @@ from pathlib import Path
 
 from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
 from drivecal.cluster.members import Node, ask
-from drivecal.cluster.release import release
-from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL
+from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL, release
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 
 LONGEST_PAUSE = 10.0

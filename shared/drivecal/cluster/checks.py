@@ -4,8 +4,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from drivecal.cluster.release import release
-from drivecal.cluster.settings import OBJECT_STORE_BYTES
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 
 SHORTEST_TOKEN = 16

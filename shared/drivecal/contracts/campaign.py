@@ -5,7 +5,7 @@ from datetime import datetime
 from html import escape
 from typing import Any, Generic, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, computed_field, model_validator
+from pydantic import BaseModel, ConfigDict, computed_field
 
 from drivecal.domain.scales import COMFORT, Scale
 
@@ -18,7 +18,7 @@ MOST_ROWS = 20
 
 
 class Answer(BaseModel):
-    """The base of all answers: immutable; a client of an older version ignores unknown fields."""
+    """The base of all answers: immutable; a client ignores unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
 
@@ -85,22 +85,10 @@ class StageCellCounts(Answer):
     cut: int = 0
 
 
-EARLIER_NAMES = {stage: f"{stage}_cells" for stage in ("sensitivity", "robustness", "validation")} | {"calibration": "cells"}
-
-
 class CellsByStage(Answer):
-    """Cells of a campaign by stage; a stage that has not begun is missing. The other fields repeat those of four stages by the names of
-    earlier releases."""
+    """Cells of a campaign by stage; a stage that has not begun is missing. The other fields repeat two stages."""
 
     stages: dict[str, CellCounts] = {}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_stage(cls, data: Any) -> Any:
-        """Converts answers of releases without `stages`."""
-        if not isinstance(data, dict) or "stages" in data:
-            return data
-        return data | {"stages": {stage: data[name] for stage, name in EARLIER_NAMES.items() if data.get(name)}}
 
     @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
@@ -114,18 +102,6 @@ class CellsByStage(Answer):
         """The sensitivity stage."""
         return self._of("sensitivity")
 
-    @computed_field  # type: ignore[prop-decorator]  # decorated properties
-    @property
-    def robustness_cells(self) -> StageCellCounts:
-        """The robustness stage."""
-        return self._of("robustness")
-
-    @computed_field  # type: ignore[prop-decorator]  # decorated properties
-    @property
-    def validation_cells(self) -> StageCellCounts:
-        """The validation stage."""
-        return self._of("validation")
-
     def _of(self, stage: str) -> StageCellCounts:
         return StageCellCounts(**self.stages.get(stage, CellCounts()).model_dump())
 
@@ -137,7 +113,7 @@ class CellsByStage(Answer):
 class ErrorRate(Answer):
     """Results of the self-check in a scenario: `different`: any change; `wrong`: by more than the tolerance; `contradictions`: reference
     keys under which simulated results have different scores, among the campaign's own and the references of their keys. Of the inspected
-    `lots` of reused answers so many were `rejected` and simulated whole. `stopped`: an earlier release stopped reuse here for good.
+    `lots` of reused answers so many were `rejected` and simulated whole. `stopped` is always false: wrong answers are bounded by lots.
 
     R_err is wrong / audited. `upper_95`: with lots, a time-uniform upper limit of the share of wrong answers among the released ones;
     without lots, the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit or, with lots, the first released
@@ -148,7 +124,7 @@ class ErrorRate(Answer):
     different: int = 0
     wrong: int = 0
     upper_95: float | None = None
-    stopped: bool = False
+    stopped: Literal[False] = False
     contradictions: int = 0
     lots: int = 0
     rejected: int = 0

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from drivecal.contracts.strict_json import FROM_OUTSIDE, ONE_LINE, field_name, shown
+from drivecal.contracts.strict_json import ONE_LINE, field_name, shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 Specification = TypeVar("Specification", bound=BaseModel)
@@ -52,21 +52,19 @@ _BOUNDS: dict[str, tuple[str, str]] = {
 
 _PATTERNS = {
     r"^[A-Za-z][A-Za-z0-9_.-]*$": "start with a letter; go on with letters, digits, `_`, `.` or `-`",
-    r"^[^\x00-\x1f\x7f]+$": "leave out control characters",
     ONE_LINE: "leave out control characters and marks that change the direction of text",
 }
 
 
-def validated(model: type[Specification], document: object, *, from_outside: bool = False) -> Specification:
-    """Returns `document` as a `model`. `from_outside`: no stored document, so that texts may not hold all that earlier releases took.
+def validated(model: type[Specification], document: object) -> Specification:
+    """Returns `document` as a `model`.
 
     Raises InvalidInputError with every field that does not fit, or the first of very many.
     """
-    outside = FROM_OUTSIDE if from_outside else None
     if _is_large(document):
         _check_beginning(model, document)
     try:
-        return model.model_validate(document, context=outside)
+        return model.model_validate(document)
     except ValidationError as error:
         count = error.error_count()
         details = error.errors(include_url=False) if count <= MOST_FINDINGS else []
@@ -87,7 +85,7 @@ def fitting(model: type[Specification], document: object) -> tuple[Specification
     part, left_out = deepcopy(document), set[str]()
     for _ in range(ROUNDS):
         try:
-            return model.model_validate(part, context=FROM_OUTSIDE), sorted(left_out)
+            return model.model_validate(part), sorted(left_out)
         except ValidationError as error:
             paths = {_path(detail, part) for detail in error.errors(include_url=False)}
         inner = [path for path in paths if not any(other != path and other[: len(path)] == path for other in paths)]

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import Model
-from drivecal.contracts.strict_json import Address, Comment, Name, StoredTag, Tag
+from drivecal.contracts.strict_json import Address, Comment, Name, Tag
 
 Archived = Literal["without", "with", "only"]
 Tags = Annotated[list[Tag], Field(max_length=20)]
@@ -20,7 +20,7 @@ class CampaignChanges(Model):
     name: Name | None = None
     tags: Tags | None = None
     add_tags: Tags | None = None
-    remove_tags: Annotated[list[StoredTag], Field(max_length=20)] | None = None
+    remove_tags: Annotated[list[Tag], Field(max_length=20)] | None = None
     comment: Comment | None = None
     archived: bool | None = None
 

@@ -4,7 +4,7 @@ These models check each field by itself. What needs the installed plug-ins (does
 checked by `drivecal.campaigns.resolve.problem`, which both `POST /campaigns` and `drivecal submit --dry-run` go through.
 """
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -12,12 +12,10 @@ from pydantic import (
     ConfigDict,
     Discriminator,
     Field,
-    SerializerFunctionWrapHandler,
     StringConstraints,
     Tag,
     ValidationInfo,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
@@ -337,12 +335,6 @@ class CampaignSpecification(ProblemSpecification):
     """Null: the weighted mean of the campaign's score."""
     constraints: Annotated[list[ConstraintSpecification], Field(max_length=100)] = []
     """On scores and measures; sets that keep them are better than sets that do not."""
-
-    @model_serializer(mode="wrap")
-    def _without_defaults(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leaves out goals that were not given, so that documents and their digests are those of earlier releases."""
-        document: dict[str, Any] = dump(self)
-        return {name: value for name, value in document.items() if value or name not in {"objectives", "constraints"}}
 
     @field_validator("reduction")
     @classmethod

@@ -3,20 +3,15 @@
 Python's own reader accepts NaN and Infinity, turns 1e999 into infinity, keeps the last of two equal keys, passes half surrogates
 on (which no database stores) and fails with a RecursionError on deep nesting. Here each of these is an InvalidInputError.
 
-Texts from outside may hold neither C1 control characters nor marks of direction, which steer a terminal or reverse what is read. Documents
-that earlier releases stored may, and stay readable: a validation refuses these characters only if its context is `FROM_OUTSIDE`.
+Texts of users may hold neither C1 control characters nor marks of direction, which steer a terminal or reverse what is read.
 """
 
 import json
 import math
-import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, StringConstraints, ValidationInfo
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticKnownError, core_schema
+from pydantic import Field, StringConstraints
 
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -121,46 +116,15 @@ def shown(value: object, longest: int = 60) -> str:
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
-FROM_OUTSIDE = {"from_outside": True}
 _STEERING = r"\x7f-\x9f\u202a-\u202e\u2066-\u2069"
 ONE_LINE = rf"^[^\x00-\x1f{_STEERING}]+$"
-
-
-@dataclass(frozen=True)
-class Outside:
-    """The pattern of a text that comes from outside, which its schema shows."""
-
-    pattern: str
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.with_info_after_validator_function(self._check, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        return handler(schema) | {"pattern": self.pattern}
-
-    def _check(self, value: str, info: ValidationInfo) -> str:
-        if info.context == FROM_OUTSIDE and not re.search(self.pattern, value):
-            raise PydanticKnownError("string_pattern_mismatch", {"pattern": self.pattern})
-        return value
-
-
-_LINE, _OUTSIDE = r"^[^\x00-\x1f\x7f]+$", Outside(ONE_LINE)
-Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_LINE), _OUTSIDE]
-Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=_LINE), _OUTSIDE]
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=ONE_LINE)]
+Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=ONE_LINE)]
 """Text that names a choice."""
-StoredTag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=r"^[^\x00-\x20\x7f,]+$")]
-Tag = Annotated[StoredTag, Outside(rf"^[^\x00-\x20{_STEERING},]+$")]
+Tag = Annotated[str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$")]
 """A word without spaces and commas."""
-Comment = Annotated[
-    str,
-    StringConstraints(max_length=4_000, pattern=r"^[^\x00-\x08\x0b-\x1f\x7f]*$"),
-    Outside(rf"^[^\x00-\x08\x0b-\x1f{_STEERING}]*$"),
-]
-Address = Annotated[
-    str,
-    StringConstraints(min_length=2, max_length=4_000, pattern=r"^#/[^\x00-\x1f\x7f]*$"),
-    Outside(rf"^#/[^\x00-\x1f{_STEERING}]*$"),
-]
+Comment = Annotated[str, StringConstraints(max_length=4_000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_STEERING}]*$")]
+Address = Annotated[str, StringConstraints(min_length=2, max_length=4_000, pattern=rf"^#/[^\x00-\x1f{_STEERING}]*$")]
 """A view of the page: the part of its URL from `#/` on."""
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]

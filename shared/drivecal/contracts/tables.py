@@ -311,7 +311,7 @@ class InfluenceRow(Answer):
     n_values: int | None = None
     """Number of the parameter's values from `space_lower` to `space_upper`."""
     decided_by: DecidedBy | None = None
-    """The analysis that decided whether it is influential; null for maps of earlier releases."""
+    """The analysis that decided whether it is influential; null for posted maps."""
     reason: str | None = None
     """The deciding figures against their threshold, in words."""
 
@@ -386,9 +386,6 @@ class ValidationRow(Answer):
     """In files a list of counts, from the largest negative difference to the largest positive one (of comfort: -7 to 7 points)."""
     histogram_step: Annotated[float, JSON_ONLY] = 1.0
     """Difference of neighbouring numbers in the histogram, in units of the score."""
-    interval_over: str = "variants"
-    """Unit that the limits take as independent: `bases`; in studies of earlier versions `variants`, whose limits (Clopper and Pearson) are
-    too narrow, because variants of one base are alike."""
 
 
 SolutionPage = Page[Solution]

@@ -50,8 +50,6 @@ class EventKind(StrEnum):
     """
     BASELINE = "baseline"
     """The result of the user's own parameter set is known: `objective`, `scores`."""
-    REUSE_STOPPED = "reuse_stopped"
-    """Event of an earlier release: too many `audited` cells of a `scenario` were `wrong`; from then on all its cells were simulated."""
     LOT_REJECTED = "lot_rejected"
     """The first lot of references in a `scenario` was rejected: so many `audited` cells were `wrong` until then."""
     NOTE = "note"
@@ -84,7 +82,6 @@ _TEXTS: dict[str, str] = {
     EventKind.GENERATION: "iteration {iteration}: best {best:.4f}, mean {mean:.4f}",
     EventKind.BEST: "new best {objective:.4f} in iteration {iteration}: {scores}",
     EventKind.BASELINE: "baseline: objective {objective:.4f}",
-    EventKind.REUSE_STOPPED: "reuse stopped in {scenario}: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.LOT_REJECTED: "a lot of references rejected in {scenario} and simulated: {wrong:,} of {audited:,} audited cells were wrong",
     EventKind.NOTE: "note: {text}",
 }

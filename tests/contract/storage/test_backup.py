@@ -25,7 +25,7 @@ from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.engine import schema
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
-from drivecal.storage.maintenance.transfer import copy_rows, tables_of
+from drivecal.storage.maintenance.backup import copy_rows, tables_of
 
 ANALYSED = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 4, "threshold": 0.02},
@@ -132,7 +132,7 @@ def test_a_backup_holds_one_moment_however_much_is_written_meanwhile(
     used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivecal.storage.maintenance.backup.PAGES", 8)
-    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 50)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 50)
     written = []
 
     def write_meanwhile(*_: object) -> None:
@@ -366,7 +366,7 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
 
 @pytest.mark.slow("postgresql")
 def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK", 100)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 100)
     told: list[tuple[str, int, int]] = []
     target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
     target.upgrade()

@@ -12,12 +12,11 @@ from sqlalchemy import text
 from drivecal.bundles.archives import content_digest
 from drivecal.campaigns.results.verification import verify
 from drivecal.domain.errors import InvalidInputError, NotFoundError, TooLargeError
-from drivecal.storage import admission, campaigns
+from drivecal.storage import admission, bundles, campaigns
+from drivecal.storage.bundles import StoredBundle
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
-from drivecal.storage.maintenance.transfer import copy_rows
-from drivecal.storage.problems import bundles
-from drivecal.storage.problems.bundles import StoredBundle
+from drivecal.storage.maintenance.backup import copy_rows
 
 A, B, C = "a" * 64, "b" * 64, "c" * 64
 
@@ -169,7 +168,7 @@ def copied_portions(database: Database, folder: Path, name: str) -> list[int]:
 def test_large_archives_are_copied_in_portions_of_bounded_size(
     database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK_BYTES", 1000)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK_BYTES", 1000)
     for digest in (A, B, C):
         push(database, digest, archive=bytes(1001))
     assert copied_portions(database, tmp_path, "bundles") == [1, 2, 3]
@@ -178,7 +177,7 @@ def test_large_archives_are_copied_in_portions_of_bounded_size(
 def test_large_documents_are_copied_in_portions_of_bounded_size(
     database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.transfer.CHUNK_BYTES", 1000)
+    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK_BYTES", 1000)
     with database.transaction() as connection:
         for _ in range(3):
             campaigns.insert(connection, name="long", spec={"starts": "x" * 1000})

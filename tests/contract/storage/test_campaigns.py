@@ -45,7 +45,7 @@ def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(databas
 def test_the_same_key_and_body_give_the_same_campaign(database: Database) -> None:
     def post() -> str:
         with database.transaction() as connection:
-            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digests=["body"]).id
+            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body").id
 
     assert post() == post()
     with database.read() as connection:
@@ -54,9 +54,9 @@ def test_the_same_key_and_body_give_the_same_campaign(database: Database) -> Non
 
 def test_the_same_key_with_another_body_is_a_conflict(database: Database) -> None:
     with database.transaction() as connection:
-        campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digests=["body"])
+        campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body")
     with pytest.raises(ConflictError), database.transaction() as connection:
-        campaigns.insert(connection, name="b", spec={}, idempotency_key="key", body_digests=["another body"])
+        campaigns.insert(connection, name="b", spec={}, idempotency_key="key", body_digest="another body")
     with database.read() as connection:
         assert [one.name for one in campaigns.active(connection)] == ["a"]
 
@@ -70,7 +70,7 @@ def test_fifty_parallel_posts_with_one_key_make_one_campaign(database: Database)
     def post(number: int) -> str:
         with database.transaction() as connection:
             body = "body" if number % 2 else "another body"
-            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digests=[body]).id
+            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest=body).id
 
     def outcome(number: int) -> str:
         try:

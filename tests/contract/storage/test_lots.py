@@ -10,7 +10,7 @@ from tests.support.storage import campaign, new_run, sample_set_ids, setup_id, s
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
-from drivecal.storage import audits, evaluations, known_answers, lots, results
+from drivecal.storage import audits, evaluations, lots, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot
@@ -143,8 +143,8 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         assert lots.errors_so_far(connection, sequence, []) == {}
         lots.conclude(connection, {number: (LotVerdict.RELEASED, 1)})
     with database.read() as connection:
-        known, newest = known_answers.known(connection, sequence, [setup], after=0)
-        assert known_answers.known(connection, sequence, [setup], after=newest) == ([], newest)
+        known, newest = lots.known_answers(connection, sequence, [setup], after=0)
+        assert lots.known_answers(connection, sequence, [setup], after=newest) == ([], newest)
         released = results.released(connection, sequence)
         occupied, last = evaluations.occupied(connection, sequence, after=0)
         assert evaluations.occupied(connection, sequence, last) == ({}, last)

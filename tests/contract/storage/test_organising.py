@@ -17,18 +17,17 @@ from drivecal.contracts.organising import Archived
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, results
+from drivecal.storage import campaigns, evaluations, labels, results, saved_views
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
-from drivecal.storage.maintenance.invariants import check_answers
-from drivecal.storage.organising import deletion, labels, saved_views
-from drivecal.storage.organising.deletion import delete_campaign
+from drivecal.storage.maintenance.consistency import check_answers
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
 from drivecal.storage.references.withdrawal import withdraw_certified
-from drivecal.storage.retention import removal
+from drivecal.storage.retention import deletion, removal
+from drivecal.storage.retention.deletion import delete_campaign
 
 SMALL: dict[str, Any] = WITH_ANALYSIS | {
     "sensitivity": {"intervals": 2, "samples": 3, "threshold": 0.02},

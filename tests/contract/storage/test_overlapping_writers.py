@@ -28,7 +28,7 @@ from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.organising import deletion
+from drivecal.storage.retention import deletion
 
 LIMITS = Limits.of(load_settings())
 PATIENCE = 60

@@ -30,7 +30,6 @@ from drivecal.storage import (
     campaigns,
     evaluations,
     events,
-    known_answers,
     leases,
     lots,
     processes,
@@ -44,9 +43,9 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
 from drivecal.storage.maintenance import statistics
 from drivecal.storage.maintenance.statistics import Tally
-from drivecal.storage.organising import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.reference_candidates import Integers
+from drivecal.storage.retention import deletion
 
 ROWS = 4_000
 SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}
@@ -191,7 +190,7 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
         "pk_evaluations|evaluations USING INTEGER PRIMARY KEY",
     ),
     "the newest answers": (
-        lambda connection: known_answers.known(connection, 2, [1], 2 * ROWS - 10),
+        lambda connection: lots.known_answers(connection, 2, [1], 2 * ROWS - 10),
         "pk_evaluations|evaluations USING INTEGER PRIMARY KEY",
     ),
     "released predictions": (lambda connection: lots.release_predictions(connection, 1, [7]), "ix_evaluations_pending"),

@@ -18,8 +18,8 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.organising.deletion import delete_campaign, remove_cells
 from drivecal.storage.retention import removal
+from drivecal.storage.retention.deletion import delete_campaign, remove_cells
 
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 12, "iterations": 2, "seed": 1}
 

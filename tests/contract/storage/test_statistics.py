@@ -10,7 +10,7 @@ from tests.support.storage import campaign, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaign_stages, campaigns, evaluations, leases, processes
+from drivecal.storage import campaigns, evaluations, leases, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
@@ -32,9 +32,9 @@ def change(connection: Connection, sequence: int, **values: Any) -> None:
 
 def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> None:
     counted = {
-        StageName(stage): campaign_stages.counts({StageName(stage): each}, StageName(stage)) for stage, each in cells.items()
+        StageName(stage): campaigns.stage_counts({StageName(stage): each}, StageName(stage)) for stage, each in cells.items()
     }
-    campaign_stages.save(connection, sequence, counted)
+    campaigns.save_counts(connection, sequence, counted)
 
 
 def ended(connection: Connection, sequence: int, simulated: int) -> None:

@@ -22,20 +22,13 @@ from drivecal.storage.engine.tables import campaigns as campaigns_table
 from drivecal.storage.engine.tables import evaluations, leases, parameter_sets, ratings, runs, setups
 from drivecal.storage.references import metrics
 
-STAGES = {
-    "calibration": "cells",
-    "sensitivity": "sensitivity_cells",
-    "robustness": "robustness_cells",
-    "validation": "validation_cells",
-}
-"""Where a campaign counts the cells of each."""
 TABLES: tuple[TableName, ...] = ("generations", "influence", "robustness", "validation", "evaluations")
 """Tables of what a campaign did itself. Its ranking shows what others simulated, too, which depends on time."""
 OF_A_CAMPAIGN = (
     "state",
     "error",
     "degraded",
-    *STAGES.values(),
+    "stages",
     "error_rate",
     "released",
     "best",
@@ -84,7 +77,7 @@ def found(coordinator: Served, campaign_id: str) -> Found:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
     for released in campaign["released"].values():
         released.pop("seconds")
-    for counts in (*(campaign[name] for name in STAGES.values()), *tables["generations"]):
+    for counts in (*campaign["stages"].values(), *tables["generations"]):
         _without_certificates(counts)
     tables["evaluations"] = _by_place(tables["evaluations"])
     return Found({name: campaign[name] for name in OF_A_CAMPAIGN}, tables, simulated)
@@ -180,8 +173,8 @@ def _contradictions(campaign: Campaign) -> list[str]:
         "proposed = carried over + requested": cells.proposed == cells.carried_over + cells.requested,
         "all of it is done": campaign.progress.done == campaign.progress.total,
     }
-    for stage, counted in STAGES.items():
-        told: dict[str, int] = getattr(campaign, counted).model_dump()
+    for stage, counted in campaign.stages.items():
+        told = counted.model_dump()
         identities |= {
             f"requested = the sum of outcomes in {stage}": told["requested"]
             == sum(told.get(outcome, 0) for outcome in OUTCOMES),

@@ -5,11 +5,8 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-import pytest
-from tests.support.classified import classified
 
-from drivecal.analysis.validation import design, generator
-from drivecal.domain.errors import ConflictError
+from drivecal.analysis.validation import generator
 
 SEEDS = (0, 1, 2, 2**32, 2**63 - 1)
 
@@ -28,15 +25,3 @@ def test_no_two_streams_begin_alike() -> None:
 def test_a_list_that_ends_with_zeros_is_the_stream_of_the_plain_seed() -> None:
     """The reason for the spawn key."""
     assert first(np.random.Generator(np.random.PCG64([1, 0]))) == first(np.random.Generator(np.random.PCG64(1)))
-
-
-def test_a_validation_draws_its_earlier_stream_on_request_and_refuses_one_of_the_future() -> None:
-    space = classified([np.zeros(100, dtype=np.int64)] * 3)
-    today, again, earlier = (design(space, 20, 2, 1, 20, *stream) for stream in ((), (2,), (1,)))
-    assert today is not None
-    assert again is not None
-    assert earlier is not None
-    assert np.array_equal(today.variants, again.variants)
-    assert not np.array_equal(today.bases, earlier.bases)
-    with pytest.raises(ConflictError):
-        design(space, 20, 2, 1, 20, 3)

@@ -69,6 +69,4 @@ def test_released_predictions_are_answered_by_lot(monkeypatch: pytest.MonkeyPatc
 
 def test_reuse_without_an_influence_map_is_not_checked() -> None:
     view: Any = SimpleNamespace(influence_map=None)
-    stopped = ErrorRate(stopped=True)
-    rates = check_reuse(NOTHING, view, 3, ["S1", "S2"], {"S2": stopped})
-    assert rates == {"S1": ErrorRate(), "S2": stopped}
+    assert check_reuse(NOTHING, view, 3, ["S1", "S2"], {}) == {"S1": ErrorRate(), "S2": ErrorRate()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -13,9 +12,8 @@ from tests.unit.campaigns.test_bundle_bench import EXAMPLE, bundle, resolved
 from drivecal.api.results.document import is_same_for_a_map
 from drivecal.campaigns.resolve.bundle_bench import Bundle
 from drivecal.campaigns.resolve.maps import basis_of, check_basis, is_outdated
-from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
+from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
-from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
@@ -79,27 +77,9 @@ def test_a_map_does_not_hold_for_sets_that_its_constraints_forbade(
     else:
         with pytest.raises(InvalidInputError, match=r"sensitivity\.map"):
             check_basis(made, problem)
-    earlier = {name: value for name, value in (made.basis or {}).items() if name != "constraints"}
-    check_basis(replace(made, basis=earlier), problem)
-
-
-def without_scale(made: StoredInfluenceMap) -> StoredInfluenceMap:
-    return replace(made, basis={name: value for name, value in (made.basis or {}).items() if name != "scale"})
-
-
-def test_maps_without_a_scale_were_made_in_points_of_comfort() -> None:
-    highway = resolve(CampaignSpecification(sensitivity=None))
-    earlier = stored(highway)
-    assert earlier.basis is not None
-    assert earlier.basis["scale"] == {"tolerance": 1.0, "span": 7.0}
-    check_basis(without_scale(earlier), highway)
-    made = without_scale(stored(resolved(with_score())))
-    assert is_outdated(made, resolved(with_score()))
 
 
 def test_a_validation_is_about_maps_of_its_own_scale() -> None:
     first, other = resolved(with_score()).resolution(), resolved(with_score(tolerance=7)).resolution()
     assert is_same_for_a_map(first, dict(first))
     assert not is_same_for_a_map(first, other)
-    comfort = resolve(CampaignSpecification(sensitivity=None)).resolution()
-    assert is_same_for_a_map(comfort, {name: value for name, value in comfort.items() if name != "scale"})

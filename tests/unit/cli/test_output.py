@@ -75,7 +75,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         degraded="1 of 2 workers is gone",
         progress=Progress(done=60, total=100, eta_seconds=61),
         stages={"calibration": CELLS},
-        error_rate={"S1": ErrorRate(audited=20, different=2, wrong=1, upper_95=0.25, stopped=True), "S2": ErrorRate()},
+        error_rate={"S1": ErrorRate(audited=20, different=2, wrong=1, upper_95=0.25), "S2": ErrorRate()},
         best=Best(objective=5.5, parameters={"P1": 0.5, "P2": 3}, scores={"S1": 5, "S2": 6}, alternatives=2),
         seconds=Seconds(wall=90, simulating=100),
         notes=["not simulated because their weight is 0: S3"],

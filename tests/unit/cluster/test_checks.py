@@ -12,8 +12,7 @@ import pytest
 from drivecal.cluster import __main__ as node
 from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
 from drivecal.cluster.members import Node, ask, members
-from drivecal.cluster.release import release
-from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, UnavailableError
 
 TOKEN = "0123456789abcdef"

@@ -9,7 +9,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from drivecal.cluster.release import release, sources_digest
+from drivecal.cluster.settings import release, sources_digest
 
 
 def written(root: Path, **modules: str) -> Path:
@@ -45,7 +45,7 @@ def test_folders_beside_the_installation_change_no_release(tmp_path: Path) -> No
     written(tmp_path / "drivecal", stray="1\n")
     (tmp_path / "drivecal" / "stray" / ".#lock.py").symlink_to("nobody@nowhere")
     there = subprocess.run(
-        [sys.executable, "-c", "from drivecal.cluster.release import release; print(release())"],
+        [sys.executable, "-c", "from drivecal.cluster.settings import release; print(release())"],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert there.stdout.strip() == release()

@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.configuration.exposure import check_exposure
 from drivecal.configuration.settings import load_settings
-from drivecal.configuration.tokens import LARGEST_FILE, TokenFile, parse
+from drivecal.configuration.tokens import LARGEST_FILE, TokenFile, check_exposure, parse
 from drivecal.domain.errors import InvalidInputError
 
 ANNA, PLANT = b"anna-0123456789abcdef", b"plant-0123456789abcdef"

@@ -48,7 +48,10 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
             {"parameters": [{"nmae": "P1", "lower": 0, "upper": 1}]},
             "parameters[0].nmae: there is no such field; did you mean name?",
         ),
-        ({"name": "a\0"}, "name: 'a\\x00' is not a valid name; leave out control characters"),
+        (
+            {"name": "a\0"},
+            "name: 'a\\x00' is not a valid name; leave out control characters and marks that change the direction of text",
+        ),
         ({"parameters": [{"lower": 0, "upper": 1}]}, "parameters[0].name: the value is missing; give it"),
         ([], "a list does not fit; give an object"),
     ],

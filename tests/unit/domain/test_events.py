@@ -20,7 +20,6 @@ FIGURES: list[tuple[EventKind, dict[str, Any], list[str]]] = [
     ),
     (EventKind.BASELINE, {"objective": 5.25}, ["5.2500"]),
     (EventKind.LOT_REJECTED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
-    (EventKind.REUSE_STOPPED, {"scenario": "S3", "wrong": 4, "audited": 20}, ["S3", "4", "20"]),
     (EventKind.NOTE, {"text": "S2 has weight 0"}, ["S2 has weight 0"]),
     (EventKind.DEGRADED, {"reason": "no workers"}, ["no workers"]),
     (EventKind.FAILED, {"error": "no map"}, ["no map"]),

@@ -113,17 +113,6 @@ def test_an_engine_that_draws_otherwise_is_refused(plugin: OptimizerPlugin, chos
     assert refused.value.saved == refused.value.installed == saved.state()["library"]
 
 
-@every
-def test_a_state_without_digests_still_loads(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
-    saved = create(plugin, chosen)
-    begun = drive(saved, 3)
-    earlier = {name: value for name, value in saved.state().items() if name in {"first", "told", "asked"}}
-    restored = plugin.restore(plugin.settings(**({"population": 12} | chosen)), GRID, earlier)
-    assert restored.state() == saved.state()
-    whole = drive(create(plugin, chosen), 4)
-    assert all(np.array_equal(a, b) for a, b in zip(begun + drive(restored, 1), whole, strict=True))
-
-
 class Drifting:
     """An engine that proposes the start population shifted by one more each time, and by `drift` from proposal `since` on."""
 

@@ -61,12 +61,6 @@ def test_scenarios_answer_only_themselves() -> None:
     assert found == [Assignment(Outcome.SIMULATED)]
 
 
-def test_where_reuse_was_stopped_only_equal_sets_are_copied() -> None:
-    cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "b", "k")]
-    found = assign(cells, Policy("influence", stopped={"S1"}), {}, {("S1", b"k"): DONOR})
-    assert [one.plan for one in found] == [Outcome.SIMULATED, Outcome.SIMULATED, Outcome.REPEATED]
-
-
 def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trusted() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
     found = assign(cells, Policy("influence", audit=1.0), {}, {("S1", b"k"): DONOR})

@@ -1,4 +1,4 @@
-"""The self-check measures the share of wrong answers; what an earlier release stopped by it stays stopped."""
+"""The self-check measures the share of wrong answers."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def test_the_interval_is_that_of_scipy(counts: tuple[int, int]) -> None:
 
 def test_before_the_first_audit_nothing_is_known() -> None:
     assert clopper_pearson(0, 0) == (0.0, 1.0)
-    assert error_rates([], {}, ["S1"]) == {"S1": ErrorRate()}
+    assert error_rates([], ["S1"]) == {"S1": ErrorRate()}
 
 
-def test_wrong_answers_are_counted_and_stop_nothing() -> None:
-    rate = error_rates([AuditCount("S1", audited=25, different=9, wrong=5)], {}, ["S1"])["S1"]
-    assert (rate.audited, rate.different, rate.wrong, rate.stopped) == (25, 9, 5, False)
+def test_wrong_answers_are_counted() -> None:
+    rate = error_rates([AuditCount("S1", audited=25, different=9, wrong=5)], ["S1"])["S1"]
+    assert (rate.audited, rate.different, rate.wrong) == (25, 9, 5)
     assert rate.upper_95 is not None
     assert rate.upper_95 > 0.2
 
@@ -37,21 +37,15 @@ def test_audits_say_what_to_expect_of_a_reference() -> None:
     assert expected_error_rate(ErrorRate(audited=40, wrong=40)) > 0.4
 
 
-def test_reuse_stays_stopped_whatever_comes_later() -> None:
-    later = error_rates([AuditCount("S1", 5_000, 0, 0)], {"S1": ErrorRate(stopped=True)}, ["S1"])
-    assert later["S1"].stopped
-
-
-def test_contradictions_and_lots_stand_beside_the_audits_and_stop_nothing() -> None:
-    rates = error_rates([AuditCount("S1", 10, 0, 0)], {}, ["S1", "S2", "S3"], {"S1": 2, "S2": 7}, {"S1": (3, 0), "S3": (4, 1)})
+def test_contradictions_and_lots_stand_beside_the_audits() -> None:
+    rates = error_rates([AuditCount("S1", 10, 0, 0)], ["S1", "S2", "S3"], {"S1": 2, "S2": 7}, {"S1": (3, 0), "S3": (4, 1)})
     assert [rates[name].contradictions for name in ("S1", "S2", "S3")] == [2, 7, 0]
     assert [(rates[name].lots, rates[name].rejected) for name in ("S1", "S2", "S3")] == [(3, 0), (0, 0), (4, 1)]
-    assert not any(rate.stopped for rate in rates.values())
 
 
 def test_lots_have_the_limit_of_what_they_released_and_no_interval_over_unlike_samples() -> None:
     counts = [AuditCount(name, 278, 2, 2) for name in ("S1", "S2", "S3")]
     lots = {"S1": (21, 0), "S2": (1, 1), "S3": (0, 0)}
-    rates = error_rates(counts, {}, lots, lots=lots, released={"S1": 0.08})
+    rates = error_rates(counts, lots, lots=lots, released={"S1": 0.08})
     assert (rates["S1"].upper_95, rates["S2"].upper_95) == (0.08, None)
     assert rates["S3"].upper_95 == clopper_pearson(2, 278)[1]

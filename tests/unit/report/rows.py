@@ -144,7 +144,6 @@ def validated(scenario: str, histogram: dict[int, int], reducible: int = 2) -> V
         references=5, compared=compared, wrong=wrong, different=compared - histogram.get(0, 0),
         error_rate=wrong / compared if compared else None,
         lower_95=0.0 if compared else None, upper_95=0.5 if compared else None, histogram=histogram,
-        interval_over="bases",
     )  # fmt: skip
 
 

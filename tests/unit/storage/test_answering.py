@@ -6,7 +6,7 @@ from typing import Any
 import psycopg
 import pytest
 
-from drivecal.storage.engine.liveness import TRY_AGAIN_SECONDS, ServerLiveness, WatchedConnection
+from drivecal.storage.engine.failures import TRY_AGAIN_SECONDS, ServerLiveness, WatchedConnection
 
 
 class FakeServer:

@@ -17,9 +17,8 @@ from drivecal.api.http import sessions
 from drivecal.api.http.problems import problem_response
 from drivecal.api.responses import ROOT
 from drivecal.configuration import logs
-from drivecal.configuration.exposure import is_this_machine
 from drivecal.configuration.pushing import FILE, HEADER, Pushing, signed_digest
-from drivecal.configuration.tokens import Token
+from drivecal.configuration.tokens import Token, is_this_machine
 
 OPEN = {"/healthz", "/readyz"}
 """Paths for supervisors and load balancers, which have no token and learn only whether the service works."""

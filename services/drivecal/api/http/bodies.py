@@ -146,7 +146,7 @@ def read_body(model: type[BaseModel], content: bytes, database: Database) -> Bas
     """Returns a JSON body as a `model`. Raises InvalidInputError with every fault."""
     document = strict_json.loads(content)
     try:
-        return validated(model, document, from_outside=True)
+        return validated(model, document)
     except InvalidInputError as error:
         own = error.problems
     raise InvalidInputError(*own, *_further(model, document, database))

@@ -15,11 +15,11 @@ from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
 from drivecal.domain.actions import Action
-from drivecal.storage import admission, campaigns, revision_queries
+from drivecal.storage import admission, campaigns, labels, revision_queries
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.organising import deletion, labels
+from drivecal.storage.retention import deletion
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 

@@ -80,12 +80,6 @@ def docs(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = "") 
     return _answer(FILES / DOCS, "no-cache", accept_encoding, if_none_match)
 
 
-@router.get("/redoc")
-def redoc() -> Response:
-    """The address of another view of the same in earlier releases."""
-    return RedirectResponse("/docs", 308)
-
-
 @router.get(HELP)
 def manual() -> RedirectResponse:
     """The documentation's address with the slash that its relative links need."""

@@ -11,9 +11,8 @@ from drivecal.api.http.queries import Parameters, Place, ViewsQuery
 from drivecal.api.responses import ROOT
 from drivecal.contracts.evaluation import CellAnswer
 from drivecal.contracts.organising import SavedView, SavedViewChanges, SavedViewList, SavedViewSpecification
-from drivecal.storage import campaigns, results
-from drivecal.storage.organising import saved_views
-from drivecal.storage.organising.saved_views import StoredView
+from drivecal.storage import campaigns, results, saved_views
+from drivecal.storage.saved_views import StoredView
 
 router = APIRouter(tags=["page"], route_class=StrictRoute)
 

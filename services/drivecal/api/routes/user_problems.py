@@ -19,10 +19,9 @@ from drivecal.client.problems import read_archived
 from drivecal.configuration.memory import give_back
 from drivecal.configuration.pushing import HEADER
 from drivecal.contracts.inventory import ProblemAnswer, ProblemHeading, ProblemPage
-from drivecal.storage import admission
+from drivecal.storage import admission, bundles
+from drivecal.storage.bundles import BundleHeading, StoredBundle
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
-from drivecal.storage.problems.bundles import BundleHeading, StoredBundle
 
 PATH = f"{ROOT}/problems"
 MEDIA_TYPE = "application/zip"

@@ -18,7 +18,7 @@ from drivecal.client.frames import arrow_schema, arrow_table
 from drivecal.contracts.campaign import Page
 from drivecal.contracts.tables import Column, columns_of, file_row, spreadsheet_text
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.storage.engine import cursors
+from drivecal.storage.engine.records import decode_cursor, encode_cursor
 
 Row = Mapping[str, Any]
 _AS_THEY_ARE = frozenset({int, float, type(None)})
@@ -190,9 +190,9 @@ def slices(rows: Callable[[int, int], Rows], length: int) -> Pages:
     """Returns the pages of a list that is numbered from 0."""
 
     def pages(limit: int, cursor: str | None) -> tuple[Rows, str | None]:
-        start = 0 if cursor is None else int(cursors.decode(cursor, int)[0])
+        start = 0 if cursor is None else int(decode_cursor(cursor, int)[0])
         following = start + limit
-        return rows(start, following), cursors.encode(following) if following < length else None
+        return rows(start, following), encode_cursor(following) if following < length else None
 
     return pages
 

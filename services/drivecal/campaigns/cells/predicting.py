@@ -41,11 +41,10 @@ from drivecal.reduction.prediction import (
     ScenarioLearner,
     choose_lot,
 )
-from drivecal.storage import evaluations, known_answers, lots
+from drivecal.storage import evaluations, lots
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.evaluations import NewEvaluation
-from drivecal.storage.known_answers import KnownAnswer
-from drivecal.storage.lots import NewLot, StoredLot
+from drivecal.storage.lots import KnownAnswer, NewLot, StoredLot
 from drivecal.storage.references import runs
 
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
@@ -146,7 +145,7 @@ class LotPlanner:
                         np.array([getattr(run, name) for run in known], dtype=np.float64) for name in ("score", "rating")
                     )
                     learner.learn(self._features([run.parameters for run in known]), scores, ratings)
-        answers, self._newest = known_answers.known(connection, self._view.campaign, list(setups.values()), self._newest)
+        answers, self._newest = lots.known_answers(connection, self._view.campaign, list(setups.values()), self._newest)
         by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
         for answer in answers:
             by_scenario[answer.scenario].append(answer)

@@ -57,14 +57,14 @@ def check_reuse(
     """Evaluates the audits of this and all earlier iterations of the calibration, and results that contradict each other. Without an
     influence map, nothing was reused."""
     if view.influence_map is None:
-        return error_rates((), before, scenarios)
+        return error_rates((), scenarios)
     campaign, bench = view.campaign, view.bench
     rater, scale = bench.evaluator_id, bench.scale
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
     contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
     inspected = lots.verdicts(connection, campaign, Outcome.REUSED)
     counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign) if inspected else {}
-    rates = error_rates(counts, before, scenarios, contradictions, inspected, bounds)
+    rates = error_rates(counts, scenarios, contradictions, inspected, bounds)
     for scenario, rate in rates.items():
         if rate.rejected and not (scenario in before and before[scenario].rejected):
             data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}

@@ -7,8 +7,8 @@ from sqlalchemy import Connection
 from drivecal.bundles.archives import files_digest
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleSource
+from drivecal.storage import bundles
 from drivecal.storage.engine.database import Database
-from drivecal.storage.problems import bundles
 
 MOST_READ = 64
 """Bundles that a process keeps: their content never changes, and the digest of their files takes a look at all of them."""

@@ -30,7 +30,7 @@ from drivecal.contracts.specification import (
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, decimal, shown, text
-from drivecal.domain.scales import COMFORT, Scale
+from drivecal.domain.scales import Scale
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.sensitivity.scenario import ScenarioInfluence, decision
 from drivecal.storage.engine.types import finite
@@ -155,10 +155,10 @@ def _differences(basis: Mapping[str, Any], problem: CalibrationProblem) -> list[
         reasons.append(f"it was made with another setup (version, vehicle or simulator) of {', '.join(other)}")
     if basis["evaluator"] != bench.evaluator_id:
         reasons.append(f"it was made for the evaluator {basis['evaluator']}, not {bench.evaluator_id}")
-    made, own = basis.get("scale", measure(COMFORT)), measure(bench.scale)  # earlier releases stored none
+    made, own = basis["scale"], measure(bench.scale)
     reasons += [f"it was made for a {name} of {made[name]:g}, not {own[name]:g}" for name in own if made[name] != own[name]]
-    # an analysis knows nothing of the sets that its constraints forbade; earlier releases stored none
-    lacking = [text for text in basis.get("constraints", ()) if text not in problem.constraints.listed]
+    # an analysis knows nothing of the sets that its constraints forbade
+    lacking = [text for text in basis["constraints"] if text not in problem.constraints.listed]
     return reasons + [f"it was made under the constraint {text}, which is missing here" for text in lacking]
 
 
@@ -208,7 +208,7 @@ def doubts(connection: Connection, influence_map_id: str, largest_error: float, 
     for error in errors_of_map(connection, influence_map_id, before):
         surely, _ = clopper_pearson(error.wrong, error.compared)
         exceeds = surely > largest_error if error.audited else error.wrong > largest_error * error.compared
-        if exceeds or error.stopped:
+        if exceeds:
             known = worst.get(error.scenario)
             if known is None or error.wrong * known.compared > known.wrong * error.compared:
                 worst[error.scenario] = error
@@ -216,7 +216,7 @@ def doubts(connection: Connection, influence_map_id: str, largest_error: float, 
 
 
 def _doubt(error: MapError) -> str:
-    measured = "audits stopped its reuse" if error.stopped else "by audits" if error.audited else "its validation compared"
+    measured = "by audits" if error.audited else "its validation compared"
     return (
         f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were wrong "
         f"({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "

@@ -12,7 +12,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.plugins import registry
-from drivecal.storage.problems import bundles
+from drivecal.storage import bundles
 
 
 @dataclass(frozen=True)

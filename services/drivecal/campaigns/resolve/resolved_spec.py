@@ -38,21 +38,9 @@ def problem_of(campaign: StoredCampaign, bundles: BundleSource = no_bundles) -> 
     return resolve(specification_of(campaign), bundles)
 
 
-def stored_document(spec: Mapping[str, Any]) -> dict[str, Any]:
-    """A stored specification in today's words. Specifications are stored with all settings, so a missing one did not exist: an analysis
-    that began without `sequential` makes all its runs, and continues with the phases that it began with; a search without `confirm`
-    ends with its last population. Today's defaults mean nothing to it."""
-    document, sensitivity, reduction = dict(spec), spec.get("sensitivity"), spec.get("reduction")
-    if isinstance(sensitivity, dict) and "map" not in sensitivity:
-        document["sensitivity"] = {"sequential": False} | sensitivity
-    if isinstance(reduction, dict):
-        document["reduction"] = {"confirm": 0} | reduction
-    return document
-
-
 def specification_of(campaign: StoredCampaign) -> CampaignSpecification:
     """Returns the specification of a stored campaign that is neither an evaluation nor a comparison."""
-    return validated(CampaignSpecification, stored_document(campaign.spec))
+    return validated(CampaignSpecification, campaign.spec)
 
 
 def resolved_spec(campaign: StoredCampaign) -> ResolvedSpec:
@@ -73,5 +61,5 @@ def stored_goals(resolution: Mapping[str, Any] | None) -> Goals | None:
 
 
 def stored_scale(resolution: Mapping[str, Any] | None) -> Scale:
-    """The scale that is stored with a campaign; before it starts, and in campaigns of earlier releases, that of the comfort score."""
-    return Scale.from_json(resolution["scale"]) if resolution is not None and "scale" in resolution else COMFORT
+    """Returns the scale that is stored with a campaign; before it starts, that of the comfort score."""
+    return Scale.from_json(resolution["scale"]) if resolution is not None else COMFORT

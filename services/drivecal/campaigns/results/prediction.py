@@ -9,7 +9,7 @@ from drivecal.campaigns.cells.predicting import batch_of, slice_size
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.contracts.explanation import InspectedLot, Neighbour, Prediction
 from drivecal.reduction.prediction import MOST_KNOWN, FeatureSpace, ScenarioLearner
-from drivecal.storage import known_answers, lots, results
+from drivecal.storage import lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import runs
@@ -66,7 +66,7 @@ def _neighbours(
     learner = ScenarioLearner(predictor_on(resolved.scale, tolerance), tolerance)
     own = batch_of(cell.stage, cell.iteration, cell.individual, width)
     earlier = runs.rated(connection, cell.setup_id, resolved.evaluator, campaign.watermark or 0, MOST_KNOWN)
-    answers, _ = known_answers.known(connection, campaign.sequence, [cell.setup_id], after=0)
+    answers, _ = lots.known_answers(connection, campaign.sequence, [cell.setup_id], after=0)
     batches = [[(run.evaluation, run.parameters, run.score) for run in earlier if features.holds(run.parameters)]]
     for batch, listed in groupby(answers, lambda answer: batch_of(answer.stage, answer.iteration, answer.individual, width)):
         if batch < own:

@@ -20,14 +20,12 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.setups import fingerprint_of
 from drivecal.reduction.keys import keys_under
-from drivecal.storage import campaigns
+from drivecal.storage import bundles, campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as campaigns_table
 from drivecal.storage.engine.tables import influence_maps as influence_maps_table
 from drivecal.storage.engine.tables import parameter_sets, runs, setups
-from drivecal.storage.maintenance.consistency import CHECKS, Check, check_parameter_sets
-from drivecal.storage.maintenance.invariants import INVARIANTS
-from drivecal.storage.problems import bundles
+from drivecal.storage.maintenance.consistency import CHECKS, INVARIANTS, Check, check_parameter_sets
 from drivecal.storage.references import influence_maps, reference_keys
 
 SAMPLED = 10_000

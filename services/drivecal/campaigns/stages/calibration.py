@@ -244,8 +244,7 @@ class Calibration(BestSetStage):
 
     def _policy(self) -> Policy:
         reduction = self._problem.specification.reduction
-        stopped = [scenario for scenario, rate in self._error_rate.items() if rate.stopped]
-        return Policy(reduction.mode, reduction.audit, self._optimization.seed, stopped)
+        return Policy(reduction.mode, reduction.audit, self._optimization.seed)
 
     def _store(self, connection: Connection, asked: Round) -> None:
         """Commits a generation with the optimizer's state beside its cells; a set to confirm belongs to no generation."""
@@ -365,9 +364,6 @@ class Calibration(BestSetStage):
     def _snapshot(self, connection: Connection) -> Snapshot:
         counts = CellCounts(**self._tracker.counts)
         notes = list(self._notes)
-        for scenario, rate in self._error_rate.items():
-            if rate.stopped:
-                notes.append(f"reuse in {scenario} was stopped: {rate.wrong} of {rate.audited} audited cells were wrong")
         if (rejected := rejected_text(self._error_rate)) is not None:
             notes.append(rejected)
         if counts.unrepeatable:

@@ -140,7 +140,6 @@ class PredictionValidation(StudyStage):
             **counts,
             "lower_95": lower,
             "upper_95": upper,
-            "interval_over": "bases",
         }
 
 

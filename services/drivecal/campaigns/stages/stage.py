@@ -24,7 +24,7 @@ from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.dispatches import Completed
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.reduction.assignment import Policy, RequestedCell
-from drivecal.storage import campaign_stages, campaigns, evaluations, events, results
+from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.evaluations import NewEvaluation
@@ -99,7 +99,7 @@ class Stage(Job):
     def _snapshot(self, connection: Connection) -> Snapshot:
         """The progress to store; subclasses extend it."""
         self._tell_firsts(connection)
-        counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
+        counts = campaigns.stage_counts({self.name: self._tracker.counts}, self.name)
         return Snapshot(
             stage=self.name,
             iteration=None if self._round is None else self._round.number,
@@ -242,7 +242,7 @@ class CampaignStage(Stage):
         return work
 
     def _refuse_failures(self) -> None:
-        counts = campaign_stages.counts({self.name: self._tracker.counts}, self.name)
+        counts = campaigns.stage_counts({self.name: self._tracker.counts}, self.name)
         if counts.failed < ALL_FAILED or counts.failed != counts.requested:
             return
         with self._database.read() as connection:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis.intervals import mean_interval
-from drivecal.analysis.validation import STREAM, Differences, ReducibleSpace, Region, ValidationDesign, design
+from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, design
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round
@@ -18,7 +18,6 @@ from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billi
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.assignment import RequestedCell
-from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -89,7 +88,6 @@ class ValidationStage(StudyStage):
         if wanted is None or influence_map is None:
             raise ValueError("the campaign has no map to validate")
         self._references = wanted.references
-        self._stream = self._begun_with()
         self._designs: dict[str, ValidationDesign | None] = {
             scenario: design(
                 reducible_space(influence_map, scenario, problem.space),
@@ -97,18 +95,11 @@ class ValidationStage(StudyStage):
                 wanted.references,
                 wanted.seed,
                 wanted.largest,
-                self._stream,
                 problem.constraints.feasible if problem.constraints else None,
             )
             for scenario in problem.scenarios
         }
         self._differences: dict[str, Differences] | None = None
-
-    def _begun_with(self) -> int:
-        """Returns the version of the random stream that the study's stored cells were drawn from; today's before there are any."""
-        with self._database.read() as connection:
-            stored = studies.get(connection, self._campaign.sequence, self.name)
-        return STREAM if stored is None else int(stored.get("stream", 1))
 
     @staticmethod
     def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
@@ -156,7 +147,7 @@ class ValidationStage(StudyStage):
             for row in rows
             if not row["bases"]
         ]
-        return {"items": rows, "notes": notes, "stream": self._stream}
+        return {"items": rows, "notes": notes}
 
     def _row(self, scenario: str, pairs: ValidationDesign | None) -> dict[str, Any]:
         differences = None if self._differences is None else self._differences.get(scenario)
@@ -174,5 +165,4 @@ class ValidationStage(StudyStage):
             **compared(known, scale),
             "lower_95": lower,
             "upper_95": upper,
-            "interval_over": "bases",
         }

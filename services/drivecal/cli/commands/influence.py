@@ -124,27 +124,13 @@ def _line(row: InfluenceRow, measured: bool, decided: bool) -> list[object]:
 
 
 def decided_text(rows: Sequence[InfluenceRow]) -> list[str]:
-    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason: that of the analysis, or in maps of
-    earlier releases what can be said of them together."""
+    """Returns lines about rows that seem to contradict the intervals' largest s_rel, with the reason."""
     known = [(row, largest) for row in rows if not row.unknown and (largest := _largest(row)) is not None]
-    explained = [row for row, largest in known if row.reason and row.influential != (fixed(largest, 3) != _NONE)]
-    known = [(row, largest) for row, largest in known if not row.reason]
-    overruled = [(row.scenario, row.parameter) for row, largest in known if not row.influential and fixed(largest, 3) != _NONE]
-    added = [(row.scenario, row.parameter) for row, largest in known if row.influential and fixed(largest, 3) == _NONE]
-    lines = [
-        f"{row.scenario} {row.parameter} is {'' if row.influential else 'not '}influential: {row.reason}." for row in explained
+    return [
+        f"{row.scenario} {row.parameter} is {'' if row.influential else 'not '}influential: {row.reason}."
+        for row, largest in known
+        if row.influential != (fixed(largest, 3) != _NONE)
     ]
-    if overruled:
-        lines.append(
-            f"Not influential, though an interval has an s_rel above 0: {_listed(overruled)}.\nA later analysis, over more "
-            "than one interval, showed no effect of them that counts. It decides."
-        )
-    if added:
-        lines.append(
-            f"Influential, though no interval has an s_rel above 0: {_listed(added)}.\nA later analysis, over more than one interval, "
-            "showed an effect of them. It decides."
-        )
-    return lines
 
 
 def _largest(row: InfluenceRow) -> float | None:

@@ -7,7 +7,7 @@ import sys
 import threading
 from multiprocessing.connection import Connection
 
-from drivecal.cluster.lineage import end_with_parent
+from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError
 from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.runtime.worker import Worker, describe

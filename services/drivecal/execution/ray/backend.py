@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivecal.cluster.members import Node
-from drivecal.cluster.release import release
+from drivecal.cluster.settings import release
 from drivecal.contracts.work import Batch
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown

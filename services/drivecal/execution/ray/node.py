@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any
 
 from drivecal.cluster.checks import check_shared_memory
-from drivecal.cluster.lineage import end_with_parent
+from drivecal.cluster.guard import end_with_parent
 from drivecal.cluster.members import Node, ask
 from drivecal.domain.errors import UnavailableError
 

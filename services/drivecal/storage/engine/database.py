@@ -17,8 +17,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage.engine import locks, schema, urls
-from drivecal.storage.engine.failures import translated
-from drivecal.storage.engine.liveness import ServerLiveness, mind_absence
+from drivecal.storage.engine.failures import ServerLiveness, mind_absence, translated
 from drivecal.storage.engine.types import to_json
 
 OLDEST_SQLITE = (3, 35, 0)

@@ -13,8 +13,7 @@ from sqlalchemy.pool import NullPool
 
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage.engine import urls
-from drivecal.storage.engine.failures import translated
-from drivecal.storage.engine.liveness import ServerLiveness, mind_absence
+from drivecal.storage.engine.failures import ServerLiveness, mind_absence, translated
 
 KEY = 0x64726331
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema, so that schemas of one database do not collide."""
@@ -125,10 +124,15 @@ class _PostgresLock(_Releasing):
 
     def renew(self) -> None:
         if not self._alive():
-            self.release()
+            self._disconnect()
             self._connection = self._acquire()
 
     def release(self) -> None:
+        if self._alive():  # when the session only ends, the server notices it a moment later
+            self._connection.execute(text("SELECT pg_advisory_unlock_all()"))
+        self._disconnect()
+
+    def _disconnect(self) -> None:
         if not self._connection.closed:
             self._connection.invalidate()  # ends the session, even a broken one
             self._connection.close()

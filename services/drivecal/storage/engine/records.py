@@ -1,14 +1,17 @@
-"""Rows as records: found by their identifiers, and read into dataclasses."""
+"""Rows as records, found by their identifiers and read into dataclasses; cursors, which say where the next page of a list begins."""
 
 from __future__ import annotations
 
+import base64
+import binascii
+import json
 import re
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from sqlalchemy import Connection, Row, Select
 
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -31,3 +34,21 @@ def identified(connection: Connection, query: Select[Any], kind: str, identifier
 def record(kind: type[Record], row: Row[Any], **parsed: Any) -> Record:
     """Returns a record with the row's columns of the same names, and the fields that were `parsed` already."""
     return kind(**{field.name: getattr(row, field.name) for field in fields(kind) if field.name not in parsed}, **parsed)
+
+
+def encode_cursor(*position: int | str) -> str:
+    """Returns the opaque cursor that names the last row of a page by the values that the list is sorted by."""
+    return base64.urlsafe_b64encode(json.dumps(position, separators=(",", ":")).encode()).decode().rstrip("=")
+
+
+def decode_cursor(cursor: str, *kinds: type[int | str]) -> tuple[Any, ...]:
+    """Inverts `encode_cursor` for values of these `kinds`. Raises InvalidInputError for a foreign cursor."""
+    try:
+        position = json.loads(base64.b64decode(cursor + "=" * (-len(cursor) % 4), altchars=b"-_", validate=True))
+    except (binascii.Error, ValueError, RecursionError):
+        position = None
+    if isinstance(position, list) and len(position) == len(kinds):
+        fits = all(type(value) is kind for value, kind in zip(position, kinds, strict=True))
+        if fits and all(0 <= value < 2**31 if isinstance(value, int) else value.isprintable() for value in position):
+            return tuple(position)
+    raise InvalidInputError(Problem("cursor", "it does not come from this list", "give `next_cursor` of the page before"))

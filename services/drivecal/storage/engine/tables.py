@@ -90,7 +90,7 @@ campaigns = Table(
     Column("tags", Document, nullable=False, server_default="[]"),
     Column("comment", Text, nullable=False, server_default=""),
     Column("archived_at", UtcDateTime),
-    # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.organising.deletion`).
+    # A deleted campaign's row stays with the cells that made runs of the reference table (`storage.retention.deletion`).
     Column("deleted_at", UtcDateTime),
     Column("pruned", Document),  # when most of its cells were removed, what stayed and was known (`storage.retention`)
     *(
@@ -339,7 +339,7 @@ saved_views = Table(  # addresses of the page that users named; `campaign` is em
     sqlite_autoincrement=True,
 )
 
-bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.problems.bundles`)
+bundles = Table(  # problems that users pushed, each content once; a name means the last push (`storage.bundles`)
     "bundles",
     metadata,
     Column("digest", Name, primary_key=True),

@@ -45,7 +45,7 @@ STAGES = {number: stage for stage, number in ORDER.items()}
 class Score(TypeDecorator[float]):
     """A score of any scale; whole ones are integers in Python, and so in every table, file and document (`scales.plain`).
 
-    SQLite stores reals in an INTEGER column exactly, and whole ones as integers, so that old files need no rewriting.
+    SQLite stores reals in an INTEGER column exactly, and whole ones as integers.
     """
 
     impl = Double

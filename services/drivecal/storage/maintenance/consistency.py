@@ -9,13 +9,49 @@ from typing import Any
 
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import JSON, Connection, Table, Text, cast, exists, func, select, text
+from sqlalchemy import (
+    JSON,
+    ColumnElement,
+    Connection,
+    FromClause,
+    SmallInteger,
+    Table,
+    Text,
+    and_,
+    case,
+    cast,
+    exists,
+    func,
+    or_,
+    select,
+    text,
+    type_coerce,
+)
 
+from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.campaigns import by_stage, stage_counts
 from drivecal.storage.engine.schema import REVISION_TABLE
-from drivecal.storage.engine.tables import metadata, parameter_sets
-from drivecal.storage.maintenance.transfer import last_numbers, tables_of
+from drivecal.storage.engine.tables import (
+    campaigns,
+    evaluations,
+    generations,
+    leases,
+    lots,
+    metadata,
+    parameter_sets,
+    ratings,
+    reference_indexes,
+    reference_keys,
+    runs,
+)
+from drivecal.storage.engine.types import ORDER
+from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.lots import LotVerdict
+from drivecal.storage.maintenance.backup import last_numbers, tables_of
 from drivecal.storage.references.runs import largest_id
+from drivecal.storage.references.withdrawal import WITHDRAWN
 
 Check = Callable[[Connection], Iterator[str]]
 STREAMED = 10_000
@@ -111,4 +147,177 @@ CHECKS: dict[str, Check] = {
     "storage": check_storage,
     "numbers of new rows": check_numbers,
     "documents": check_documents,
+}
+
+
+ENDED = tuple(state for state in CampaignState if state.ended)
+ROWS = 100
+"""Rows in memory at a time."""
+
+
+def check_counters(connection: Connection) -> Iterator[str]:
+    """The counters of each campaign are those of its cells, and add up."""
+    counted: dict[tuple[int, int], dict[str, int]] = {}
+    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
+    checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
+    sampled = func.sum(case((evaluations.c.sampled, 1), else_=0))
+    columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
+    by_outcome = select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
+    for sequence, number, outcome, count, audits, checks, samples in connection.execute(by_outcome):
+        cells = counted.setdefault((sequence, number), {})
+        cells[outcome or "pending"] = count
+        cells["checked"] = cells.get("checked", 0) + checks
+        if outcome in DONORS:
+            cells["sampled"] = cells.get("sampled", 0) + samples
+        if outcome == Outcome.SIMULATED:
+            cells["audited"] = audits
+    carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
+    for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
+        counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
+    query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
+    for row in connection.execute(query):
+        for stage_of in StageName:
+            cells = counted.get((row.sequence, ORDER[stage_of]), {})
+            cells["requested"] = sum(cells.get(outcome, 0) for outcome in Outcome)
+            cells["proposed"] = sum(cells.get(part, 0) for part in ("carried_over", "pending", "requested"))
+            for part, count in stage_counts(row.stages, stage_of).model_dump().items():
+                if part not in _NOT_IN_ROWS and count != cells.get(part, 0):
+                    yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells.get(part, 0)}"
+
+
+_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut"}
+_WHOLE = campaigns.c.pruned.is_(None) & campaigns.c.deleted_at.is_(None)
+"""Campaigns with all their cells: a pruned or deleted one counts those that it had."""
+
+
+def check_ended(connection: Connection) -> Iterator[str]:
+    """Campaigns that have ended have no leases, and those that succeeded no cell without an answer; answered cells have no lease."""
+    ended = campaigns.c.state.in_(ENDED)
+    for row in connection.execute(select(campaigns.c.id, campaigns.c.state).where(ended != campaigns.c.ended_at.is_not(None))):
+        yield f"campaign {row.id} is {row.state}, and its end is {'not ' if row.state in ENDED else ''}written down"
+    cells = evaluations.join(campaigns)
+    pending = select(campaigns.c.id, func.count()).select_from(cells).where(evaluations.c.outcome.is_(None))
+    for name, count in connection.execute(pending.where(campaigns.c.state == CampaignState.SUCCEEDED).group_by(campaigns.c.id)):
+        yield f"campaign {name} has succeeded, and {count} of its cells have no answer"
+    leased = select(campaigns.c.id, func.count()).select_from(leases.join(cells)).group_by(campaigns.c.id)
+    for name, count in connection.execute(leased.where(ended)):
+        yield f"campaign {name} has ended, and {count} of its cells are leased"
+    for name, count in connection.execute(leased.where(evaluations.c.outcome.is_not(None))):
+        yield f"{count} cells of campaign {name} have their answers, and are leased"
+
+
+def check_answers(connection: Connection) -> Iterator[str]:
+    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by a result that may answer others."""
+    cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
+    joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
+    same = and_(
+        run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
+    )
+    answered = cell.outcome.in_([*DONORS, *COPIES])
+    withdrawn = cell.run_id.is_(None) & (func.coalesce(cell.detail, "") == WITHDRAWN)
+    broken = answered & ~withdrawn & (run.c.id.is_(None) | ~same)
+    yield from _cells(connection, joined, broken, "have no run of their own cell")
+    scored = answered | (cell.outcome == Outcome.PREDICTED)
+    yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
+    failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
+    yield from _cells(connection, joined, failed, "failed and have a result all the same")
+    orphaned = cell.outcome.in_(COPIES) & (donor.c.id.is_(None) | donor.c.outcome.not_in(DONORS) | donor.c.outcome.is_(None))
+    yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
+
+
+def check_lots(connection: Connection) -> Iterator[str]:
+    """Checks that lots' answers are released by inspected lots alone, and that lots with a verdict have their sample and no open cell."""
+    cell = evaluations.c
+    joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
+    released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
+    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.sampled | cell.run_id.is_not(None) | ~released)
+    yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
+    uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
+    yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
+    other = cell.lot.is_not(None) & cell.outcome.in_(COPIES) & (lots.c.kind != cell.outcome)
+    yield from _cells(connection, joined, other, "are copies in lots of another kind")
+    members = (
+        func.count(cell.id),
+        func.sum(case((cell.sampled | cell.audited, 1), else_=0)),
+        # a reused answer whose reference has no result is simulated after the verdict
+        func.sum(
+            case((cell.outcome.is_(None) & ((lots.c.kind != Outcome.REUSED) | (cell.plan == Outcome.REUSED)), 1), else_=0)
+        ),
+    )
+    query = (
+        select(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict, *members)
+        .select_from(lots.join(campaigns).outerjoin(evaluations, lots.c.id == cell.lot))
+        .where(_WHOLE)
+        .group_by(lots.c.id, lots.c.size, lots.c.sample, lots.c.verdict)
+    )
+    for identifier, size, sample, verdict, count, drawn, waiting in connection.execute(query):
+        if count != size:
+            yield f"lot {identifier} of {size} answers has {count} cells"
+        if verdict is not None and (drawn or 0) != sample:
+            yield f"lot {identifier} was {verdict} by a sample of {drawn} cells, not {sample}"
+        if verdict == LotVerdict.RELEASED and waiting:
+            yield f"lot {identifier} was released, and {waiting} of its cells have no answer"
+
+
+def _cells(connection: Connection, joined: FromClause, broken: ColumnElement[bool], sentence: str) -> Iterator[str]:
+    query = select(func.count(), func.min(evaluations.c.id)).select_from(joined).where(broken)
+    count, first = connection.execute(query).one()
+    if count:
+        yield f"{count:,} answered cells {sentence}, the first of them evaluation {first}"
+
+
+def check_references(connection: Connection) -> Iterator[str]:
+    """Checks that each setup and parameter set has one rated run of an existing cell."""
+    origin = evaluations.alias("origin")
+    several = select(runs.c.setup_id, runs.c.parameter_set_id).group_by(runs.c.setup_id, runs.c.parameter_set_id)
+    for setup, parameters in connection.execute(several.having(func.count() > 1).limit(5)):
+        yield f"parameter set {parameters} has several runs in setup {setup}"
+    for sentence, broken in (
+        ("have no rating", ~exists().where(ratings.c.run_id == runs.c.id)),
+        (
+            "were simulated for no cell that is there",
+            ~exists().where(origin.c.id == runs.c.evaluation_id, origin.c.campaign_sequence == runs.c.campaign_sequence),
+        ),
+    ):
+        count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
+        if count:
+            yield f"{count:,} runs {sentence}, the first of them run {first}"
+    newest = max(largest_id(connection), last_numbers(connection, [runs]).get("runs", 0))  # the newest may be pruned
+    beyond = select(campaigns.c.id, campaigns.c.watermark).where(campaigns.c.watermark > newest).limit(5)
+    for name, watermark in connection.execute(beyond):
+        yield f"campaign {name} may use runs up to {watermark}, and the newest is {newest}"
+
+
+def check_key_copies(connection: Connection) -> Iterator[str]:
+    """Checks that reference keys agree with their runs."""
+    key = reference_keys.c
+    joined = (
+        reference_keys.outerjoin(reference_indexes, reference_indexes.c.id == key.index_id)
+        .outerjoin(runs, (runs.c.id == key.run_id) & (runs.c.setup_id == reference_indexes.c.setup_id))
+        .outerjoin(ratings, (ratings.c.run_id == key.run_id) & (ratings.c.evaluator == reference_indexes.c.evaluator))
+    )
+    differs = or_(
+        ratings.c.run_id.is_(None),
+        runs.c.id.is_(None),
+        key.run_id > reference_indexes.c.run_id,
+        key.since > reference_indexes.c.run_id,
+        key.since != ratings.c.since,
+        key.evaluation_id != runs.c.evaluation_id,
+        key.score != ratings.c.score,
+        key.rating != ratings.c.rating,
+        key.failure.is_distinct_from(runs.c.failure),
+    )
+    used = reference_indexes.c.id.is_(None) | (reference_indexes.c.influence_map_sequence > 0)  # others are being removed
+    count = connection.execute(select(func.count()).select_from(joined).where(differs, used)).scalar_one()
+    if count:
+        yield f"{count:,} reference keys differ from the runs that they stand for"
+
+
+INVARIANTS: dict[str, Check] = {
+    "counters": check_counters,
+    "ended campaigns": check_ended,
+    "answered cells": check_answers,
+    "lots": check_lots,
+    "references": check_references,
+    "copies in reference keys": check_key_copies,
 }

@@ -17,7 +17,7 @@ from sqlalchemy import Connection, func, select
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import leases, processes
-from drivecal.storage.campaign_stages import by_stage
+from drivecal.storage.campaigns import by_stage
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import campaigns
 from drivecal.storage.engine.tables import leases as leases_table

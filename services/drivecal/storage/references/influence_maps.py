@@ -8,8 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from drivecal.storage.engine import cursors
-from drivecal.storage.engine.records import identified, record
+from drivecal.storage.engine.records import decode_cursor, encode_cursor, identified, record
 from drivecal.storage.engine.tables import influence_maps
 from drivecal.storage.engine.types import now
 
@@ -66,8 +65,8 @@ def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) 
     """At most `limit` maps, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
     query = select(influence_maps).order_by(influence_maps.c.sequence.desc()).limit(limit + 1)
     if cursor is not None:
-        (before,) = cursors.decode(cursor, int)
+        (before,) = decode_cursor(cursor, int)
         query = query.where(influence_maps.c.sequence < before)
     page = [record(StoredInfluenceMap, row) for row in connection.execute(query)]
-    following = cursors.encode(page[limit - 1].sequence) if len(page) > limit else None
+    following = encode_cursor(page[limit - 1].sequence) if len(page) > limit else None
     return page[:limit], following

@@ -18,7 +18,7 @@ test("only the middle bar of costs without steps is right, and the outermost hol
   expect([places.length, counts[0]?.at(-1), beyond]).toEqual([53, 1, true]);
 });
 
-test("histograms of earlier versions do not fill the memory", () => {
+test("many differences do not fill the memory", () => {
   const { places, counts } = barsOf([{ histogram: { "-2000000000": 1, "1000000000": 2, "500": 3 }, histogram_step: 1e-6 }], COST);
   expect(places).toHaveLength(203);
   expect([counts[0]?.[0], counts[0]?.at(-1)]).toEqual([1, 5]);

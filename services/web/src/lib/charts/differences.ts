@@ -2,7 +2,7 @@
 
 import type { Scale, ValidationRow } from "../server/types";
 
-/** Bars on each side at most; the outermost holds all beyond. Rows of earlier versions may have any number. */
+/** Bars on each side at most; the outermost holds all beyond. */
 const MOST_BARS = 101;
 
 interface Bars {

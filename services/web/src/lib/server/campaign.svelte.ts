@@ -10,7 +10,7 @@ const READ_AGAIN_MILLISECONDS = 1_000;
 /** Between two readings that events ask for: a fast search has several iterations a second. */
 const APART_MILLISECONDS = 400;
 /** After these the answer of the campaign itself holds more than its progress. */
-const TELLING = new Set(["best", "baseline", "reuse_stopped", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
+const TELLING = new Set(["best", "baseline", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
 
 export class CampaignState {
   campaign = $state.raw<Campaign | null>(null);

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 import { sideBySide } from "../charts/robust";
-import { calibrates, intervalText, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
+import { calibrates, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
 import type { Campaign, RobustnessRow } from "../server/types";
 
 const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
@@ -18,11 +18,6 @@ test("a study says how it is made", () => {
   expect(settingsText("validation", { samples: 200, references: 30, largest: 20_000 })).toContain("30 variants of each set");
   expect(settingsText("validation", { samples: 500, references: 30, largest: 20_000, of: "a" })).toMatch(/500 released predictions/);
   expect([sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, of: "other" }), sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, delta: 0.02 })]).toEqual([true, false]);
-});
-
-test("an interval over variants is called too narrow", () => {
-  expect(intervalText([{ interval_over: "bases" }])).not.toContain("too narrow");
-  expect(intervalText([{ interval_over: "bases" }, { interval_over: "variants" }])).toContain("too narrow");
 });
 
 test("two studies are laid side by side by their sets, whatever the order of parameters", () => {

@@ -39,12 +39,6 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
   return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}${halvings}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
 }
 
-/** What the 95 % intervals of a validation take as independent. */
-export function intervalText(rows: readonly Pick<ValidationRow, "interval_over">[]): string {
-  if (rows.every((row) => row.interval_over === "bases")) return "95 % intervals of the mean over base sets, because variants of one base set are alike: more base sets narrow them, more variants hardly do.";
-  return "These 95 % intervals are too narrow: an earlier version took the variants of one base set as independent. drivecal validate ID --again repeats the study.";
-}
-
 /** Whether the degrees of two robustness studies mean the same. */
 export function sameBoxes(first: Readonly<Record<string, unknown>>, other: Readonly<Record<string, unknown>>): boolean {
   return BOXES.every((name) => JSON.stringify(first[name]) === JSON.stringify(other[name]));

@@ -1,1 +1,0 @@
-"""Order among campaigns: labels, archive, deletion, saved views."""
