@@ -133,7 +133,13 @@ class Corridor:
 
 
 def corridor(network: Network, route: Sequence[str], name: str, default_limit: float | None = None) -> Corridor:
-    """Returns the corridor of a route. `name`: the network's file in messages; `default_limit`: of lanes without a limit (m/s).
+    """Returns the corridor of a route.
+
+    Args:
+        network: the network.
+        route: ids of its edges, in the order of the drive.
+        name: the network's file in messages.
+        default_limit: speed limit (m/s) of lanes without one.
 
     Raises InvalidInputError with fields `route` or `route[i]` if the route cannot be driven, and with `default_limit` if lanes of it have
     no limit.
@@ -326,7 +332,7 @@ def _check_lengths(network: Network, lanes: Lanes) -> None:
 
 
 def _fits(length: float, size: float, share: float, jumped: float) -> bool:
-    """Returns whether a length belongs to a shape of this size, all m. `jumped`: what it may have of junctions."""
+    """Returns whether a length belongs to a shape of this size, all m. `jumped` is the part that may lie in junctions."""
     allowed = share * max(size, SHORT)
     return -allowed <= length - size <= allowed + jumped
 

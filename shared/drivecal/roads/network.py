@@ -42,7 +42,7 @@ OTHER_FILES = ("href", "file", "output", "dest")
 WIDTHS = "drivecal.widths"
 """Parameter of lanes whose width changes: pairs of a share of the shape's length and a width (m), which SUMO ignores."""
 LIMITS = "drivecal.limits"
-"""Parameter of lanes whose limit changes or is not known: pairs of a share of the shape's length and the limit (m/s) from there on, which
+"""Parameter of lanes whose limit changes or is not known: pairs of a share of the shape's length and the limit (m/s) after it, which
 SUMO ignores."""
 UNKNOWN = "none"
 """A limit in `LIMITS` that the file does not give."""
@@ -83,7 +83,7 @@ def source_comment(content: bytes) -> bytes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Lane:
-    """A lane: its centre line `shape` (n, 2) in driving direction, `length` by which SUMO counts positions (m), limit (m/s), width (m)."""
+    """A lane: its centre line `shape` (n, 2) in driving direction, `length` of SUMO's positions (m), limit (m/s), width (m)."""
 
     edge: str
     index: int
@@ -134,7 +134,7 @@ class Connection:
 
 @dataclass(frozen=True, slots=True)
 class Junction:
-    """A junction. `lanes`: the incoming ones in order of its requests; `foes`: for each request a text of bits, the last for request 0."""
+    """A junction. `lanes`: incoming ones in order of its requests; `foes` has a text of bits for each request, the last for request 0."""
 
     id: str
     kind: str
@@ -145,7 +145,7 @@ class Junction:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A SUMO network. `connections`: those from each edge, in the order of the file; `roundabouts`: the edges of any; `offset`: what was
+    """A SUMO network. `connections` from each edge are in the order of the file; `roundabouts` are the edges of any; `offset` was
     added to the coordinates (m) of the source it was built from.
     """
 

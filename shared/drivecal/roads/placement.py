@@ -130,7 +130,7 @@ class _Placement:
         self.notes.add(f"{place}, from {origin or 'no road'}", "not at its place in the file; a route over it is refused")
 
     def _limit(self, lane: Element, limits: Limits, length: float, place: str | None) -> None:
-        """Writes the file's limits. `place`: for notes on them."""
+        """Writes the file's limits. Notes on them name the `place`."""
         known = [(at, NO_LIMIT_SPEED if limit == inf else limit) for at, limit in limits]
         speed = float(lane.get("speed", "0"))
         if place is not None:

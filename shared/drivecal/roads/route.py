@@ -116,7 +116,7 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """The lanes of a route. `chains`: from the right; `guide`: the guide's lanes at the begin and the end of each edge."""
+    """The lanes of a route. `chains` come from the right; `guide` has the guide's lanes at the begin and the end of each edge."""
 
     edges: tuple[Edge, ...]
     chains: tuple[Chain, ...]

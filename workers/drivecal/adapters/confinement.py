@@ -263,7 +263,7 @@ def _call(result: int) -> None:
 
 
 def _beside(hidden: Collection[str]) -> list[str]:
-    """Returns paths that together hold everything but the hidden ones: their siblings and those of each folder above them.
+    """Returns paths that together hold everything but the hidden ones: their siblings and the siblings of each folder above them.
 
     Returns nothing if these are too many.
     """

@@ -56,9 +56,17 @@ class ProcessSession:
         """Starts the child. Raises UnavailableError if it cannot be started or reports an error instead of being ready, and
         UnsuitableError if that error blames the problem's files.
 
-        `most_runs`: number of runs after which another child is started. `advice`: what else may help if an answer is late. `replays`:
-        whether it reports replays beside time series. `blames_files`: whether its errors may blame the problem's files, as those of
-        drivecal's own drivers.
+        Args:
+            launch: command and limits of the child.
+            scratch: its folders, which the session removes.
+            declared: declarations of the manifest.
+            timeout: time limit of a run (s).
+            scenario: name of the scenario.
+            data: its data.
+            most_runs: number of runs after which another child is started.
+            advice: further help if an answer is late.
+            replays: the child reports replays with its time series.
+            blames_files: its errors may blame the problem's files, as errors of drivecal's own drivers do.
         """
         self._scratch, self._declared, self._timeout, self._most_runs = scratch, declared, timeout, most_runs
         self._advice, self._replays, self._blames_files = advice, replays, blames_files

@@ -47,7 +47,7 @@ class PythonAdapter:
 
 def driver_command(module: str, settings: Mapping[str, Any]) -> list[str]:
     """Returns the command of one of drivecal's own drivers: without environment variables and user packages, and without writing bytecode
-    beside the bundle's files."""
+    into the bundle's folder."""
     return [sys.executable, "-I", "-B", "-m", f"drivecal.adapters.{module}", json.dumps(settings)]
 
 

@@ -1,8 +1,8 @@
 """Compiled geometry that all loops share: points of a reference line, foot points on it, and rectangles that overlap.
 
 `line`, shape (n, 7): a reference line (s, x, y, heading, curvature) with cosine and sine of the heading, as from `with_directions`.
-`drivecal.domain.roads` has the same without a compiler. The planner has a `point_of` of its own, whose order of operations differs: its
-bits are those of all stored results.
+`drivecal.domain.roads` has the same without a compiler. The planner has a `point_of` of its own, whose order of operations differs: all
+stored results have its bits.
 """
 
 from math import cos, pi, sin, sqrt

@@ -2,8 +2,8 @@
 
 A run becomes six channels of a fixed length. 84 kernels of length 9 (weights -1, three of them 2) are combined with several dilations, each
 over a subset of the channels. A feature is the share of time during which the convolution exceeds a bias. Series and biases are integers
-here, so that sums are exact in any order and width: features have the same bits on every machine, and equal those of other
-implementations for the same integers.
+here, so that sums are exact in any order and width: features have the same bits on every machine and in other
+implementations with the same integers.
 """
 
 from collections.abc import Mapping

@@ -220,7 +220,7 @@ class FmuControl(Controller):
     def __init__(
         self, file: Path, unpacked: Path, section: Mapping[str, Any], period: float, units: Mapping[str, str] | None = None
     ) -> None:
-        """`section` is the manifest's; `units` holds those of the problem's parameters. Raises UnusableError."""
+        """`section` is the manifest's; `units` are the parameters' by name. Raises UnusableError."""
         signals, output = section["signals"], section["output"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
@@ -318,9 +318,16 @@ def controller(
     step: float,
     units: Mapping[str, str],
 ) -> Checked:
-    """Returns the controller of a manifest's section. `units`: of the problem's parameters by name.
+    """Returns the controller of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs.
 
-    Raises any exception of the user's file, UnusableError of FMUs.
+    Args:
+        section: the manifest's section.
+        folder: the bundle's folder.
+        work: folder in which programs run.
+        scratch: folder for unpacked files.
+        scenario: the scenario's data.
+        step: period of the controller (s) if the section has none.
+        units: units of the problem's parameters by name.
     """
     output, period = section["output"], section.get("period", step)
     made: Controller

@@ -46,7 +46,7 @@ class Record:
     """Record of a run.
 
     `rows`: at the start, after each step of the traffic and at the end, shape (n + 1, 17), `COLUMNS`. `dynamics`: after each 0.01 s,
-    shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: way (m) of a drive at the limit for
+    shape (m, 5): speed, longitudinal and lateral acceleration, yaw rate, steering angle. `wanted`: distance (m) of a drive at the limit for
     the scenario's duration. `finish`: position (m) at which the route ends for the vehicle's centre.
     """
 

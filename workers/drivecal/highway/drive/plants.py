@@ -78,7 +78,7 @@ class FmuPlant(Plant):
     """An FMU for co-simulation, which is reset for each run. Its inputs hold for a step, at whose end its outputs are read."""
 
     def __init__(self, file: Path, unpacked: Path, section: Mapping[str, Any], units: Mapping[str, str] | None = None) -> None:
-        """`section` is the manifest's; `units` holds those of the problem's parameters. Raises UnusableError."""
+        """`section` is the manifest's; `units` are the parameters' by name. Raises UnusableError."""
         signals, state = section["signals"], section["state"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
@@ -216,9 +216,15 @@ def plant_of(
     scenario: Mapping[str, Any],
     units: Mapping[str, str],
 ) -> Plant:
-    """Returns the plant of a manifest's section. `units`: of the problem's parameters by name.
+    """Returns the plant of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs.
 
-    Raises any exception of the user's file, UnusableError of FMUs.
+    Args:
+        section: the manifest's section.
+        folder: the bundle's folder.
+        work: folder in which programs run.
+        scratch: folder for unpacked files.
+        scenario: the scenario's data.
+        units: units of the problem's parameters by name.
     """
     if section["kind"] == "python":
         return ClassPlant(function_of(section, folder, scratch / "vehicle"), section["state"], scenario)

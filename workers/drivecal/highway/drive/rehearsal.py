@@ -74,8 +74,8 @@ def rehearse(
 def hold(writable: Sequence[str], scratch: Path) -> None:
     """Confines this process to the folders that it may still change, and lets numba store a user's own kernels in the `scratch` folder.
 
-    Call it before a user's code is loaded. Does nothing where the kernel has no Landlock. It holds for this thread and those that it
-    starts. Raises StartError if there are others: a user's code could let them write.
+    Call it before a user's code is loaded. Does nothing where the kernel has no Landlock. It holds for this thread and its later
+    threads. Raises StartError if there are others: a user's code could let them write.
     """
     rules = ruleset(writable)
     if rules is None:

@@ -44,7 +44,7 @@ SHARPEST = 0.5
 
 @dataclass(frozen=True, slots=True)
 class NeighbouringLane:
-    """A lane off the route. `has_right`, `has_left`: whether another lane for cars is there on the same edge."""
+    """A lane off the route. `has_right` and `has_left` are true if the same edge has another lane for cars there."""
 
     lane: Lane
     is_road: bool
@@ -266,7 +266,7 @@ class DriveRecorder:
         self._seen += 1
 
     def replay(self, record: Record, length: float, corridor: Corridor, beside: Neighbourhood) -> ReplayAnswer | None:
-        """Returns the run on its roads; None if the vehicle has no place at two moments. `length`: of the ego vehicle (m)."""
+        """Returns the run on its roads; None if the vehicle has no place at two moments. `length` is the ego vehicle's (m)."""
         ego = np.column_stack([record.column(name) for name in EGO])
         count = int(np.argmin(np.append(np.isfinite(ego).all(axis=1), False)))  # an unstable vehicle may have no place
         if count < 2:

@@ -39,9 +39,9 @@ TERMS = (
 )
 
 SPEED_ERROR = 0.4
-"""Base cost per (m/s)² of mean square speed error: 1.6 m/s beside the desired speed weigh as much as a typical term at mid-range."""
+"""Base cost per (m/s)² of mean square speed error: 1.6 m/s off the desired speed weigh as much as a typical term at mid-range."""
 TERMINAL_OFFSET = 3.0
-"""Base cost of a plan that ends 1 m (times 2) beside the target lane's centre; grows linearly beyond a metre: about 9 for a lane."""
+"""Base cost of a plan that ends 1 m (times 2) off the target lane's centre; grows linearly beyond a metre: about 9 for a lane."""
 ACCELERATION = 0.1
 """Base cost per (m/s²)² of mean square longitudinal acceleration: breaks ties towards calm speed changes."""
 COLLISION = 3000.0

@@ -37,8 +37,8 @@ def speed_behind(gap: float, speed: float) -> float:
 def follow(road: Floats, wanted: Floats, scene: Floats, ego: Floats, neighbours: Floats, accelerations: Floats) -> None:
     """Writes the desired speeds and their changes to `road`: `wanted`, shape (n,), lowered behind the vehicle in the way, if there is any.
 
-    `road`, `scene`, `ego`, `neighbours`: as in `plans`; `accelerations` (m,): of the neighbours, along the road. In the way is what is
-    ahead, and beside the ego vehicle by less than the width in which a leader counts for P8, now or after its drift. A leader that brakes
+    `road`, `scene`, `ego`, `neighbours`: as in `plans`; `accelerations` (m,) are the neighbours', along the road. In the way is a vehicle
+    ahead that is less to the side than a leader that counts for P8, now or after its drift. A leader that brakes
     goes on braking.
     """
     lowest, gap, leader, braking = inf, inf, 0.0, 0.0

@@ -150,7 +150,7 @@ def store(context: Any, array: Any, at: Any, value: Any) -> Any:
 
 @intrinsic
 def where(context: Any, condition: Any, yes: Any, no: Any) -> Any:
-    """Returns `yes` in the lanes in which the condition holds, else `no`; both may be Lanes or numbers."""
+    """Returns `yes` in the lanes where the condition holds, else `no`; both may be Lanes or numbers."""
     del context
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -199,7 +199,7 @@ larger, smaller = _chosen(">"), _chosen("<")
 
 @intrinsic
 def bits(context: Any, condition: Any) -> Any:
-    """Returns the lanes in which a condition holds as the bits of a whole number, the first lane lowest."""
+    """Returns the lanes where a condition holds as the bits of a whole number, the first lane lowest."""
     del context
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -91,7 +91,7 @@ def _steering(
 
     Feed-forward is the nominal vehicle's steady steering angle for the curvature due when the vehicle will have reacted: after the
     actuator's lag plus the delay between steering angle and lateral acceleration at low frequency. The yaw rate is compared with the one
-    due now; it leads the course by the time in which side slip builds up.
+    due now; it leads the course by the time that side slip takes to build up.
     """
     v = max(state[3], DYNAMIC_ABOVE)
     steering_per_curvature = controller[0] + controller[1] * v * v
@@ -166,7 +166,7 @@ def follow(
 ) -> int:
     """Follows `trajectory` from `since` seconds after its start for `steps` steps; returns FOLLOWED, UNSTABLE or TOO_SHORT.
 
-    Overwrites `state` and writes a row (see `_record`) to `dynamics`, shape (steps, 5), at the end of each step. From an unstable step on,
+    Overwrites `state` and writes a row (see `_record`) to `dynamics`, shape (steps, 5), at the end of each step. After an unstable step,
     state and rows keep the last valid values.
     """
     last = trajectory.shape[0] - 1
@@ -202,8 +202,8 @@ def drive(
     """Drives `steps` steps at a constant command of acceleration (m/s^2); returns whether the vehicle stayed stable.
 
     `by`: STEERING or CURVATURE, i.e. what `lateral` (rad or 1/m) is, or PATH. A curvature is reached by the nominal vehicle's steady
-    steering angle and feedback of the yaw rate; `path`, like a trajectory of `follow`, is kept as by `follow`, from `since` seconds on, but
-    only sideways. `state` and `dynamics` as in `follow`.
+    steering angle and feedback of the yaw rate; `path`, like a trajectory of `follow`, is kept as by `follow`, `since` seconds after its
+    start, but only sideways. `state` and `dynamics` as in `follow`.
     """
     before = state.copy()
     spacing = path[1, 0] - path[0, 0]
@@ -234,7 +234,7 @@ def drive(
 def commands(
     state: Floats, controller: Floats, by: int, lateral: float, acceleration: float, path: Floats, time: float
 ) -> tuple[float, float]:
-    """Returns the steering angle and the acceleration by which `drive`, or `follow` with TRAJECTORY, would move the plant at a time of
+    """Returns the steering angle and the acceleration with which `drive`, or `follow` with TRAJECTORY, would move the plant at a time of
     the path, cut off at the actuators' limits: for plants that are not the single-track model.
     """
     steering = lateral
