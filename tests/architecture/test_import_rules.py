@@ -30,7 +30,7 @@ PLANTED = {
     "The workers' imports point down": ("workers/drivecal/adapters", "import drivecal.runtime"),
     "Only entry points and child processes lead to the motorway": (
         "workers/drivecal/runtime",
-        "import drivecal.highway.episode.certified",
+        "import drivecal.highway.episode.runner",
     ),
     "The motorway's imports point down": ("workers/drivecal/highway/comfort", "import drivecal.highway.episode"),
     "What both sides speak knows neither side": ("shared/drivecal/plugins", "import drivecal.highway.vehicle.single_track"),

@@ -87,11 +87,11 @@ def _carry_out(database: Database) -> None:
     run(database, submit(database, stored_map=stored, optimizer=search, weights={"S1": 3, "S2": 0}, **common), backend)
     exact: dict[str, Any] = {
         "optimizer": search | {"seed": 2},
-        "reduction": {"mode": "exact", "certified": False},
+        "reduction": {"mode": "exact"},
         "robustness": {"delta": 0.02, "steps": 2, "samples": 3, "solutions": 2},
     }
     run(database, submit(database, **exact, **common), backend)
-    predicted = {"mode": "predicted", "certified": False, "confirm": 0}
+    predicted = {"mode": "predicted", "confirm": 0}
     run(database, submit(database, optimizer=search | {"seed": 3}, reduction=predicted, **common), backend)
 
 
@@ -239,7 +239,6 @@ _POINTS = {
     ("lots", "id"): "lots",
     ("evaluations", "id"): "evaluations",
     ("evaluations", "reference"): "evaluations",
-    ("evaluations", "proven_by"): "evaluations",
     ("evaluations", "lot"): "lots",
     ("runs", "id"): "runs",
     ("ratings", "since"): "runs",

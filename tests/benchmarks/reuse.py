@@ -135,7 +135,7 @@ def measured(kind: str, seed: int, population: int, iterations: int, circumstanc
         seed,
         population,
         iterations,
-        sum(cells.simulated + cells.failed for cells in campaign.by_stage().values()),
+        sum(cells.simulated + cells.failed for cells in campaign.stages.values()),
         campaign.seconds.simulating + predictor,
         campaign.seconds.wall,
         campaign.best.objective,

@@ -27,8 +27,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Batch, BatchResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -132,7 +131,7 @@ def submit(database: Database, population: int, iterations: int, seed: int) -> S
             "name": f"scale {seed}",
             "sensitivity": None,
             "optimizer": {"kind": "genetic", "population": population, "iterations": iterations, "seed": seed},
-            "reduction": {"mode": "exact", "certified": False},
+            "reduction": {"mode": "exact"},
         }
     )
     with database.transaction() as connection:

@@ -36,8 +36,8 @@ def test_a_reader_finds_a_page_by_searching_and_follows_links(api: RunningApi, o
         if words.is_visible():
             break
         page.wait_for_timeout(100)
-    words.fill("certificate")
-    expect(page.get_by_role("option", name="Certificates").first).to_be_visible()
+    words.fill("prediction")
+    expect(page.get_by_role("option", name="Predictions").first).to_be_visible()
     page.goto(f"{api.url}/help/concepts/cells.html")
     page.get_by_role("link", name="To the page").first.click()
     expect(page.get_by_role("heading", name="Campaigns")).to_be_visible()

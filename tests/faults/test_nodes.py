@@ -21,7 +21,7 @@ LONG = {
     | {
         "name": "long",
         "optimizer": {"kind": "genetic", "population": 600, "iterations": 12, "seed": 4, "mutation": 1},
-        "reduction": {"mode": "exact", "certified": False},
+        "reduction": {"mode": "exact"},
     }
 }
 """Lasts until a node that comes later has started, worked and lost its neighbour."""

@@ -21,8 +21,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage.engine.tables import evaluations
 

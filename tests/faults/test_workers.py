@@ -31,7 +31,7 @@ PATIENCE_SECONDS = 900.0
 UNREDUCED: dict[str, Any] = {
     "sensitivity": None,
     "optimizer": {"kind": "genetic", "population": 100, "iterations": 6, "seed": 5},
-    "reduction": {"mode": "off", "certified": False},
+    "reduction": {"mode": "off"},
 }
 
 

@@ -26,7 +26,7 @@ CAMPAIGN = {
     "parameters": SPACE,
     "catalogue": ["S1", "S2"],
     "optimizer": {"kind": "genetic", "population": 400, "iterations": 4, "seed": 3},
-    "reduction": {"mode": "predicted", "certified": False, "tolerance": 0.0, "limit": 0.05},
+    "reduction": {"mode": "predicted", "tolerance": 0.0, "limit": 0.05},
     "sensitivity": None,
 }
 

@@ -46,7 +46,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     with database.read() as connection:
         figures, _ = generations.page(connection, ended.sequence)
     assert [(one["iteration"], one["best"], one["simulated"]) for one in by_kind["generation"]] == [
-        (iteration, one.best, one.simulated) for iteration, one in figures
+        (iteration, one.best, one.cells.simulated) for iteration, one in figures
     ]
     objectives = [one["objective"] for one in by_kind["best"]]
     assert objectives == sorted(set(objectives))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import update
+from sqlalchemy import select, update
 from tests.support.comparisons import finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
@@ -218,10 +218,12 @@ def test_predicted_cells_are_no_simulations_of_a_run(database: Database) -> None
     with database.transaction() as connection:
         pages = [generations.page(connection, campaign.sequence)[0] for campaign in runs_of(database, tag)]
         columns = tables.generations.c
-        later = update(tables.generations).where(columns.iteration > 0)
-        connection.execute(later.values(predicted=columns.simulated, simulated=0, best=columns.best - 1))
+        for row in connection.execute(select(tables.generations).where(columns.iteration > 0)).all():
+            cells = row.cells | {"predicted": row.cells["simulated"], "simulated": 0}
+            here = columns.campaign_sequence == row.campaign_sequence, columns.iteration == row.iteration
+            connection.execute(update(tables.generations).where(*here).values(cells=cells, best=row.best - 1))
     after = read_comparison(database, tag).runs
-    predicted = [sum(figures.simulated for iteration, figures in page if iteration) for page in pages]
+    predicted = [sum(figures.cells.simulated for iteration, figures in page if iteration) for page in pages]
     assert [run.simulations - run.confirmations for run in after] == [
         run.simulations - run.confirmations - answered for run, answered in zip(before, predicted, strict=True)
     ]

@@ -16,8 +16,7 @@ from tests.support.runs import everything, get, post_map, submit
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.errors import UnavailableError
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 

@@ -21,8 +21,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
 from drivecal.execution.backend import Finished, Lost, Slot
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.integration.test_certified_campaigns import alike
 from tests.support.comparisons import finish_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, influenced, rows_of, run, step_until, submit
+from tests.support.storage import new_evaluation
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -33,7 +33,6 @@ from drivecal.domain.evaluations import Outcome
 from drivecal.storage import evaluations, lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, StoredLot
 
 ITERATIONS = 4
@@ -53,7 +52,7 @@ def ask(database: Database, *, population: int = 160, seed: int = 3, **changes: 
         parameters=SPACE,
         catalogue=["S1", "S2"],
         optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": seed},
-        reduction={"mode": "predicted", "certified": False, "confirm": 0} | changes,
+        reduction={"mode": "predicted", "confirm": 0} | changes,
     )
 
 
@@ -111,7 +110,7 @@ def test_the_best_set_has_no_predicted_score(predicted: tuple[Database, StoredCa
     assert not {row.parameter_set_id for row in answers} & predicted_sets
     own = {(row.iteration, row.individual, row.scenario): row.outcome for row in rows_of(database, campaign)}
     learned = {own[answer.iteration, answer.individual, answer.scenario] for answer in known}
-    assert learned <= {Outcome.SIMULATED, Outcome.CERTIFIED}
+    assert learned <= {Outcome.SIMULATED}
 
 
 @pytest.mark.slow
@@ -164,30 +163,6 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples(tmp_path: Path
     fewest = batches - 2  # some secrets lead to a batch whose answers are known, or of which no prediction is sure
     assert asked >= fewest if milliseconds > 1 else asked < fewest
     assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][1])
-
-
-@pytest.mark.slow
-def test_certificates_and_the_order_of_answers_change_no_lot_and_no_score(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With equal secrets, because these draw the samples."""
-    monkeypatch.setattr("drivecal.storage.lots.secrets.token_bytes", lambda size: b"s" * size)
-    ends, certified_cells = [], []
-    for number, certified in enumerate((True, False)):
-        database = migrated(f"sqlite:///{tmp_path / str(number)}.db")
-        campaign = ask(database, certified=certified, audit=0.0)
-        ended = run(database, campaign, ComputedBackend(number, answer=slowly, class_of=alike))
-        rows = [
-            (row.iteration, row.individual, row.scenario, row.score, row.rating, row.lot, row.sampled, row.agrees)
-            for row in rows_of(database, campaign)
-        ]
-        ends.append((rows, ended.best, [replace(lot, seconds=0.0) for lot in lots_of(database, campaign)]))
-        certified_cells.append(ended.cells.certified)
-        database.dispose()
-    assert ends[0] == ends[1]
-    assert any(lot.verdict is LotVerdict.RELEASED for lot in ends[0][2])
-    assert certified_cells[0] > 0
-    assert certified_cells[1] == 0
 
 
 def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tuple[Database, StoredCampaign]) -> None:
@@ -251,7 +226,7 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
     believed = next(row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED)
     place = believed.stage, ITERATIONS, 0, believed.scenario, believed.setup_id, believed.parameter_set_id
     with database.transaction() as connection:
-        (confirming,) = evaluations.insert(connection, campaign.sequence, [NewEvaluation(*place, Outcome.SIMULATED)])
+        (confirming,) = evaluations.insert(connection, campaign.sequence, [new_evaluation(*place, Outcome.SIMULATED)])
         explanation = explain(connection, confirming)
         connection.rollback()
     assert (explanation.reason, explanation.reference) == ("checked", None)
@@ -304,7 +279,7 @@ def test_a_search_whose_scenarios_are_known_ends_with_a_set_that_was_simulated(d
             parameters=SPACE,
             catalogue=[f"S{number}" for number in range(1, 7)],
             optimizer={"kind": "random", "population": 100, "iterations": 2, "seed": seed},
-            reduction={"mode": "predicted", "certified": False, "confirm": 20},
+            reduction={"mode": "predicted", "confirm": 20},
         )
         return run(database, wanted, ComputedBackend(answer=simple))
 
@@ -340,7 +315,7 @@ def test_runs_of_a_comparison_predict_and_their_best_sets_were_simulated(databas
         optimizers=[{"kind": "genetic"}],
         populations=[400],
         seeds=[1, 2, 3],
-        reductions=["off", {"mode": "predicted", "certified": False}],
+        reductions=["off", {"mode": "predicted"}],
     )
     answer = finish_comparison(database, comparison, ComputedBackend(answer=slowly))
     campaigns = runs_of(database, comparison)

@@ -12,8 +12,7 @@ from tests.support.runs import finish, get, request
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import Connection
-from tests.integration.test_certified_campaigns import alike
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import examples
@@ -26,7 +25,7 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 
-KINDS = ("exact", "influence", "certified", "predicted", "off")
+KINDS = ("exact", "influence", "predicted", "off")
 
 
 @dataclass(frozen=True)
@@ -66,16 +65,15 @@ def tell(database: Database, history: list[Told]) -> list[StoredCampaign]:
     stored = post_map(database, nothing_matters())
     made: list[StoredCampaign] = []
     for one in history:
-        reduction = {"certified": one.kind == "certified", "mode": "exact" if one.kind == "certified" else one.kind}
         search = {"kind": "genetic", "population": 60 if one.kind == "predicted" else 8, "iterations": 2, "seed": one.seed}
-        backend = ComputedBackend(answer=influenced, class_of=alike)
+        backend = ComputedBackend(answer=influenced)
         campaign = submit(
             database,
             stored_map=stored if one.kind == "influence" else None,
             parameters=SPACE,
             catalogue=["S1", "S2"],
             optimizer=search,
-            reduction=reduction,
+            reduction={"mode": one.kind},
         )
         if one.reruns is not None and one.reruns < len(made):
             set_column(database, campaign, "rerun_of", made[one.reruns].id)
@@ -87,7 +85,7 @@ def tell(database: Database, history: list[Told]) -> list[StoredCampaign]:
 
 
 @settings(max_examples=examples(2))
-@example([Told("influence", 1, True, None), Told("influence", 2, True, None), Told("certified", 1, False, None)], 1, 3)
+@example([Told("influence", 1, True, None), Told("influence", 2, True, None), Told("exact", 1, False, None)], 1, 3)
 @given(
     history=st.lists(campaigns_of_a_history, min_size=2, max_size=3),
     keep_best=st.integers(0, 3),

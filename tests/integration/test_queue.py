@@ -24,9 +24,8 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Finished, Lost
-from drivecal.execution.leasing import StoredLeases
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.storage import campaigns, leases
 from drivecal.storage.campaigns import StoredCampaign

@@ -18,8 +18,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 
 
 @pytest.fixture

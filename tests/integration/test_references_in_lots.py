@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import ends_in_spite_of_deaths
@@ -20,7 +19,7 @@ from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import evaluations, lots
+from drivecal.storage import lots
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.lots import LotVerdict, StoredLot
@@ -57,7 +56,7 @@ def ask(database: Database, *, population: int = 100, step: float = 0.25, **chan
         fixed=REST,
         catalogue=["S1", "S2"],
         optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": 3},
-        reduction={"audit": 0.0, "max_error": 0.05, "certified": False, "confirm": 0} | changes,
+        reduction={"audit": 0.0, "max_error": 0.05, "confirm": 0} | changes,
     )
 
 
@@ -203,41 +202,6 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_
     assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     assert {lot.verdict for lot in ends[0][1]} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
-
-
-def alike(scenario: str, cell: Cell) -> object:
-    """Cells that differ only in parameters without influence provably drive alike."""
-    return tuple(value for name, value in cell.parameters.items() if name not in NOWHERE[scenario])
-
-
-def test_certificates_of_cells_that_wait_for_a_verdict_outlive_the_dispatcher(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    noted: dict[int, int] = {}
-    note = evaluations.note_proofs
-
-    def noting(connection: Connection, proofs: Mapping[int, int]) -> None:
-        noted.update(proofs)
-        note(connection, proofs)
-
-    def waiting() -> dict[int, int]:
-        return {row.id: noted[row.id] for row in rows_of(database, campaign) if row.id in noted and row.outcome is None}
-
-    monkeypatch.setattr(evaluations, "note_proofs", noting)
-    database = migrated(f"sqlite:///{tmp_path}/1.db")
-    campaign = ask(database, certified=True)
-    first = dispatcher(database, ComputedBackend(answer=influenced, class_of=alike))
-    while not waiting():
-        first.step()
-    known = waiting()
-    monkeypatch.setattr(evaluations, "note_proofs", note)
-    run(database, campaign, ComputedBackend(answer=influenced))  # these workers know no certificate
-    released = {row.id: row.proven_by for row in rows_of(database, campaign) if row.outcome is Outcome.REUSED}
-    kept = {number: released[number] for number in known if number in released}
-    assert kept
-    assert kept.items() <= known.items()
-    assert [check for check in verify(database, full=True) if check.problems] == []
-    database.dispose()
 
 
 def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign]) -> None:

@@ -31,7 +31,7 @@ SMALL: dict[str, Any] = {
     "parameters": SPACE,
     "catalogue": ["S1"],
     "optimizer": {"kind": "genetic", "population": 8, "iterations": 2, "seed": 1},
-    "reduction": {"mode": "exact", "certified": False},
+    "reduction": {"mode": "exact"},
 }
 
 

@@ -113,7 +113,7 @@ def test_a_baseline_is_simulated_as_a_given_set_where_others_are_reused(database
     baseline = {f"P{number}": 0.5 for number in range(1, 12)}
     maps = {"stored_map": post_map(database, nothing_matters())} if mode == "influence" else {}
     run(database, submit(database, **maps))
-    campaign = run(database, submit(database, baseline=baseline, reduction={"mode": mode, "certified": False}, **maps))
+    campaign = run(database, submit(database, baseline=baseline, reduction={"mode": mode}, **maps))
     given = [row for row in rows_of(database, campaign) if (row.iteration, row.individual) == (0, 0)]
     assert {(row.outcome, _explain(database, row).reason) for row in given} == {(Outcome.SIMULATED, "simulated")}
 

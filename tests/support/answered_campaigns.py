@@ -8,21 +8,22 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection
+from tests.support.storage import new_evaluation
 from tests.support.values import numbers
 
 from drivecal.campaigns.resolve.maps import analysis_to_document, smallest_s_rel
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_to_document, space_to_document
-from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, Progress
+from drivecal.contracts.campaign import Best, CellCounts, ErrorRate, GenerationCounts, Progress
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import influence_maps, parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
@@ -49,7 +50,9 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         sets = [problem.space.parameter_set(row) for row in population]
         _simulate(connection, campaign, problem, sets)
         cells = len(sets) * len(problem.scenarios)
-        figures = generations.Figures(proposed=cells, requested=cells, simulated=cells, best=3.5, mean=3.0, minimum=2.5)
+        figures = generations.Figures(
+            GenerationCounts(proposed=cells, requested=cells, simulated=cells), best=3.5, mean=3.0, minimum=2.5
+        )
         generations.insert(
             connection,
             campaign.sequence,
@@ -88,7 +91,7 @@ def _simulate(connection: Connection, campaign: StoredCampaign, problem: Calibra
     )
     ids = parameter_sets.ensure(connection, sets)
     cells = [
-        NewEvaluation(StageName.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
+        new_evaluation(StageName.CALIBRATION, 0, individual, scenario, setup_ids[scenario], parameter_set, Outcome.SIMULATED)
         for individual, parameter_set in enumerate(ids)
         for scenario in problem.scenarios
     ]
@@ -99,7 +102,7 @@ def _simulate(connection: Connection, campaign: StoredCampaign, problem: Calibra
 def _answer(
     connection: Connection,
     campaign: StoredCampaign,
-    cells: list[NewEvaluation],
+    cells: list[RequestedCell],
     evaluation_ids: list[int],
     evaluator: str,
     first: str,
@@ -142,7 +145,7 @@ def carry_out_evaluation(database: Database, evaluation_id: str) -> None:
         setup_ids = setups.ensure(connection, list(problem.bench.setups.values()))
         [parameter_set] = parameter_sets.ensure(connection, [problem.parameter_set])
         cells = [
-            NewEvaluation(StageName.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
+            new_evaluation(StageName.CALIBRATION, 0, 0, name, setup, parameter_set, Outcome.SIMULATED)
             for name, setup in zip(names, setup_ids, strict=True)
         ]
         ids = evaluations.insert(connection, campaign.sequence, cells)

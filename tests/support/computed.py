@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
@@ -41,16 +41,12 @@ class ComputedBackend:
     answer: Callable[[str, Cell], CellResult] = computed
     driven: Callable[[Any, Cell], CellResult] | None = None
     """In its place where the answer depends on the vehicle."""
-    class_of: Callable[[str, Cell], object] | None = None
-    """Cells of one class provably drive alike: all but the first are certified."""
-    proofs_hold: bool = True
     sent: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._random = random.Random(self.seed)
         self._outstanding: list[tuple[int, Batch]] = []
         self._incarnation = 1
-        self._first: dict[object, CellResult] = {}
 
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         del worker, expected_seconds, alone
@@ -68,23 +64,7 @@ class ComputedBackend:
         ]
 
     def _answer(self, setup: SetupRequest, cell: Cell) -> CellResult:
-        found = self.driven(setup, cell) if self.driven else self.answer(setup.scenario, cell)
-        if self.class_of is None or not cell.certify or found.breakdown is not None:
-            return found
-        kind = (setup.run_fingerprint, self.class_of(setup.scenario, cell))
-        proof = self._first.setdefault(kind, found)
-        if proof is found:
-            return replace(found, probed=self._probed(setup, cell))
-        agrees = (proof.score, proof.rating) == (found.score, found.rating) and self.proofs_hold if cell.check else None
-        answered = found if cell.check else proof
-        return replace(answered, id=cell.id, proven_by=proof.id, agrees=agrees, probed=self._probed(setup, cell))
-
-    def _probed(self, setup: SetupRequest, cell: Cell) -> tuple[tuple[int, int], ...]:
-        if self.class_of is None:
-            return ()
-        kinds = {one.id: self.class_of(setup.scenario, Cell(one.id, one.parameters)) for one in cell.probes}
-        known = {one: self._first.get((setup.run_fingerprint, kind)) for one, kind in kinds.items()}
-        return tuple((one, proof.id) for one, proof in known.items() if proof is not None)
+        return self.driven(setup, cell) if self.driven else self.answer(setup.scenario, cell)
 
     def slots(self) -> list[Slot]:
         return [Slot(self._name, idle=True)] * max(0, 8 - len(self._outstanding))

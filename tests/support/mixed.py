@@ -27,7 +27,6 @@ class Mixed:
         )
     }
     limits: Mapping[str, tuple[float | None, float | None]] = {}
-    certifiable = False
     constraints: Mapping[str, Constraint] = {
         "speed <= limit": lambda values: values["speed"] <= values["limit"],
         "gears * 10 <= limit": lambda values: values["gears"] * 10 <= values["limit"],

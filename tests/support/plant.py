@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from drivecal.contracts.work import BatchResult, Cell, CellResult, DriveRequest
 from drivecal.execution.backend import LONGEST_QUEUED
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import Scheduler
 
 TARGET = BatchPolicy().target_seconds

@@ -8,7 +8,7 @@ from tests.support.fake_backend import Behaviour
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.dispatches import Completed
+from drivecal.execution.scheduling.in_flight import Completed
 
 
 def cells(behaviours: Sequence[Behaviour], first: int = 1) -> list[Cell]:

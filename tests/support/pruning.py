@@ -36,7 +36,7 @@ def answers(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
         cells = list(results.stream(connection, campaign.sequence))
         figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
         corrected = list(results.answers(connection, campaign.sequence, cells[0].stage, corrected_by=evaluator(stored)))
-        explained = [explain(connection, cell.id) for cell in cells if cell.reference is not None or cell.proven_by is not None]
+        explained = [explain(connection, cell.id) for cell in cells if cell.reference is not None]
         inspected = lots.of_campaign(connection, campaign.sequence)
         first = None if stored.rerun_of is None else campaigns.get(connection, stored.rerun_of)
     ranked = ranking(database, stored, resolved_spec(stored), None)
@@ -62,5 +62,6 @@ def carry_out(database: Database, plan: RetentionPlan) -> None:
 
 def dangling(connection: Connection) -> int:
     """The cells that name a cell that is gone."""
-    query = "SELECT count(*) FROM evaluations c WHERE {0} IS NOT NULL AND NOT EXISTS (SELECT 1 FROM evaluations d WHERE d.id = c.{0})"
-    return sum(connection.execute(text(query.format(name))).scalar_one() for name in ("reference", "proven_by"))
+    there = "SELECT 1 FROM evaluations d WHERE d.id = c.reference"
+    query = f"SELECT count(*) FROM evaluations c WHERE reference IS NOT NULL AND NOT EXISTS ({there})"  # no input
+    return int(connection.execute(text(query)).scalar_one())

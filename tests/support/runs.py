@@ -18,8 +18,7 @@ from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.backend import Backend
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database

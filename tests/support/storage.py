@@ -11,13 +11,13 @@ from typing import Any
 from sqlalchemy import Connection
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.setups import DrivenSetup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import parameter_sets, runs, setups
 from drivecal.storage.references.runs import NewRun
 
@@ -66,9 +66,30 @@ def campaign(connection: Connection, name: str = "campaign") -> StoredCampaign:
     return campaigns.insert(connection, name=name, spec={"name": name})
 
 
-def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> NewEvaluation:
+def new_evaluation(
+    stage: StageName,
+    iteration: int,
+    individual: int,
+    scenario: str,
+    setup: int,
+    parameter_set: int,
+    plan: Outcome,
+    **further: Any,
+) -> RequestedCell:
+    """A planned cell with the ids of its setup and parameter set; nothing reads its values."""
+    places: dict[str, Any] = {
+        "stage": stage,
+        "iteration": iteration,
+        "setup_id": setup,
+        "parameter_set_id": parameter_set,
+        "plan": plan,
+    }
+    return RequestedCell(individual, scenario, ParameterSet((), ()), **places, **further)
+
+
+def cell(individual: Any, setup: int, parameter_set: int, **changes: Any) -> RequestedCell:
     """A cell of S1 in the first iteration of a calibration, to be simulated, but for `changes`."""
-    new = NewEvaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, Outcome.SIMULATED)
+    new = new_evaluation(StageName.CALIBRATION, 0, individual, "S1", setup, parameter_set, Outcome.SIMULATED)
     return replace(new, **changes)
 
 
@@ -106,7 +127,7 @@ def new_run(
 
 
 def simulate(
-    connection: Connection, sequence: int, cells: Sequence[NewEvaluation], *, score: float = 5, rating: float = 5.25
+    connection: Connection, sequence: int, cells: Sequence[RequestedCell], *, score: float = 5, rating: float = 5.25
 ) -> list[int]:
     """Stores cells of a campaign, and the results of those that are to be simulated as if a worker had given them."""
     ids = evaluations.insert(connection, sequence, cells)

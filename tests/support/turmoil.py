@@ -17,8 +17,7 @@ from tests.support.turmoil_parts import DEADLINE, POISON, RESTART, Place, Row, a
 from drivecal.contracts.work import BatchResult, Cell
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
-from drivecal.execution.scheduling.in_flight import WITNESSES, Work
+from drivecal.execution.scheduling.in_flight import WITNESSES, Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Scheduler
 
 TAGS = ("a", "b", "c")

@@ -9,7 +9,7 @@ from tests.support.fake_backend import Behaviour
 
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.scheduling.dispatches import Dispatch
+from drivecal.execution.scheduling.in_flight import Dispatch
 
 DEADLINE, RESTART = 60.0, 1.6
 """Seconds that a batch may take, and that a new worker needs to start."""

@@ -4,10 +4,9 @@ Runs that occupy their workers for much longer than they compute are accounted i
 waits (for a licence, a device, another machine), or other processes take its processors: an account cannot tell which.
 
 The net estimates the CPU time of the same campaign without reuse, less its own. So a saved cell is worth the mean CPU time of the
-scenario's simulations without certificates, and all that reuse itself takes is deducted: the sensitivity stage, walks that look for
-certificates, recording of runs, probes, the predictor. Audited cells are simulated like any other: they are a saving forgone, already
-missing among the reused, and not a cost on top; so are the samples of predicted lots. Reused cells that were simulated after the search
-to confirm its best set save nothing either.
+scenario's simulations, and all that reuse itself takes is deducted: the sensitivity stage and the predictor. Audited cells are simulated
+like any other: they are a saving forgone, already missing among the reused, and not a cost on top; so are the samples of predicted lots.
+Reused cells that were simulated after the search to confirm its best set save nothing either.
 
 A further outcome that saves simulations goes into `SAVING`, with its fields of the contract; a further cost into `_deductions`.
 """
@@ -28,7 +27,7 @@ from drivecal.contracts.accounting import (
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
-SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED, Outcome.CERTIFIED)
+SAVING = (Outcome.REPEATED, Outcome.REUSED, Outcome.PREDICTED)
 """Outcomes without a simulation. `ScenarioAccount` has a count NAME and `NAME_saved_seconds` for each, `Accounting` the latter."""
 WAITING = 2.0
 """Quotient of wall-clock and CPU time of the runs above which an account is in wall-clock time."""
@@ -142,7 +141,7 @@ def _saved(outcome: Outcome) -> str:
     return f"{outcome.value}_saved_seconds"
 
 
-_SECONDS = ("simulated_seconds", "audited_seconds", "certifying_seconds", "predictor_seconds", *map(_saved, SAVING))
+_SECONDS = ("simulated_seconds", "audited_seconds", "predictor_seconds", *map(_saved, SAVING))
 
 
 def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
@@ -151,10 +150,7 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
     cells = _cells(stage)
     return SensitivityCost(
         requested=sum(cells.values()),
-        repeated=cells[Outcome.REPEATED],
-        certified=cells[Outcome.CERTIFIED],
-        simulated=cells[Outcome.SIMULATED],
-        failed=cells[Outcome.FAILED],
+        **{outcome.value: number for outcome, number in cells.items()},
         seconds=sum(cost.seconds for cost in stage),
     )
 
@@ -175,7 +171,6 @@ def _deductions(sensitivity: SensitivityCost, scenarios: Iterable[ScenarioAccoun
     """Returns the CPU time that saving took, by the keys of `contracts.accounting.DEDUCTIONS`."""
     return {
         "sensitivity": sensitivity.seconds,
-        "certificates": sum(scenario.certifying_seconds for scenario in scenarios),
         "predictor": sum(scenario.predictor_seconds for scenario in scenarios),
     }
 
@@ -204,7 +199,6 @@ def _scenario(
         simulated_seconds=sum(cell.seconds for cell in simulated),
         audited_seconds=sum(cost.seconds for cost in audited),
         **saved,
-        certifying_seconds=sum(cost.certifying_seconds for cost in costs),
         predictor_seconds=predictor_seconds,
     )
 

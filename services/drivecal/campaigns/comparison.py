@@ -20,7 +20,7 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import no_bundles
-from drivecal.contracts.campaign import CellCounts
+from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
@@ -29,7 +29,6 @@ from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import digest
 from drivecal.storage import campaigns, generations, labels, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.generations import Figures
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
 """Settings that the comparison chooses for every optimizer, and their fields."""
@@ -234,7 +233,8 @@ def _conditions(stored: Sequence[StoredCampaign]) -> list[Conditions]:
 def _course(connection: Connection, campaign: StoredCampaign, conditions: Conditions) -> Course:
     page, _ = generations.page(connection, campaign.sequence, limit=MOST_GENERATIONS)
     figures = [figures for _, figures in page]
-    reused = any(figure.reused or figure.predicted for figure in figures)
+    cells = [figure.cells for figure in figures]
+    reused = any(counts.reused or counts.predicted for counts in cells)
     searched = len(figures) == campaign.spec["optimizer"]["iterations"]  # later iterations confirm the best set
     return Course(
         campaign=campaign.id,
@@ -243,11 +243,11 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         ratings=[figure.rating for figure in figures],
         alternatives=[figure.alternatives for figure in figures],
         means=[figure.mean for figure in figures],
-        simulations=[_needed(figure) for figure in figures],
+        simulations=[_needed(counts) for counts in cells],
         ended=campaign.state is CampaignState.SUCCEEDED,
         reused=reused,
         simulated_best=_best_simulated(connection, campaign) if reused else None,
-        confirmations=_needed(campaign.cells) - sum(map(_needed, figures)) if searched else 0,
+        confirmations=_needed(campaign.cells) - sum(map(_needed, cells)) if searched else 0,
     )
 
 
@@ -268,9 +268,9 @@ _ended: dict[str, float | None] = {}
 """Best simulated objectives of ended campaigns, by their unique ids."""
 
 
-def _needed(figures: Figures | CellCounts) -> int:
+def _needed(cells: OutcomeCounts) -> int:
     """Returns the requested cells without an answer from the campaign's own: simulated, by this or another campaign, or failed."""
-    return figures.requested - figures.repeated - figures.reused - figures.predicted
+    return cells.requested - cells.repeated - cells.reused - cells.predicted
 
 
 def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:

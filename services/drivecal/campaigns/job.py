@@ -4,8 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 
 from drivecal.domain.campaigns import StageName
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 
 
 class Job(ABC):

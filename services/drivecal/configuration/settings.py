@@ -71,9 +71,6 @@ class Settings(BaseSettings):
     """Address of a Ray cluster; without it the dispatcher starts a local Ray."""
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] | None = None
     """Simulations at a time; none: one per CPU, within the quota of a container."""
-    certificates_mb: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
-    """Memory of each worker for certificates, besides its own 400 MB; the longest unused entries are forgotten first. None: 1024, or a
-    quarter of its machine's or container's memory per CPU if that is less."""
     log_format: Literal["text", "json"] = "text"
     """Format of the server's log: readable lines, or a JSON document per line."""
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -21,8 +21,7 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Heartbeat, Leadership
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 from drivecal.execution.backend import Backend, BackendLostError
-from drivecal.execution.leasing import StoredLeases
-from drivecal.execution.pool import WorkPool
+from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.supervised import WorkerLimits
 from drivecal.storage import bundles
 from drivecal.storage.engine import locks
@@ -111,7 +110,6 @@ def _backend(settings: Settings, database: Database) -> Backend:
     """Starts the workers that the settings name: on Ray if it is installed, else as processes. Raises UnavailableError."""
     limits: dict[str, Any] = {
         "workers": settings.workers,
-        "certificates_mb": settings.certificates_mb,
         "archive": partial(_archive, database),
     }
     with_ray = find_spec("ray") is not None

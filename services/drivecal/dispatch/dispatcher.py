@@ -26,8 +26,7 @@ from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError
 from drivecal.execution.backend import BackendLostError, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.plugins.arrays import DamagedArraysError
 from drivecal.storage import campaigns, events, traces
 from drivecal.storage.campaigns import CampaignHeading, StoredCampaign

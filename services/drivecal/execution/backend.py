@@ -52,8 +52,7 @@ class Slot:
 class WorkerInfo:
     """A worker: `state` is `starting`, `idle` or `busy`; `cells` counts finished cells. No other process ever has its `id`.
 
-    The pool adds its activity: the running `scenario`, `since` when (UTC, ISO 8601), its recent speed, and its planning states for
-    certificates with their memory and limit (MB)."""
+    The pool adds its activity: the running `scenario`, `since` when (UTC, ISO 8601), and its recent speed."""
 
     id: str
     node: str
@@ -63,9 +62,6 @@ class WorkerInfo:
     scenario: str | None = None
     since: str | None = None
     cells_per_second: float | None = None
-    states: int | None = None
-    state_mb: float | None = None
-    state_mb_at_most: float | None = None
 
 
 class Backend(Protocol):

@@ -1,15 +1,78 @@
 """Reports of the pool's work: in the log, in the measures and for each worker."""
 
 import logging
-from collections import Counter
-from collections.abc import Collection, Mapping
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 from drivecal.contracts.work import BatchResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
-from drivecal.execution.scheduling.activity import Activity
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch
+
+RECENT_BATCHES = 20
+"""Batches that the speed is taken from: some seconds of work."""
+
+
+@dataclass(slots=True)
+class _Desk:
+    """Work at a worker: the first of `batches` (scenario by id) runs since `since`, the others wait."""
+
+    batches: dict[int, str] = field(default_factory=dict)
+    since: float = 0.0
+    recent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=RECENT_BATCHES))
+    """Cells and seconds of the last batches."""
+
+
+class Activity:
+    """Activity by worker. `clock` returns seconds since 1970."""
+
+    def __init__(self, clock: Callable[[], float] = time.time) -> None:
+        self._clock = clock
+        self._desks: dict[str, _Desk] = {}
+
+    def sent(self, worker: str, batch_id: int, scenario: str) -> None:
+        """Notes a batch sent to a worker."""
+        desk = self._desks.setdefault(worker, _Desk())
+        if not desk.batches:
+            desk.since = self._clock()
+        desk.batches[batch_id] = scenario
+
+    def finished(self, worker: str, batch_id: int, cells: int, seconds: float) -> None:
+        """Notes a returned batch and its duration."""
+        if self._take(worker, batch_id) and cells and seconds > 0:
+            self._desks[worker].recent.append((cells, seconds))
+
+    def lost(self, worker: str, batch_id: int) -> None:
+        """Notes a lost batch."""
+        self._take(worker, batch_id)
+
+    def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
+        """Returns the workers with their activity, and forgets workers that have left."""
+        self._desks = {worker.id: self._desks[worker.id] for worker in workers if worker.id in self._desks}
+        return [self._describe(worker) for worker in workers]
+
+    def _take(self, worker: str, batch_id: int) -> bool:
+        desk = self._desks.get(worker)
+        if desk is None or desk.batches.pop(batch_id, None) is None:
+            return False
+        desk.since = self._clock()
+        return True
+
+    def _describe(self, worker: WorkerInfo) -> WorkerInfo:
+        desk = self._desks.get(worker.id)
+        if desk is None:
+            return worker
+        cells, seconds = sum(count for count, _ in desk.recent), sum(spent for _, spent in desk.recent)
+        speed = cells / seconds if seconds else None
+        if not desk.batches:
+            return replace(worker, cells_per_second=speed)
+        since = datetime.fromtimestamp(desk.since, UTC).isoformat(timespec="milliseconds")
+        return replace(worker, scenario=next(iter(desk.batches.values())), since=since, cells_per_second=speed)
+
 
 FAILURES_TOLD = 20
 """Failures of a campaign logged in full; then only the 32nd, 64th, 128th and so on."""
@@ -37,7 +100,7 @@ class Observer:
         broken = breakdowns(dispatch, event)
         if isinstance(event, Finished):
             result = event.result
-            self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds, result.remembered)
+            self._activity.finished(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)
             if result.refusal is None:
                 MEASURES.observe("batch", result.seconds)
             for answer in result.results:

@@ -5,17 +5,44 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 from drivecal.contracts.work import BatchResult, BundleRequest, SetupKey
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
-from drivecal.execution.leasing import Leases
+from drivecal.execution.measures import MEASURES
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.probing import Disputes, Questions
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import Scheduler
+from drivecal.storage import leases
+from drivecal.storage.engine.database import Database
+
+
+class Leases(Protocol):
+    """Leases cells before they are sent. A lease holds until the cell's answer is stored, or until it is given back."""
+
+    def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
+        """Gives back the leases of the cells in `returned`, then leases those in `wanted` for `seconds`, all or nothing.
+
+        Both map cell ids to the number of breakdowns so far. Returns the lease number of each granted cell; the others belong to another
+        process or have an answer. Raises UnavailableError if the outcome is unknown: call it again with the wanted cells given back.
+        """
+
+
+class StoredLeases:
+    """Leases in the database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def exchange(self, returned: Mapping[int, int], wanted: Mapping[int, int], seconds: float) -> Mapping[int, int]:
+        """Updates leases in one transaction. Raises UnavailableError, and SupersededError if another dispatcher was elected."""
+        with MEASURES.timed("lease"), self._database.transaction() as connection:
+            leases.give_back(connection, returned)
+            return leases.take(connection, wanted, seconds)
+
 
 PATIENCE_WITH_REFUSALS = 30.0
 """Seconds after which a refusing worker is replaced, or asked again if it is busy: its installation may have been repaired."""
@@ -92,11 +119,7 @@ class WorkPool:
         Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
         self._fill()
-        events = self._backend.wait(timeout)
-        for event in events:
-            if isinstance(event, Finished):
-                self._scheduler.note_refutation(event.batch_id, event.result)
-        for event in events:
+        for event in self._backend.wait(timeout):
             self._completed += self._take_in(event)
         self._fill()
         completed, self._completed = self._completed, []
@@ -195,7 +218,7 @@ class WorkPool:
         """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""
         nodes = {worker.id: worker.node for worker in self._backend.workers() if worker.state != "starting"}
         ready, self._nodes = list(nodes), nodes
-        self._scheduler.meet(ready, nodes, self._clock())
+        self._scheduler.meet(ready, self._clock())
         self._refusing_since = {place: since for place, since in self._refusing_since.items() if place[0] in nodes}
         self._ask_again_at = {place: at for place, at in self._ask_again_at.items() if place[0] in nodes}
         for slot in self._backend.slots():

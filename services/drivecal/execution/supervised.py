@@ -49,8 +49,6 @@ class WorkerLimits:
     workers: int | None = None
     deadline_seconds: float = DEADLINE_SECONDS
     start_seconds: float = 600.0
-    certificates_mb: int | None = None
-    """Memory of each worker for certificates; None: its machine's share."""
     archive: Callable[[str], bytes] | None = None
     """Returns the archive of a problem bundle by its digest; None: no bundle is ever run."""
 

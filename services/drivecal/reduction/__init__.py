@@ -8,17 +8,17 @@
 >>> red, blue = (ParameterSet.of({"speed": Decimal(30), "colour": Decimal(value)}) for value in (1, 2))
 >>> keys = ReferenceKeys(influence_map, "S1", red.names).keys(billionths_matrix([red, blue]))
 >>> cells = [RequestedCell(number, "S1", each, keys[number]) for number, each in enumerate([red, blue])]
->>> [str(assignment.plan) for assignment in assign(cells, Policy("influence"), exact={}, references={})]
+>>> [str(cell.plan) for cell in assign(cells, Policy("influence"), exact={}, references={})]
 ['simulated', 'reused']
 """
 
-from drivecal.reduction.assignment import Assignment, Policy, RequestedCell, assign
+from drivecal.domain.evaluations import RequestedCell
+from drivecal.reduction.assignment import Policy, assign
 from drivecal.reduction.audit import clopper_pearson, error_rates, is_audited, is_checked
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.reduction.narrowing import SearchArea, common_area, full_area
 
 __all__ = [
-    "Assignment",
     "Policy",
     "ReferenceKeys",
     "RequestedCell",

@@ -1,42 +1,16 @@
 """Decides how every requested cell of a population is answered, before any simulation.
 
-Order of answers: repeated, reused, (predicted, certified,) simulated. The decision depends on the population, on what was stored and on
+Order of answers: repeated, reused, (predicted,) simulated. The decision depends on the population, on what was stored and on
 the seed alone, never on the workers' timing, so that it can be committed, resumed and repeated.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from drivecal.contracts.specification import ReductionMode
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Donor, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.reduction.audit import is_audited
-
-
-@dataclass(frozen=True, slots=True)
-class RequestedCell:
-    """A cell that a stage asks for. `individual` numbers the parameter sets of an iteration; `reference_key` is None without an influence
-    map. `is_given`: of the baseline or a start set, whose score no reference answers, for others are compared with it."""
-
-    individual: int
-    scenario: str
-    parameters: ParameterSet
-    reference_key: bytes | None = None
-    is_given: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Assignment:
-    """The answer of a cell.
-
-    `donor`: the stored result that is copied (repeated, reused) or that an audit does not trust (`audited`). `leader`: the position of
-    the cell of the same population whose simulation answers this one, or that an audit does not trust.
-    """
-
-    plan: Outcome
-    donor: Donor | None = None
-    leader: int | None = None
-    audited: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,38 +37,33 @@ def assign(
     policy: Policy,
     exact: Mapping[tuple[str, ParameterSet], Donor],
     references: Mapping[tuple[str, bytes], Donor],
-) -> list[Assignment]:
-    """Returns the assignment of each cell, in order.
+) -> list[RequestedCell]:
+    """Returns the cells with their plans, in order.
 
     `exact` holds stored results by (scenario, parameter set), `references` by (scenario, reference key).
     """
     if policy.mode == "off":
-        return [Assignment(Outcome.SIMULATED) for _ in cells]
+        return list(cells)
     same_set: dict[tuple[str, ParameterSet], int] = {}
     same_class: dict[tuple[str, bytes], int] = {}
-    assignments: list[Assignment] = []
+    planned: list[RequestedCell] = []
     for position, cell in enumerate(cells):
         identity = (cell.scenario, cell.parameters)
-        if identity in exact:
-            assignments.append(Assignment(Outcome.REPEATED, donor=exact[identity]))
-            continue
-        if identity in same_set:
-            assignments.append(Assignment(Outcome.REPEATED, leader=same_set[identity]))
+        if identity in exact or identity in same_set:
+            donor, leader = exact.get(identity), same_set.get(identity)
+            planned.append(replace(cell, plan=Outcome.REPEATED, donor=donor, leader=None if donor is not None else leader))
             continue
         donor = leader = None
-        reusable = policy.reuses and cell.reference_key is not None
-        if reusable and cell.reference_key is not None:
+        if policy.reuses and cell.reference_key is not None:
             kind = (cell.scenario, cell.reference_key)
             donor = None if cell.is_given else references.get(kind)
             leader = None if cell.is_given or donor is not None else same_class.get(kind)
             if donor is None and leader is None:
                 same_class[kind] = position
-        if donor is None and leader is None:
+        has_donor = donor is not None or leader is not None
+        inspected = has_donor and is_audited(cell.scenario, cell.parameters, policy.audit, policy.seed)
+        plan = Outcome.REUSED if has_donor and not inspected else Outcome.SIMULATED
+        if plan is Outcome.SIMULATED:
             same_set[identity] = position
-            assignments.append(Assignment(Outcome.SIMULATED))
-        elif is_audited(cell.scenario, cell.parameters, policy.audit, policy.seed):
-            same_set[identity] = position
-            assignments.append(Assignment(Outcome.SIMULATED, donor=donor, leader=leader, audited=True))
-        else:
-            assignments.append(Assignment(Outcome.REUSED, donor=donor, leader=leader))
-    return assignments
+        planned.append(replace(cell, plan=plan, donor=donor, leader=leader, inspected=inspected))
+    return planned

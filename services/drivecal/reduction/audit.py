@@ -1,4 +1,4 @@
-"""Audits: chooses reused and certified cells to simulate as checks, and computes the error rates of reuse. Pure."""
+"""Audits: chooses reused cells to simulate as checks and cells to run twice, and computes the error rates of reuse. Pure."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -18,8 +18,8 @@ def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int)
 
 
 def is_checked(scenario: str, parameters: ParameterSet, share: float, campaign: int) -> bool:
-    """Whether a certified cell is simulated as a check: by a hash of the campaign's number, scenario and parameter set."""
-    return _drawn(f"certificate:{campaign}:{scenario}:".encode() + parameters.key, share)
+    """Whether a cell is run twice to see whether its simulator repeats itself: by a hash of campaign, scenario and set."""
+    return _drawn(f"twice:{campaign}:{scenario}:".encode() + parameters.key, share)
 
 
 def _drawn(content: bytes, share: float) -> bool:

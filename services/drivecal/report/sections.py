@@ -71,7 +71,7 @@ def cells_table(campaign: Campaign, label: str = "") -> list[Block]:
     """Returns the cells of a campaign by outcome and stage."""
     fields = {"proposed": "proposed", "carried_over": "carried over", "requested": "requested"}
     fields |= {outcome: outcome for outcome in OUTCOMES} | CHECKS
-    stages = {stage: cells for stage, cells in campaign.by_stage().items() if cells.requested}
+    stages = {stage: cells for stage, cells in campaign.stages.items() if cells.requested}
     rows = [[title, *(getattr(cells, field, None) for cells in stages.values())] for field, title in fields.items()]
     caption = f"Cells by outcome and stage{label}"
     return [Table(["cells", *stages], rows, caption, f"drivecal show {campaign.id}")] if stages else []

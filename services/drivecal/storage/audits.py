@@ -14,7 +14,7 @@ from drivecal.domain.evaluations import AuditCount, Donor, Outcome
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.tables import evaluations, ratings, reference_indexes, reference_keys
-from drivecal.storage.evaluations import DONORS, of_iteration
+from drivecal.storage.evaluations import AUDITED, of_iteration
 
 _donor = evaluations.alias("donor")
 _trusted = ratings.alias("trusted")
@@ -55,7 +55,7 @@ def wrong_in_lots(
         select(evaluations.c.lot, func.count())
         .select_from(_audited(evaluator))
         .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.lot.in_(list(lot_ids)))
-        .where(evaluations.c.audited, _TRUSTED.is_not(None), failed | (scale.largest_agreeing < _CHANGE))
+        .where(AUDITED, _TRUSTED.is_not(None), failed | (scale.largest_agreeing < _CHANGE))
         .group_by(evaluations.c.lot)
     )
     return dict(connection.execute(query).all()) if lot_ids else {}
@@ -64,7 +64,7 @@ def wrong_in_lots(
 def sampled_sets(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, set[int]]:
     """Returns the parameter sets of the audited cells of lots, by lot."""
     cell = evaluations.c
-    query = select(cell.lot, cell.parameter_set_id).where(cell.campaign_sequence == campaign_sequence, cell.audited)
+    query = select(cell.lot, cell.parameter_set_id).where(cell.campaign_sequence == campaign_sequence, AUDITED)
     sets: dict[int, set[int]] = {}
     for lot, parameter_set in rows_among(connection, query, cell.lot, list(lot_ids)):
         sets.setdefault(lot, set()).add(parameter_set)
@@ -76,16 +76,8 @@ def trusted(connection: Connection, campaign_sequence: int, evaluator: str, refe
     mine = _donor.c.campaign_sequence == campaign_sequence
     score, rating = (case((mine, _donor.c[name]), else_=_trusted.c[name]) for name in ("score", "rating"))
     query = select(_donor.c.id, _donor.c.run_id, score, rating, _donor.c.failure).select_from(_rated(_donor, evaluator))
-    usable = query.where(_donor.c.outcome.in_(DONORS), _donor.c.run_id.is_not(None), score.is_not(None))
+    usable = query.where(_donor.c.outcome == Outcome.SIMULATED, score.is_not(None))
     return {row[0]: Donor(*row) for row in rows_among(connection, usable, _donor.c.id, references)}
-
-
-def proofs(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
-    """The same without a simulation: scores of reused cells against those of the runs that they would provably repeat, where a worker
-    happened to know one. By scenario; no part of what a campaign repeats to the bit."""
-    proving = _rated(evaluations.join(_donor, _donor.c.id == evaluations.c.proven_by), evaluator)
-    mine, reused = evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome == Outcome.REUSED
-    return _by_scenario(connection, scale, proving, mine, reused, _TRUSTED.is_not(None))
 
 
 def contradictions(
@@ -124,8 +116,8 @@ def contradictions(
         .where(
             evaluations.c.campaign_sequence == campaign_sequence,
             evaluations.c.reference_key.is_not(None),
-            evaluations.c.plan.in_(DONORS),
-            evaluations.c.outcome.in_(DONORS),
+            evaluations.c.plan == Outcome.SIMULATED,
+            evaluations.c.outcome == Outcome.SIMULATED,
         )
         .group_by(evaluations.c.scenario, evaluations.c.reference_key)
         .having(
@@ -140,7 +132,7 @@ def contradictions(
 _OWN = _donor.c.campaign_sequence == evaluations.c.campaign_sequence
 _TRUSTED = case((_OWN, _donor.c.score), else_=_trusted.c.score)
 _CHANGE = func.abs(evaluations.c.score - _TRUSTED)
-_SETTLED = evaluations.c.audited, evaluations.c.outcome == Outcome.SIMULATED
+_SETTLED = AUDITED, evaluations.c.outcome == Outcome.SIMULATED
 _COMPARED = *_SETTLED, _TRUSTED.is_not(None)
 """Audited cells whose donor has a score; without one, there is nothing to compare."""
 

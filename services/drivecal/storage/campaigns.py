@@ -41,7 +41,6 @@ from drivecal.contracts.campaign import (
     Narrowed,
     Progress,
     Released,
-    StageCellCounts,
 )
 from drivecal.domain.actions import Action
 from drivecal.domain.actions import change as change_by
@@ -55,7 +54,6 @@ from drivecal.storage.engine.tables import campaign_stages, campaigns
 from drivecal.storage.engine.types import STAGES, now
 from drivecal.storage.references import runs
 
-Counts = StageCellCounts | CellCounts
 CountsByStage = Mapping[StageName, Mapping[str, int]]
 
 
@@ -95,13 +93,12 @@ def by_stage(of: Table | Any = campaigns) -> Label[dict[StageName, dict[str, int
     return query.correlate(of).scalar_subquery().label("stages")
 
 
-def stage_counts(stages: CountsByStage, stage: StageName) -> Counts:
+def stage_counts(stages: CountsByStage, stage: StageName) -> CellCounts:
     """Returns the counts of a stage, zeros if it has not begun."""
-    kind = CellCounts if stage is StageName.CALIBRATION else StageCellCounts
-    return kind(**stages.get(stage, {}))
+    return CellCounts(**stages.get(stage, {}))
 
 
-def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, Counts]) -> None:
+def save_counts(connection: Connection, campaign_sequence: int, cells: Mapping[StageName, CellCounts]) -> None:
     """Replaces the counts of some stages of a campaign."""
     rows = [
         {"campaign_sequence": campaign_sequence, "stage": stage, "cells": each.model_dump(mode="json")}
@@ -178,7 +175,7 @@ class StoredCampaign(CampaignHeading):
         """The counts of the calibration, or of a single evaluation."""
         return CellCounts(**self.stages.get(StageName.CALIBRATION, {}))
 
-    def counts(self, stage: StageName) -> Counts:
+    def counts(self, stage: StageName) -> CellCounts:
         """The counts of a stage, zeros if it has not begun."""
         return stage_counts(self.stages, stage)
 
@@ -189,7 +186,7 @@ class Snapshot:
 
     stage: StageName | None
     iteration: int | None
-    cells: Mapping[StageName, Counts]
+    cells: Mapping[StageName, CellCounts]
     progress: Progress
     simulating_seconds: float
     error_rate: Mapping[str, ErrorRate] | None = None

@@ -21,49 +21,17 @@ from sqlalchemy import (
 )
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, Outcome, OutcomeCosts
-from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.evaluations import COPIED, Donor, Outcome, OutcomeCosts, RequestedCell
 from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
-from drivecal.storage.engine.tables import evaluations, parameter_sets, runs
+from drivecal.storage.engine.tables import evaluations, runs
 from drivecal.storage.references import metrics
 from drivecal.storage.references.runs import occupying
-from drivecal.storage.references.withdrawal import is_copied
 
-COPIES = (Outcome.REPEATED, Outcome.REUSED)
-DONORS = (Outcome.SIMULATED, Outcome.CERTIFIED)
-"""Outcomes that answer other cells: reuse never chains through copies."""
-
-
-@dataclass(frozen=True, slots=True)
-class NewEvaluation:
-    """A requested cell with its plan (`reduction.assignment`).
-
-    `donor` is the stored result, `leader` the position, among the cells inserted together, of the one that answers this cell, or that
-    its audit does not trust. A copy of a donor has its answer at once, unless it waits for the verdict on its `lot`; every other cell is
-    pending.
-    """
-
-    stage: StageName
-    iteration: int
-    individual: int
-    scenario: str
-    setup_id: int
-    parameter_set_id: int
-    plan: Outcome
-    reference_key: bytes | None = None
-    donor: Donor | None = None
-    leader: int | None = None
-    audited: bool = False
-    lot: int | None = None
-    confidence: float | None = None
-    predicted_score: float | None = None
-    predicted_rating: float | None = None
-
-    @property
-    def answered_at_once(self) -> bool:
-        """Whether a stored result is the cell's answer as soon as the cell is stored."""
-        return self.donor is not None and self.lot is None and self.plan in (*COPIES, Outcome.CERTIFIED)
+AUDITED = and_(evaluations.c.inspected, evaluations.c.reference.is_not(None))
+"""Cells that were simulated to check the reference that they name."""
+SAMPLED = and_(evaluations.c.inspected, evaluations.c.reference.is_(None))
+"""Cells that were simulated to check their predictions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +50,6 @@ class AnsweredCell:
     attempts: int = 0
     agrees: bool | None = None
     detail: str | None = None
-    proven_by: int | None = None
-    """The evaluation whose run this cell provably repeats."""
-    proof_agrees: bool | None = None
-    """Whether a simulation agreed with the certificate, if it was checked."""
 
 
 def of_iteration(campaign_sequence: int, stage: StageName, iteration: int) -> tuple[ColumnElement[bool], ...]:
@@ -103,7 +67,7 @@ def stored_after(campaign_sequence: int, after: int) -> tuple[ColumnElement[bool
     return (mine + 0 == campaign_sequence, evaluations.c.id > after) if after else (mine == campaign_sequence,)
 
 
-def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEvaluation]) -> list[int]:
+def insert(connection: Connection, campaign_sequence: int, cells: Sequence[RequestedCell]) -> list[int]:
     """Stores a population's cells and returns their ids, in order."""
     if not cells:
         return []
@@ -111,28 +75,6 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[NewEv
     rows = [_row(campaign_sequence, cell, number, ids) for number, cell in zip(ids, cells, strict=True)]
     execute_rows(connection, evaluations.insert(), rows)
     return list(ids)
-
-
-def reused(
-    connection: Connection, campaign_sequence: int, stage: StageName, iteration: int
-) -> list[tuple[int, int, ParameterSet]]:
-    """Returns the reused cells of an iteration without a certificate: id, setup, parameters."""
-    query = (
-        select(evaluations.c.id, evaluations.c.setup_id, parameter_sets.c.parameter_values)
-        .join(parameter_sets)
-        .where(*of_iteration(campaign_sequence, stage, iteration))
-        .where(evaluations.c.outcome == Outcome.REUSED, evaluations.c.proven_by.is_(None))
-        .order_by(evaluations.c.id)
-    )
-    return [(number, setup, ParameterSet.from_json(values)) for number, setup, values in connection.execute(query)]
-
-
-def note_proofs(connection: Connection, proofs: Mapping[int, int]) -> None:
-    """Stores the evaluations whose runs reused cells would repeat, by cell id. A cell may still wait for its answer."""
-    statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.plan == Outcome.REUSED)
-    rows = [{"evaluation": evaluation, "proof": proof} for evaluation, proof in proofs.items()]
-    if rows:
-        connection.execute(statement.values(proven_by=bindparam("proof")), rows)
 
 
 def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> int:
@@ -161,13 +103,12 @@ def simulate_instead(connection: Connection, evaluation_ids: Sequence[int]) -> N
         connection.execute(statement.values(plan=Outcome.SIMULATED, reference=None), rows)
 
 
-def draw_sample(connection: Connection, evaluation_ids: Sequence[int], kind: Outcome) -> None:
-    """Plans a simulation for the predicted or reused cells that were drawn as the samples of their lots. Those of references are audits."""
-    drawn = {"audited" if kind is Outcome.REUSED else "sampled": True}
+def draw_sample(connection: Connection, evaluation_ids: Sequence[int]) -> None:
+    """Plans a simulation for the predicted or reused cells that were drawn as the samples of their lots."""
     statement = update(evaluations).where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
     rows = [{"evaluation": identifier} for identifier in evaluation_ids]
     if rows:
-        connection.execute(statement.values(plan=Outcome.SIMULATED, **drawn), rows)
+        connection.execute(statement.values(plan=Outcome.SIMULATED, inspected=True), rows)
 
 
 def occupied(connection: Connection, campaign_sequence: int, after: int) -> tuple[dict[str, tuple[int, int]], int]:
@@ -193,7 +134,7 @@ def set_reference_keys(connection: Connection, keys: Mapping[int, bytes]) -> Non
 def own_references(
     connection: Connection, campaign_sequence: int, scenario: str, setup_id: int, keys: Sequence[bytes]
 ) -> dict[bytes, Donor]:
-    """The campaign's own first answers in one setup by reference key: simulated or certified, first by stage, iteration, individual."""
+    """The campaign's own first simulated answers in one setup by reference key: first by stage, iteration, individual."""
     return _own(connection, campaign_sequence, scenario, setup_id, evaluations.c.reference_key, keys)
 
 
@@ -214,9 +155,8 @@ def _own(
         table.campaign_sequence == campaign_sequence,
         table.scenario == scenario,
         table.setup_id == setup_id,  # studies drive the same sets in other vehicles
-        table.plan.in_(DONORS),
-        table.outcome.in_(DONORS),
-        table.run_id.is_not(None),  # withdrawn answers have none
+        table.plan == Outcome.SIMULATED,
+        table.outcome == Outcome.SIMULATED,
     )
     first: dict[Any, tuple[tuple[int, int, int], Donor]] = {}
     for value, stage, iteration, individual, *donor in rows_among(connection, query, column, values):
@@ -229,11 +169,11 @@ def _own(
 _PREDICTION = ("lot", "confidence", "predicted_score", "predicted_rating")
 
 
-def _row(campaign_sequence: int, cell: NewEvaluation, number: int, together: Sequence[int]) -> dict[str, Any]:
+def _row(campaign_sequence: int, cell: RequestedCell, number: int, together: Sequence[int]) -> dict[str, Any]:
     """`together`: the numbers of the cells that are inserted with it."""
     leader = None if cell.leader is None else together[cell.leader]
     answered = cell.donor if cell.answered_at_once else None
-    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "audited", *_PREDICTION)
+    as_it_is = ("stage", "scenario", "setup_id", "parameter_set_id", "reference_key", "plan", "inspected", *_PREDICTION)
     return {name: getattr(cell, name) for name in as_it_is} | {
         "id": number,
         "campaign_sequence": campaign_sequence,
@@ -321,7 +261,7 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
             late.c.stage == StageName.CALIBRATION,
             late.c.iteration >= iterations,
             first.c.iteration < iterations,
-            is_copied(first),
+            first.c.outcome.in_(COPIED),
         )
         .group_by(late.c.id, late.c.scenario)
         .subquery()
@@ -333,41 +273,29 @@ def confirmed(connection: Connection, campaign_sequence: int, iterations: int) -
 
 
 def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[OutcomeCosts]:
-    """The answered cells of a campaign, ordered by stage and scenario.
-
-    A cell's time less its run's is what certificates took. Runs stored by releases that did not measure it count as if they took nothing.
-    """
-    group = (evaluations.c.stage, evaluations.c.scenario, evaluations.c.outcome, evaluations.c.audited)
-    maker = evaluations.alias("maker")
-    is_simulated = runs.c.id.is_not(None) & (maker.c.outcome.is_(None) | (maker.c.outcome != Outcome.CERTIFIED))
-    certifying = case(
-        (evaluations.c.outcome == Outcome.CERTIFIED, evaluations.c.milliseconds),
-        (runs.c.evaluation_id == evaluations.c.id, evaluations.c.milliseconds - runs.c.milliseconds),
-    )
+    """Returns the costs of the answered cells of a campaign, ordered by stage and scenario."""
+    group = (evaluations.c.stage, evaluations.c.scenario, evaluations.c.outcome, AUDITED.label("audited"))
     query = (
         select(
             *group,
             func.count(),
             func.coalesce(func.sum(evaluations.c.milliseconds), 0.0),
-            func.count(case((is_simulated, 1))),
-            func.coalesce(func.sum(case((is_simulated, runs.c.milliseconds))), 0.0),
-            func.coalesce(func.sum(certifying), 0.0),
+            func.count(runs.c.id),
+            func.coalesce(func.sum(runs.c.milliseconds), 0.0),
             func.coalesce(func.sum(case((runs.c.evaluation_id == evaluations.c.id, occupying()))), 0.0),
-            func.coalesce(func.sum(case((is_simulated, occupying()))), 0.0),
+            func.coalesce(func.sum(occupying()), 0.0),
         )
-        .select_from(
-            evaluations.outerjoin(runs, runs.c.id == evaluations.c.run_id).outerjoin(maker, maker.c.id == runs.c.evaluation_id)
-        )
+        .select_from(evaluations.outerjoin(runs, runs.c.id == evaluations.c.run_id))
         .where(evaluations.c.campaign_sequence == campaign_sequence, evaluations.c.outcome.is_not(None))
         .group_by(*group)
         .order_by(*group)
     )
     return [
         OutcomeCosts(
-            *(stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000, certified / 1000),
+            *(stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000),
             *(occupied / 1000, occupying_runs / 1000),
         )
-        for stage, scenario, outcome, audited, cells, own, simulated, answered, certified, occupied, occupying_runs in connection.execute(
+        for stage, scenario, outcome, audited, cells, own, simulated, answered, occupied, occupying_runs in connection.execute(
             query
         )
     ]

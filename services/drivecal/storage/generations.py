@@ -1,11 +1,13 @@
 """Generations: the iterations of a campaign's calibration stage."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, Row, select, update
 
+from drivecal.contracts.campaign import GenerationCounts
 from drivecal.storage.engine.records import decode_cursor, encode_cursor, record
 from drivecal.storage.engine.tables import generations
 from drivecal.storage.engine.types import finite
@@ -13,24 +15,35 @@ from drivecal.storage.engine.types import finite
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Requests and results of a generation. Cells count as in `contracts.campaign.CellCounts`; `alternatives` as in its Generation."""
+    """Requests and results of a generation; `alternatives` as in `contracts.tables.Generation`."""
 
-    proposed: int = 0
-    carried_over: int = 0
-    requested: int = 0
-    repeated: int = 0
-    reused: int = 0
-    certified: int = 0
-    simulated: int = 0
-    failed: int = 0
-    audited: int = 0
-    predicted: int = 0
-    sampled: int = 0
+    cells: GenerationCounts = field(default_factory=GenerationCounts)
     best: float | None = None
     rating: float | None = None
     mean: float | None = None
     minimum: float | None = None
     alternatives: int = 0
+
+    @property
+    def flat(self) -> dict[str, Any]:
+        """The figures by name, with the counters beside the others."""
+        return self.cells.model_dump() | self._results
+
+    @property
+    def _results(self) -> dict[str, float | None]:
+        return {name: getattr(self, name) for name in _RESULTS}
+
+    def values(self) -> dict[str, Any]:
+        """Returns the values of the columns."""
+        return {"cells": self.cells.model_dump(), **finite(self._results)}
+
+    @classmethod
+    def of(cls, row: Row[Any]) -> "Figures":
+        """Returns the figures of a row."""
+        return cls(GenerationCounts(**row.cells), **{name: getattr(row, name) for name in _RESULTS})
+
+
+_RESULTS = ("best", "rating", "mean", "minimum", "alternatives")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +87,7 @@ def insert(
             changed=list(changed),
             optimizer_state=dict(optimizer_state),
             finished=False,
-            **finite(asdict(figures)),
+            **figures.values(),
         )
     )
 
@@ -85,12 +98,13 @@ def is_stored(connection: Connection, campaign_sequence: int, iteration: int) ->
     return connection.execute(select(generations.c.iteration).where(*here)).first() is not None
 
 
-def sums(connection: Connection, campaign_sequence: int, names: Sequence[str], iterations: int) -> dict[str, int]:
-    """Returns the sums of counts, by name, over the first `iterations`."""
-    columns = [func.coalesce(func.sum(generations.c[name]), 0) for name in names]
+def sums(connection: Connection, campaign_sequence: int, iterations: int) -> GenerationCounts:
+    """Returns the sums of the counters over the first `iterations`."""
     first = generations.c.campaign_sequence == campaign_sequence, generations.c.iteration < iterations
-    totals = connection.execute(select(*columns).where(*first)).one()
-    return {name: int(total) for name, total in zip(names, totals, strict=True)}
+    total: Counter[str] = Counter()
+    for cells in connection.scalars(select(generations.c.cells).where(*first)):
+        total.update(cells)
+    return GenerationCounts(**total)
 
 
 def finish(
@@ -104,7 +118,7 @@ def finish(
     connection.execute(
         update(generations)
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == iteration)
-        .values(objectives=list(objectives), finished=True, **finite(asdict(figures)))
+        .values(objectives=list(objectives), finished=True, **figures.values())
     )
 
 
@@ -117,7 +131,7 @@ def last(connection: Connection, campaign_sequence: int) -> StoredGeneration | N
         .limit(1)
     )
     row = connection.execute(query).one_or_none()
-    return None if row is None else record(StoredGeneration, row, figures=record(Figures, row))
+    return None if row is None else record(StoredGeneration, row, figures=Figures.of(row))
 
 
 def course(connection: Connection, campaign_sequence: int) -> list[tuple[float | None, float | None, int]]:
@@ -138,7 +152,7 @@ def page(
     Raises InvalidInputError.
     """
     query = (
-        select(generations.c.iteration, *(generations.c[field.name] for field in fields(Figures)))
+        select(generations.c.iteration, generations.c.cells, *(generations.c[name] for name in _RESULTS))
         .where(generations.c.campaign_sequence == campaign_sequence, generations.c.finished)
         .order_by(generations.c.iteration)
         .limit(limit + 1)
@@ -146,6 +160,6 @@ def page(
     if cursor is not None:
         (after,) = decode_cursor(cursor, int)
         query = query.where(generations.c.iteration > after)
-    page = [(row.iteration, record(Figures, row)) for row in connection.execute(query)]
+    page = [(row.iteration, Figures.of(row)) for row in connection.execute(query)]
     following = encode_cursor(page[limit - 1][0]) if len(page) > limit else None
     return page[:limit], following

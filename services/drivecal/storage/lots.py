@@ -12,7 +12,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.tables import campaigns, evaluations, lots, parameter_sets
-from drivecal.storage.evaluations import stored_after
+from drivecal.storage.evaluations import SAMPLED, stored_after
 from drivecal.storage.results import parsed
 
 
@@ -126,7 +126,7 @@ def references(connection: Connection, campaign_sequence: int, lot_ids: Sequence
 def errors_so_far(connection: Connection, campaign_sequence: int, lot_ids: Sequence[int]) -> dict[int, int]:
     """Returns the errors in the samples of a campaign's lots, by id: differing answers, and cells without a result."""
     cell = evaluations.c
-    wrong = (cell.sampled, cell.outcome.is_not(None), cell.agrees.is_distinct_from(True))
+    wrong = (SAMPLED, cell.outcome.is_not(None), cell.agrees.is_distinct_from(True))
     query = (
         select(cell.lot, func.count())
         .where(cell.campaign_sequence == campaign_sequence, cell.lot.in_(list(lot_ids)), *wrong)
@@ -153,7 +153,7 @@ def conclude(connection: Connection, verdicts: Mapping[int, tuple[LotVerdict, in
 
 @dataclass(frozen=True, slots=True)
 class KnownAnswer:
-    """A simulated or certified answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
+    """A simulated answer that a predictor may learn from. `predicted_score` and `confidence`: of a cell that was predicted
     first; `stands_for`: the number of predictions that a sampled cell of a released lot represents, else 1."""
 
     id: int
@@ -172,10 +172,10 @@ class KnownAnswer:
 def known_answers(
     connection: Connection, campaign_sequence: int, setup_ids: Collection[int], after: int
 ) -> tuple[list[KnownAnswer], int]:
-    """Returns the simulated and certified answers of a campaign in some setups, of cells stored `after` a cell's id, in the order of their
+    """Returns the simulated answers of a campaign in some setups, of cells stored `after` a cell's id, in the order of their
     request, and the id of the newest. Call it while no cell waits for its answer."""
     cell = evaluations.c
-    weight = case(((lots.c.verdict == LotVerdict.RELEASED) & cell.sampled, lots.c.size * 1.0 / lots.c.sample), else_=1.0)
+    weight = case(((lots.c.verdict == LotVerdict.RELEASED) & SAMPLED, lots.c.size * 1.0 / lots.c.sample), else_=1.0)
     query = (
         select(
             cell.id,
@@ -195,8 +195,7 @@ def known_answers(
         .where(
             *stored_after(campaign_sequence, after),
             cell.setup_id.in_(list(setup_ids)),
-            cell.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED)),
-            cell.run_id.is_not(None),  # not withdrawn
+            cell.outcome == Outcome.SIMULATED,
         )
         .order_by(cell.stage, cell.iteration, cell.individual, cell.scenario)
     )

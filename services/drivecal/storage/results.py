@@ -22,15 +22,14 @@ from sqlalchemy import (
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.evaluations import CellScore, Outcome
+from drivecal.domain.evaluations import COPIED, CellScore, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, runs
 from drivecal.storage.engine.types import ORDER, STAGES
-from drivecal.storage.evaluations import DONORS, of_iteration
+from drivecal.storage.evaluations import of_iteration
 from drivecal.storage.references import metrics
-from drivecal.storage.references.withdrawal import is_copied, is_withdrawn
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -39,10 +38,9 @@ parsed = lru_cache(10_000)(ParameterSet.from_json)
 Valued = Callable[[Mapping[str, float | None], str | None], Mapping[str, float]]
 """Returns further values of a run from its metrics and its failure."""
 _PLACE = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual, evaluations.c.scenario)
-_WITHDRAWN, _COPIED = is_withdrawn(evaluations), is_copied(evaluations)
+_COPIED = evaluations.c.outcome.in_(COPIED)
 # Made once: an alias computes its columns anew, which takes longer than to read a small campaign.
-_ANSWERING_RUN, _OWN_RUN, _PROOF = runs.alias("answering_run"), runs.alias("own_run"), evaluations.alias("proof")
-_OWN_RATING, _PROVED_RATING = ratings.alias("own_rating"), ratings.alias("proved_rating")
+_ANSWERING_RUN, _OWN_RUN, _OWN_RATING = runs.alias("answering_run"), runs.alias("own_run"), ratings.alias("own_rating")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +62,8 @@ class StoredEvaluation:
     rating: float | None
     run_id: int | None
     reference: int | None
-    audited: bool
+    inspected: bool
+    """Whether it was simulated to check the reference or the prediction that could have answered it."""
     agrees: bool | None
     failure: str | None
     milliseconds: float | None
@@ -72,28 +71,29 @@ class StoredEvaluation:
     attempts: int
     detail: str | None
     """The reason of the failure, as reported by the worker or the pool."""
-    proven_by: int | None
-    """The evaluation whose run a certificate says that it repeats, whatever answered it: known of certified cells and of those simulated to
-    check a certificate, and of reused ones by chance."""
-    proof_agrees: bool | None
-    """Whether a simulation agreed with the certificate, if it was checked."""
     lot: int | None
     confidence: float | None
     predicted_score: float | None
     predicted_rating: float | None
-    sampled: bool
+
+    @property
+    def audited(self) -> bool:
+        """Whether it was simulated to check a reference."""
+        return self.inspected and self.reference is not None
+
+    @property
+    def sampled(self) -> bool:
+        """Whether it was simulated to check a prediction."""
+        return self.inspected and self.reference is None
 
     @property
     def is_copied(self) -> bool:
-        """Whether no run of the very cell is known of its answer: a reused, predicted or withdrawn one."""
-        withdrawn = self.outcome in {Outcome.CERTIFIED, Outcome.REPEATED} and self.run_id is None
-        return withdrawn or self.outcome in {Outcome.REUSED, Outcome.PREDICTED}
+        """Whether no run of the very cell is known of its answer: a reused or predicted one."""
+        return self.outcome in COPIED
 
 
 _NAMES = tuple(field.name for field in fields(StoredEvaluation))
-_PARAMETERS, _PLAN, _OUTCOME, _REFERENCE, _PROVEN_BY = map(
-    _NAMES.index, ("parameters", "plan", "outcome", "reference", "proven_by")
-)
+_PARAMETERS, _PLAN, _OUTCOME = map(_NAMES.index, ("parameters", "plan", "outcome"))
 
 
 def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
@@ -171,10 +171,8 @@ def answers(
     """The answered cells of one iteration, or of all, in the order of `page`, with the values that `valued` computes from the run of each;
     the connection must stay open meanwhile. A reference's run has the score of the cell, but other measures, so that it gives no values.
 
-    Answers by a certificate that was withdrawn count as copied.
-
-    With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, or to that
-    of the run that a certificate says it repeats, and so do its values. A search must not read its answers in this way: they would change
+    With `corrected_by`, an evaluator, a copied or predicted score gives way to that of a run of the very cell, by any campaign, and so do
+    its values. A search must not read its answers in this way: they would change
     after it has gone on from them. With a `watermark` only runs and ratings that a campaign with it sees correct.
     """
     table = evaluations.c
@@ -185,23 +183,15 @@ def answers(
     believed = copied
     run_id: ColumnElement[Any] = case((~copied, table.run_id))
     if corrected_by is not None:
-        own_run, proof, own, proved = _OWN_RUN, _PROOF, _OWN_RATING, _PROVED_RATING
+        own_run, own = _OWN_RUN, _OWN_RATING
         same_cell = (own_run.c.setup_id == table.setup_id) & (own_run.c.parameter_set_id == table.parameter_set_id)
-        proves = (proof.c.id == table.proven_by) & ~_WITHDRAWN
-        by_own, by_proof = own.c.evaluator == corrected_by, proved.c.evaluator == corrected_by
+        by_own = own.c.evaluator == corrected_by
         if watermark is not None:
-            same_cell, proves = same_cell & (own_run.c.id <= watermark), proves & (proof.c.run_id <= watermark)
-            by_own, by_proof = by_own & (own.c.since <= watermark), by_proof & (proved.c.since <= watermark)
-        source = (
-            evaluations.outerjoin(own_run, copied & same_cell)
-            .outerjoin(own, (own.c.run_id == own_run.c.id) & by_own)
-            .outerjoin(proof, copied & proves)
-            .outerjoin(proved, (proved.c.run_id == proof.c.run_id) & by_proof)
-        )
-        score = func.coalesce(own.c.score, proved.c.score, score)
-        rating = func.coalesce(own.c.rating, proved.c.rating, rating)
-        believed = copied & own.c.run_id.is_(None) & proved.c.run_id.is_(None)
-        run_id = case((copied, func.coalesce(own_run.c.id, proof.c.run_id)), else_=table.run_id)
+            same_cell, by_own = same_cell & (own_run.c.id <= watermark), by_own & (own.c.since <= watermark)
+        source = evaluations.outerjoin(own_run, copied & same_cell).outerjoin(own, (own.c.run_id == own_run.c.id) & by_own)
+        score, rating = func.coalesce(own.c.score, score), func.coalesce(own.c.rating, rating)
+        believed = copied & own.c.run_id.is_(None)
+        run_id = case((copied, own_run.c.id), else_=table.run_id)
     measured = (_ANSWERING_RUN.c.metrics, _ANSWERING_RUN.c.failure) if valued is not None else ()
     if valued is not None:
         source = source.outerjoin(_ANSWERING_RUN, _ANSWERING_RUN.c.id == run_id)
@@ -231,7 +221,7 @@ def answers(
 
 
 def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapping[str, float], sign: int = 1) -> float | None:
-    """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated, certified or
+    """The best weighted objective among the sets of a calibration that have a score of their own in every scenario: simulated or
     repeated, none from a reference. None if there is no such set. `sign`: -1 if lower objectives are better."""
     best = func.max if sign > 0 else func.min
     table = evaluations.c
@@ -240,8 +230,7 @@ def best_simulated(connection: Connection, campaign_sequence: int, weights: Mapp
         .where(
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
-            table.outcome.in_((Outcome.SIMULATED, Outcome.CERTIFIED, Outcome.REPEATED)),
-            ~_WITHDRAWN,
+            table.outcome.in_((Outcome.SIMULATED, Outcome.REPEATED)),
             table.score.is_not(None),
         )
         .group_by(table.parameter_set_id, table.scenario)
@@ -281,8 +270,7 @@ def released(connection: Connection, campaign_sequence: int) -> list[StoredEvalu
 
 
 def first_copy(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> StoredEvaluation | None:
-    """Returns the cell by which a calibration answered a parameter set first without a run of its own: reused, predicted or withdrawn; None
-    without one."""
+    """Returns the cell by which a calibration answered a parameter set first without a run of its own; None without one."""
     table = evaluations.c
     query = _select().where(
         table.campaign_sequence == campaign_sequence,
@@ -294,19 +282,10 @@ def first_copy(connection: Connection, campaign_sequence: int, scenario: str, pa
     return next(_evaluations(connection.execute(query.order_by(*_PLACE).limit(1))), None)
 
 
-def withdrawn(connection: Connection, campaign_sequence: int) -> int:
-    """Returns the number of a calibration's answers whose certificate was withdrawn."""
-    table = evaluations.c
-    mine = table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION
-    return int(connection.scalar(select(func.count()).where(*mine, _WITHDRAWN)) or 0)
-
-
 def outcomes_of(connection: Connection, campaign_sequence: int, sets: Sequence[int]) -> Iterator[tuple[int, str, Outcome]]:
-    """The answered cells of a calibration by the ids of their parameter sets: id, scenario and outcome, in the order of their request.
-    Withdrawn answers are reused ones."""
+    """The answered cells of a calibration by the ids of their parameter sets: id, scenario and outcome, in the order of their request."""
     table = evaluations.c
-    outcome = case((_WITHDRAWN, literal(Outcome.REUSED, table.outcome.type)), else_=table.outcome).label("outcome")
-    query = select(table.parameter_set_id, table.scenario, outcome, *_PLACE[1:3]).where(
+    query = select(table.parameter_set_id, table.scenario, table.outcome, *_PLACE[1:3]).where(
         table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, table.outcome.is_not(None)
     )
     rows = rows_among(connection, query, table.parameter_set_id, list(sets))
@@ -331,14 +310,14 @@ def is_pending(connection: Connection, campaign_sequence: int, stage: StageName,
 
 
 def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> Iterator[tuple[int, str, ParameterSet]]:
-    """The simulated or certified cells of a stage that can answer others: id, scenario, parameter set."""
+    """The simulated cells of a stage, which can answer others: id, scenario, parameter set."""
     query = (
         select(evaluations.c.id, evaluations.c.scenario, parameter_sets.c.parameter_values)
         .join(parameter_sets)
         .where(
             evaluations.c.campaign_sequence == campaign_sequence,
             evaluations.c.stage == stage,
-            evaluations.c.outcome.in_(DONORS),
+            evaluations.c.outcome == Outcome.SIMULATED,
         )
         .order_by(evaluations.c.id)
         .execution_options(yield_per=BATCH)
@@ -364,6 +343,4 @@ def _evaluations(rows: Iterable[Row[Any]]) -> Iterator[StoredEvaluation]:
         values[_PLAN] = Outcome(values[_PLAN])
         if values[_OUTCOME] is not None:
             values[_OUTCOME] = Outcome(values[_OUTCOME])
-        if values[_OUTCOME] is Outcome.CERTIFIED:
-            values[_REFERENCE] = values[_PROVEN_BY]
         yield StoredEvaluation(*values)

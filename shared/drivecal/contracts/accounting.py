@@ -5,24 +5,18 @@ from typing import Final, Literal
 
 from pydantic import Field
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, OutcomeCounts
 
 DEDUCTIONS: Final[Mapping[str, str]] = {
     "sensitivity": "sensitivity stage",
-    "certificates": "certificates",
     "predictor": "predictor",
 }
 """Names of known deductions, by key, for readers; others are shown by their key."""
 
 
-class SensitivityCost(Answer):
+class SensitivityCost(OutcomeCounts):
     """Cost of a sensitivity stage: requested cells, simulated runs, CPU seconds of the workers."""
 
-    requested: int = 0
-    repeated: int = 0
-    certified: int = 0
-    simulated: int = 0
-    failed: int = 0
     seconds: float = 0.0
 
 
@@ -37,22 +31,16 @@ class MapCost(Answer):
     seconds: float
 
 
-class ScenarioAccount(Answer):
-    """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation without certificates, over the simulated cells; if
-    there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
-    `certifying_seconds`: CPU time that certificates took: looking for proofs, recording of runs, probes, less the decisions of simulated
-    runs that they spared (negative if that is more). `predictor_seconds`: CPU time of
-    the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm its best set, and so save
-    nothing."""
-
+class _Scenario(Answer):
     scenario: str
-    requested: int
-    repeated: int
-    reused: int
-    predicted: int = 0
-    certified: int
-    simulated: int
-    failed: int
+
+
+class ScenarioAccount(OutcomeCounts, _Scenario):
+    """The calibration stage in one scenario. `mean_seconds`: CPU time of a simulation, over the simulated cells; if
+    there is none, over the simulated runs that answered cells; null if there is neither. Savings are numbers of cells times it.
+    `predictor_seconds`: CPU time of the predictor. `confirmed`: of the reused cells, those that were simulated after the search to confirm
+    its best set, and so save nothing."""
+
     audited: int
     confirmed: int = 0
     mean_seconds: float | None
@@ -61,8 +49,6 @@ class ScenarioAccount(Answer):
     repeated_saved_seconds: float
     reused_saved_seconds: float
     predicted_saved_seconds: float = 0.0
-    certified_saved_seconds: float
-    certifying_seconds: float = 0.0
     predictor_seconds: float = 0.0
 
 
@@ -90,12 +76,12 @@ class BalanceItem(Answer):
 class Accounting(Answer):
     """Savings and costs of a campaign, in cells and in CPU seconds of the workers.
 
-    `saved_seconds`: by repeated, reused, predicted and certified cells, without those that were `confirmed`. `audited_seconds` is
+    `saved_seconds`: by repeated, reused and predicted cells, without those that were `confirmed`. `audited_seconds` is
     the price of the self-check: audited cells could have been reused but were simulated, so they are not among the saved, and are not
     taken off once more. `savings`: the addends of `saved_seconds`, by outcome. `deductions`: CPU seconds that saving took in this
     campaign, by cause (`DEDUCTIONS`). Later releases may add outcomes and causes. `net_seconds` = sum of `savings` - sum of
     `deductions`: an estimate of the CPU time of the same campaign without reuse, less its own. `map_net_seconds` = saved by reuse alone -
-    cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted + certified) /
+    cost of the map, in any campaign; null without a map. `share_without_simulation`: (repeated + reused + predicted) /
     requested; `share_reused`: reused / requested; null before the first.
 
     `clock`: `cpu`, or `wall` if runs take more than twice their CPU time: then all seconds of simulations are wall-clock time of the
@@ -126,8 +112,6 @@ class Accounting(Answer):
     repeated_saved_seconds: float
     reused_saved_seconds: float
     predicted_saved_seconds: float = 0.0
-    certified_saved_seconds: float
-    certifying_seconds: float = 0.0
     predictor_seconds: float = 0.0
     saved_seconds: float
     savings: dict[str, float] = Field(default_factory=dict)

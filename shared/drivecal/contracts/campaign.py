@@ -42,13 +42,13 @@ class Progress(Answer):
     eta_seconds: float | None = None
 
 
-class CellCounts(Answer):
-    """The calibration stage's cells: proposed = carried_over + pending + requested, and
-    requested = repeated + reused + predicted + certified + simulated + failed at every moment; `audited` are among `simulated`."""
+class OutcomeCounts(Answer):
+    """Cells with an answer: `requested`, and how many got it in which way; requested = repeated + reused + predicted + simulated + failed.
 
-    proposed: int = 0
-    carried_over: int = 0
-    pending: int = 0
+    This class and its subclasses are the only list of the counters: columns and JSON in SQL, exports, metrics, checks and the page's types
+    follow from their fields. `certified` is always 0: there are no certificates any more, and `reduction.certified` has no effect.
+    """
+
     requested: int = 0
     repeated: int = 0
     reused: int = 0
@@ -56,33 +56,29 @@ class CellCounts(Answer):
     certified: int = 0
     simulated: int = 0
     failed: int = 0
+
+
+class GenerationCounts(OutcomeCounts):
+    """Cells of an iteration; proposed = carried_over + requested once all have their answers."""
+
+    proposed: int = 0
+    carried_over: int = 0
     audited: int = 0
+    """Reusable cells that were simulated as a check; among `simulated`."""
     sampled: int = 0
-    """Predicted cells that were drawn as the sample of their lot; among `simulated` and `certified`."""
-    checked: int = 0
-    """Certified cells that were simulated to check the certificate; among `simulated`. A different result ends the campaign."""
+    """Predicted cells that were drawn as the sample of their lot; among `simulated`."""
+
+
+class CellCounts(GenerationCounts):
+    """Cells of a stage; proposed = carried_over + pending + requested at every moment."""
+
+    pending: int = 0
     unrepeatable: int = 0
     """Simulations that gave other bits than the stored run of the same cell: the setup does not name all that decides a run."""
     unscored: int = 0
     """Cells for whose measures the score's formula has no value, which are worth a failed run; simulated, or answered by stored runs."""
     cut: int = 0
     """Cells whose score is worse than the worth of a failed run, which they count as; simulated, or answered by stored runs."""
-
-
-class StageCellCounts(Answer):
-    """The cells of a stage that reuses nothing; proposed = pending + requested, requested = repeated + certified + simulated + failed."""
-
-    requested: int = 0
-    repeated: int = 0
-    certified: int = 0
-    simulated: int = 0
-    failed: int = 0
-    proposed: int = 0
-    pending: int = 0
-    checked: int = 0
-    unrepeatable: int = 0
-    unscored: int = 0
-    cut: int = 0
 
 
 class CellsByStage(Answer):
@@ -94,20 +90,16 @@ class CellsByStage(Answer):
     @property
     def cells(self) -> CellCounts:
         """The calibration stage, or a single evaluation."""
-        return self.stages.get("calibration", CellCounts())
+        return self._of("calibration")
 
     @computed_field  # type: ignore[prop-decorator]  # decorated properties
     @property
-    def sensitivity_cells(self) -> StageCellCounts:
+    def sensitivity_cells(self) -> CellCounts:
         """The sensitivity stage."""
         return self._of("sensitivity")
 
-    def _of(self, stage: str) -> StageCellCounts:
-        return StageCellCounts(**self.stages.get(stage, CellCounts()).model_dump())
-
-    def by_stage(self) -> dict[str, CellCounts | StageCellCounts]:
-        """Returns the counts of the stages that have begun."""
-        return {stage: self.cells if stage == "calibration" else self._of(stage) for stage in self.stages}
+    def _of(self, stage: str) -> CellCounts:
+        return self.stages.get(stage, CellCounts())
 
 
 class ErrorRate(Answer):

@@ -173,8 +173,7 @@ class ReferencePage(Page[ReferenceAnswer]):
 
 class WorkerAnswer(Answer):
     """A worker as the dispatcher last saw it; `cells` counts what it has finished. A busy one simulates `scenario`, this batch of it
-    `since` then; `cells_per_second` is its speed in the last batches, null before the first. To certify runs it remembers `states` planning
-    states in `state_mb` megabytes, `state_mb_at_most` at most."""
+    `since` then; `cells_per_second` is its speed in the last batches, null before the first."""
 
     id: str
     node: str | None = None
@@ -183,9 +182,6 @@ class WorkerAnswer(Answer):
     scenario: str | None = None
     since: datetime | None = None
     cells_per_second: float | None = None
-    states: int | None = None
-    state_mb: float | None = None
-    state_mb_at_most: float | None = None
 
 
 class WorkerPage(Page[WorkerAnswer]):

@@ -136,13 +136,13 @@ class ReductionSpecification(Model):
     limit: Annotated[float, Field(ge=0.001, le=0.5)] = 0.05
     """Largest expected number of errors released, per prediction in lots: samples and rejected lots included."""
     audit: Annotated[float, Field(ge=0, le=1)] = 0.02
-    """Share of reused and certified cells that is simulated as a check."""
+    """Share of reused cells that is simulated as a check."""
     max_error: Annotated[float, Field(gt=0, le=1)] = 0.02
     """Largest expected number of wrong answers released, per answer by a reference in lots; 1 makes no lots."""
     narrow: bool = False
     """Searches only the smallest common area, where some scenario is influenced (Section III)."""
     certified: bool = True
-    """Whether a cell may be answered by a run that it provably repeats, if the driving function allows it; changes no result."""
+    """Accepted and without effect: see `contracts.campaign.CellCounts`."""
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
     """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
     isolated: bool = False
@@ -321,7 +321,7 @@ class ProblemSpecification(Model):
 
 
 class CampaignSpecification(ProblemSpecification):
-    """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions and certificates, without an analysis."""
+    """A whole campaign. Everything has a default: `{}` is the paper's problem, with predictions, without an analysis."""
 
     optimizer: OptimizerSpecification | None = OptimizerSpecification()
     """Null if only other stages are requested."""

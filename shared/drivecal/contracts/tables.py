@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from drivecal.contracts.campaign import Answer, Page, Score
+from drivecal.contracts.campaign import Answer, GenerationCounts, Page, Score
 from drivecal.domain.scales import MOST_BARS
 
 Kind = Literal["integer", "number", "score", "text", "truth", "numbers"]
@@ -142,8 +142,7 @@ class EvaluationRow(Answer):
     """A requested cell; each parameter is a field with its name.
 
     `outcome` is null while the answer is pending. `reference`: the evaluation that answered it, or that its audit did not trust.
-    `proven_by`: the evaluation whose run a certificate says that it repeats; it answered certified cells, was checked by a simulation if
-    `proof_agrees` is not null, and tells for reused cells what a simulation would have given. `lot`: the lot of a predicted or reused
+    `lot`: the lot of a predicted or reused
     cell, also if its sample or the whole lot was simulated; `sampled`: a predicted cell was drawn, and `agrees` says whether the prediction
     was right (a drawn cell of references is `audited`); `confidence`: the predictor's share of votes, 0 to 1, for every cell that it was
     asked about.
@@ -167,8 +166,6 @@ class EvaluationRow(Answer):
     failure: str | None
     milliseconds: float | None
     worker: str | None
-    proven_by: int | None
-    proof_agrees: bool | None
     lot: int | None = None
     confidence: float | None = None
     sampled: bool = False
@@ -180,22 +177,14 @@ class EvaluationRow(Answer):
         return own[:PLACE] + [Column(parameter_column(name), kind) for name, kind in parameters.items()] + own[PLACE:]
 
 
-class Generation(Answer):
-    """An iteration of the calibration stage. `mean` and `minimum` (the worst): of all its sets, also of those that break constraints."""
-
+class _Iteration(Answer):
     iteration: int
     """Counted from 0; commands, page and report count iterations from 1."""
-    proposed: int
-    carried_over: int
-    requested: int
-    repeated: int
-    reused: int
-    predicted: int = 0
-    certified: int
-    simulated: int
-    failed: int
-    audited: int
-    sampled: int = 0
+
+
+class Generation(GenerationCounts, _Iteration):
+    """An iteration of the calibration stage. `mean` and `minimum` (the worst): of all its sets, also of those that break constraints."""
+
     best: float | None
     """The best objective so far."""
     rating: float | None = None
@@ -262,7 +251,7 @@ class FrontRow(Answer):
     reused: list[str]
     """Scenarios whose score is that of a reference: this very set was not simulated there."""
     answers: Annotated[dict[str, str], Spread("answer_")] = Field(default_factory=dict)
-    """Kind of the answer in each scenario: simulated, repeated or certified; reused: its score is that of a reference; confirmed: a
+    """Kind of the answer in each scenario: simulated or repeated; reused: its score is that of a reference; confirmed: a
     copied or predicted score that a simulation of this very set replaced; stored: by a run of another campaign."""
     parameters: Annotated[dict[str, float | str], Spread()]
     iteration: int | None

@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivecal.domain.evaluations import RunResult
-
 SetupKey = tuple[str, ...]
 """Key shared by requests that run and rate the same."""
 Kind = tuple[str, ...]
@@ -99,50 +97,16 @@ SetupRequest = DriveRequest | BundleRequest
 
 
 @dataclass(frozen=True, slots=True)
-class Probe:
-    """A cell that a reference answers. If the worker can say without a simulation which run it would repeat, it does: a check of the
-    reference that costs nothing. `id`: its evaluation's."""
-
-    id: int
-    parameters: Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
 class Cell:
     """One parameter set to simulate: `parameters` by name, numbers or texts of choices; `id` is the dispatcher's own.
 
-    `certify`: it may be answered by a run that it provably repeats, and its own run may answer others; `check`: it is simulated even so, to
-    see whether both agree. A cell of a bundle with `check` is simulated twice.
+    `check`: a cell of a bundle is simulated twice. `trace`: it is simulated for its time series.
     """
 
     id: int
     parameters: Mapping[str, Any]
-    certify: bool = False
     check: bool = False
     trace: bool = False
-    """Whether it is simulated in any case, for its time series."""
-    probes: tuple[Probe, ...] = ()
-    """Probes of the same setup, checked after this cell."""
-
-    @property
-    def may_be_certified(self) -> bool:
-        """Whether a certificate may take the place of a simulation."""
-        return self.certify and not self.check
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedRun:
-    """A simulated run with its decisions, by which other workers of the same setup certify cells."""
-
-    number: int
-    """Id of the simulated cell."""
-    result: RunResult
-    parameters: tuple[float, ...]
-    decisions: tuple[int, ...]
-    states: bytes
-    """Planning states, 64-bit floats, a row for each decision."""
-    infeasible: tuple[tuple[int, bytes], ...] = ()
-    """Number of each plan with infeasible candidates, and their mask, a bit per candidate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +115,6 @@ class Batch:
 
     setup: SetupRequest
     cells: tuple[Cell, ...]
-    known: tuple[RecordedRun, ...] = ()
-    """Runs of other workers, to be learned before the first cell."""
-    share: int = 0
-    """Bytes of recorded runs that other workers want; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,47 +127,24 @@ class CellResult:
     metrics: Mapping[str, float]
     failure: str | None
     milliseconds: float
-    """CPU time of the worker, certificates and probes included."""
+    """CPU time of the worker, a second run included."""
     breakdown: str | None = None
     detail: str | None = None
-    proven_by: int | None = None
-    """The cell whose run it would repeat, bit for bit; its result stands here without a simulation, unless `agrees` says otherwise."""
-    agrees: bool | None = None
-    """Whether the simulation of a certified cell has the certified result. False without `proven_by`: the simulation of
-    this setup turned out not to be deterministic."""
-    probed: tuple[tuple[int, int], ...] = ()
-    """Known probes: the id, and the id of the cell whose run it would repeat."""
     contained: bool = False
     """Whether a `breakdown` happened in a child process of a user's simulator: it says nothing about the worker."""
     repeats: bool | None = None
     """Whether a second run of a bundle's cell gave the same measures, bit by bit; None if there was none."""
     trace: bytes | None = None
     """The time series that were wanted, as gzipped JSON."""
-    certifying: float = 0.0
-    """CPU time (ms), part of `milliseconds`, of certificates (walks that look for a proof, recording of the run, probes) or of a bundle's
-    second run. Less what decisions spared that were proven and not made again, so that it may be negative."""
-
+    checking: float = 0.0
+    """CPU time (ms), part of `milliseconds`, of a second run."""
     wall_milliseconds: float | None = None
     """Wall-clock time of the run, without a second one; None for simulations that never wait."""
 
     @property
-    def is_certified(self) -> bool:
-        """Whether a certificate gave the result, and no simulation."""
-        return self.proven_by is not None and self.agrees is None
-
-    @property
     def run_milliseconds(self) -> float:
-        """CPU time (ms) that the cell would have taken without certificates; next to nothing if it was certified."""
-        return max(0.0, self.milliseconds - self.certifying)
-
-
-@dataclass(frozen=True, slots=True)
-class CertificateMemory:
-    """A worker's memory for certificates, over all setups: planning states, bytes, and their limit."""
-
-    states: int
-    bytes: int
-    limit: int
+        """CPU time (ms) of the run, without a second one."""
+        return max(0.0, self.milliseconds - self.checking)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +158,6 @@ class BatchResult:
     refusal: str | None = None
     """Reason why this worker cannot run the setup, in words; there are no results then of the cell at which it turned out, and of those
     after it. Another worker may be able to."""
-    remembered: CertificateMemory | None = None
-    learned: tuple[RecordedRun, ...] = ()
-    """Recorded runs, if the batch says `share`."""
     tools: str | None = None
     """Answer of the `probe` on this worker, if the batch has no cells, or if it is refused because of that answer."""
     unsuitable: bool = False

@@ -95,10 +95,6 @@ class TooLargeError(InvalidInputError):
     """The input is valid but exceeds a limit of this server."""
 
 
-class RefutedError(DrivecalError):
-    """A simulation contradicts its certificate."""
-
-
 class ReplayError(DrivecalError):
     """The replay of an optimizer's answers proposes another population than before.
 

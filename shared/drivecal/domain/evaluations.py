@@ -6,10 +6,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.parameters import ParameterSet
 
 
 class Outcome(StrEnum):
-    """The way in which a requested cell was answered, in the order of trying: repeated, reused, predicted, certified, simulated."""
+    """The way in which a requested cell was answered, in the order of trying: repeated, reused, predicted, simulated."""
 
     REPEATED = "repeated"
     """Stored result of the same parameter set in the same setup."""
@@ -17,12 +18,16 @@ class Outcome(StrEnum):
     """Result of a reference that differs only inside non-influential regions (Figure 6 of the paper)."""
     PREDICTED = "predicted"
     """Prediction of a released lot, whose sample was simulated (Dodge and Romig 1959); never a reference, never an optimum."""
-    CERTIFIED = "certified"
-    """Stored run that is proved to be bit-identical to the simulation."""
     SIMULATED = "simulated"
     """Simulated run, including a failure, which is worth the scale's `failed`."""
     FAILED = "failed"
     """No result after all attempts: score null, ranked last, never a reference."""
+
+
+COPIES = (Outcome.REPEATED, Outcome.REUSED)
+"""Outcomes of cells that a donor answers: on the basis of an equal set, or of an influence map."""
+COPIED = (Outcome.REUSED, Outcome.PREDICTED)
+"""Outcomes for which no run of the very cell is known."""
 
 
 class Failure(StrEnum):
@@ -64,20 +69,11 @@ FAILED_RATING = Rating(rating=0.0, score=0)
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """Result of one simulation: its rating, the measured metrics (names carry units), the failure, if any, and its certificate.
-
-    `proven_by`: the number of the run that the result provably repeats, None without a certificate. `agrees`: whether a simulation gave
-    the same result as the certificate, None if it was not simulated. `agrees` is False without `proven_by` if the simulation turned out
-    not to be deterministic. `certifying`: CPU time (ms) of looking for the certificate and of recording the run, less what repeated
-    decisions spared; no part of the result.
-    """
+    """Result of one simulation: its rating, the measured metrics (names carry units), and the failure, if any."""
 
     rating: Rating
     metrics: Mapping[str, float]
     failure: Failure | None = None
-    proven_by: int | None = None
-    agrees: bool | None = None
-    certifying: float = field(default=0.0, compare=False)
 
 
 class Donor(NamedTuple):
@@ -89,6 +85,41 @@ class Donor(NamedTuple):
     score: float
     rating: float
     failure: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class RequestedCell:
+    """A cell that a stage asks for: `plan` and the fields after it are known once it is planned.
+
+    `individual` numbers the parameter sets of an iteration. `reference_key` is None without an influence map. `is_given`: of the baseline
+    or a start set, whose score no reference answers, for others are compared with it. `donor`: the stored result that answers the cell (its
+    `plan` says on which basis: an equal set, or an influence map), or that an inspection does not trust. `leader`: the same for a cell of
+    the population that is still to be simulated, by its position.
+    """
+
+    individual: int
+    scenario: str
+    parameters: ParameterSet
+    reference_key: bytes | None = None
+    is_given: bool = False
+    plan: Outcome = Outcome.SIMULATED
+    donor: Donor | None = None
+    leader: int | None = None
+    inspected: bool = False
+    stage: StageName = StageName.CALIBRATION
+    iteration: int = 0
+    setup_id: int = 0
+    parameter_set_id: int = 0
+    """Numbers of setup and parameter set in the database."""
+    lot: int | None = None
+    confidence: float | None = None
+    predicted_score: float | None = None
+    predicted_rating: float | None = None
+
+    @property
+    def answered_at_once(self) -> bool:
+        """Whether a stored result is the cell's answer as soon as the cell is stored: it waits for no leader and no verdict."""
+        return self.donor is not None and self.lot is None and self.plan in COPIES
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +156,8 @@ class AuditCount:
 class OutcomeCosts:
     """Answered cells of one stage and scenario that have outcome and `audited` in common.
 
-    `seconds`: CPU time that the campaign's own attempts took; certificates took `certifying_seconds` of it. `run_seconds`: CPU time of
-    the `runs` simulated runs that answered the cells, without certificates. `occupied_seconds`, `occupied_run_seconds`: the same of own
+    `seconds`: CPU time that the campaign's own attempts took. `run_seconds`: CPU time of the `runs`
+    simulated runs that answered the cells, without second runs. `occupied_seconds`, `occupied_run_seconds`: the same of own
     runs and of those runs by the time for which they occupied their workers, which is wall-clock time if simulators wait.
     """
 
@@ -138,6 +169,5 @@ class OutcomeCosts:
     seconds: float
     runs: int
     run_seconds: float
-    certifying_seconds: float = 0.0
     occupied_seconds: float = 0.0
     occupied_run_seconds: float = 0.0

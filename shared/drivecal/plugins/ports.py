@@ -52,69 +52,6 @@ class Planner(Protocol):
         """
 
 
-class CertifiablePlanner(Planner, Protocol):
-    """A planner whose runs can be certified.
-
-    It chooses the candidate of lowest cost. Costs are linear in weights that depend on the parameters alone, over features that do not
-    depend on the parameters. Nothing else in the planner may depend on them. A run is then determined by its decisions, and
-    `drivecal.highway.certification` proves from stored decisions how another parameter set would drive.
-    """
-
-    @property
-    def n_values(self) -> int:
-        """Number of values from which a candidate's cost is computed."""
-
-    @property
-    def n_candidates(self) -> int:
-        """Number of candidates."""
-
-    @property
-    def grid(self) -> float:
-        """A power of two. Its non-negative multiples are stored in two bytes, other values in twelve; most values should be multiples."""
-
-    @property
-    def state(self) -> Floats:
-        """Everything from which the features of the last plan were computed, shape (n_state,); equal bits mean equal states.
-
-        A view, overwritten by the next plan.
-        """
-
-    def repeat(self, observation: Observation, chosen: int) -> Floats:
-        """Returns the trajectory of a `plan` whose choice is known: candidate `chosen`.
-
-        Leaves the planner as `plan` does, except that no candidate is `infeasible`.
-        """
-
-    def decide(self, state: Floats, parameters: Sequence[float]) -> int:
-        """Returns the candidate that `plan` would choose in this `state` with these parameters.
-
-        Sets `infeasible`, `chosen` and the result of `contenders` like `plan`, and changes nothing else of a run.
-        """
-
-    def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Returns the candidates of the last plan or decision that some allowed parameters could choose, and their values.
-
-        Candidates: shape (n,), ascending. Values, from which costs are computed: shape (n, n_values), without negative zeros. `infeasible`,
-        shape (n_candidates,): candidates known to be infeasible, which exclude no other candidate.
-        `drivecal.highway.certification.kernels.contenders` implements this for linear costs.
-        """
-
-    @property
-    def infeasible(self) -> npt.NDArray[np.bool_]:
-        """Candidates that the last plan or decision rejected as infeasible, shape (n_candidates,)."""
-
-    @property
-    def chosen(self) -> int:
-        """Candidate that the last plan or decision chose."""
-
-    def walk(self, nodes: Any, parameters: Sequence[float], node: int) -> int:
-        """Repeats the decisions of `plan` with these parameters along `drivecal.highway.certification.nodes.Nodes`, beginning at `node`.
-
-        Each decision takes the cheapest candidate that is not known to be infeasible, or the cheapest of all if all are. Returns the last
-        node: it has a leaf, is not described, or its choice was never driven. Returns -1 for parameters outside the range of `contenders`.
-        """
-
-
 class Named(Protocol):
     """A plug-in that campaign files refer to by its name."""
 
@@ -141,10 +78,6 @@ class DrivingFunction(Versioned, Protocol):
     @property
     def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
         """Smallest and largest value that a user's own space may contain, by parameter; None means unlimited."""
-
-    @property
-    def certifiable(self) -> bool:
-        """True if its planners are `CertifiablePlanner`s."""
 
     def create(self, scenario: Scenario) -> Planner:
         """Creates the planner for one scenario."""

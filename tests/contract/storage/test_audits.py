@@ -23,9 +23,9 @@ def audited(connection: Connection) -> tuple[int, list[int]]:
     donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
     ids: list[int] = []
     for number, (iteration, score) in enumerate([(1, 5), (1, 4), (2, 2)], 1):
-        one = cell(number, setup, sets[number], iteration=iteration, donor=donor, audited=True)
+        one = cell(number, setup, sets[number], iteration=iteration, donor=donor, inspected=True)
         ids += simulate(connection, sequence, [one], score=score)
-    ids += evaluations.insert(connection, sequence, [cell(4, setup, sets[4], iteration=2, donor=donor, audited=True)])
+    ids += evaluations.insert(connection, sequence, [cell(4, setup, sets[4], iteration=2, donor=donor, inspected=True)])
     evaluations.insert(connection, sequence, [cell(5, setup, sets[5], iteration=2, plan=Outcome.REUSED, donor=donor)])
     return sequence, ids
 
@@ -43,7 +43,7 @@ def test_an_audit_of_a_donor_without_a_result_counts_for_nothing(database: Datab
         other = campaign(connection).sequence
         simulate(connection, other, [cell(0, setup, sets[0])], score=5)
         donor = evaluations.own_exact(connection, other, "S1", setup, sets)[sets[0]]
-        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=5)
+        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, inspected=True)], score=5)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         assert audits.count(connection, sequence, "learned 1") == []
 
@@ -56,16 +56,6 @@ def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Dat
     assert agrees == {equal: True, other: False, later: None, waiting: None}
 
 
-def test_what_certificates_say_of_reused_cells_is_counted_and_noted_once(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, (equal, other, later, _) = audited(connection)
-        (left,) = evaluations.reused(connection, sequence, StageName.CALIBRATION, 2)
-        assert evaluations.reused(connection, sequence, StageName.CALIBRATION, 1) == []
-        evaluations.note_proofs(connection, {left[0]: later, equal: other})
-        assert evaluations.reused(connection, sequence, StageName.CALIBRATION, 2) == []
-        assert audits.proofs(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=1, wrong=1)]
-
-
 def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Database) -> None:
     """The evaluation that made a run may have been rated by another evaluator: its score is not the one to compare with."""
     with database.transaction() as connection:
@@ -74,7 +64,7 @@ def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Databa
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[0])], score=5)
         ratings.insert(connection, "learned 1", [(runs.largest_id(connection), Rating(2.0, 2))])
         donor = runs.look_up_exact(connection, setup, sets, "learned 1", 10**6)[sets[0]]
-        audit = cell(1, setup, sets[1], donor=donor, audited=True)
+        audit = cell(1, setup, sets[1], donor=donor, inspected=True)
         simulate(connection, sequence, [audit], score=2)
         assert audits.count(connection, sequence, "learned 1") == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, "learned 1")
@@ -88,7 +78,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
         simulate(connection, faster, [cell(0, setup, sets[0])], score=5)
         simulate(connection, sequence, [cell(0, setup, sets[0])], score=2)
         donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
-        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, audited=True)], score=2)
+        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, inspected=True)], score=2)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR)
         assert [one.agrees for one in results.stream(connection, sequence) if one.audited] == [True]
@@ -135,7 +125,9 @@ def test_scores_without_steps_are_compared_by_their_scale(database: Database) ->
         donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
         ids: list[int] = []
         for number, score in enumerate([50.25 + 1e-9, 50.26, 52.25, 47.0], 1):
-            one = cell(number, setup, sets[number], donor=donor, audited=True, reference_key=KEY if number == 1 else OTHER_KEY)
+            one = cell(
+                number, setup, sets[number], donor=donor, inspected=True, reference_key=KEY if number == 1 else OTHER_KEY
+            )
             ids += simulate(connection, sequence, [one], score=score)
         audits.settle(connection, sequence, StageName.CALIBRATION, 0, EVALUATOR, COST)
         assert audits.count(connection, sequence, EVALUATOR, COST) == [AuditCount("S1", audited=4, different=3, wrong=1)]

@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
-from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
@@ -156,7 +156,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         iteration=3,
         cells={
             StageName.CALIBRATION: CellCounts(proposed=10, pending=4, requested=6, simulated=6, audited=1),
-            StageName.SENSITIVITY: StageCellCounts(requested=3, simulated=3),
+            StageName.SENSITIVITY: CellCounts(requested=3, simulated=3),
         },
         progress=Progress(done=6, total=10, eta_seconds=1.5),
         error_rate={"S1": ErrorRate(audited=1, upper_95=0.975)},

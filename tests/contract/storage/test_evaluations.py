@@ -39,7 +39,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         assert run is not None
         donor = Donor(simulated, run, 6, 5.75, None)
         cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
-        audited = cell(2, setup, sets[2], donor=donor, audited=True)
+        audited = cell(2, setup, sets[2], donor=donor, inspected=True)
         ids = evaluations.insert(connection, second, [*cells, audited])
         copies = [results.by_id(connection, one) for one in ids[:2]]
         waiting = results.pending(connection, second)
@@ -55,7 +55,7 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
         cells = [
             cell(0, setup, sets[0]),
             cell(1, setup, sets[0], plan=REPEATED, leader=0),
-            cell(2, setup, sets[1], leader=0, audited=True),
+            cell(2, setup, sets[1], leader=0, inspected=True),
         ]
         ids = evaluations.insert(connection, sequence, cells)
         waiting = results.pending(connection, sequence)

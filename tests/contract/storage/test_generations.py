@@ -4,20 +4,16 @@ import pytest
 from sqlalchemy import select
 from tests.support.storage import campaign
 
+from drivecal.contracts.campaign import GenerationCounts
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage import generations
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.generations import Figures
 
-ASKED = Figures(proposed=4, carried_over=1)
+ASKED = Figures(GenerationCounts(proposed=4, carried_over=1))
 FOUND = Figures(
-    proposed=4,
-    carried_over=1,
-    requested=3,
-    repeated=1,
-    simulated=2,
-    audited=1,
+    GenerationCounts(proposed=4, carried_over=1, requested=3, repeated=1, simulated=2, audited=1),
     best=6.5,
     mean=4.25,
     minimum=0.0,

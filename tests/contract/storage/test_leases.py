@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import Connection, select, text
 from tests.contract.storage.conftest import Backend
 from tests.contract.storage.test_query_plans import gather_statistics, plans, scanned
-from tests.support.storage import campaign, sample_set_ids, setup_id
+from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -17,7 +17,7 @@ from drivecal.storage import evaluations, leases, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import leases as table
 from drivecal.storage.engine.types import now
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 
 HOUR = 3600.0
 
@@ -26,7 +26,7 @@ def pending(database: Database, count: int) -> list[int]:
     """Evaluations without an answer."""
     with database.transaction() as connection:
         setup, sets = setup_id(connection), sample_set_ids(connection, count)
-        cells = [NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
+        cells = [new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
         return evaluations.insert(connection, campaign(connection).sequence, cells)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.support.storage import campaign, new_run, sample_set_ids, setup_id, simulate
+from tests.support.storage import campaign, new_evaluation, new_run, sample_set_ids, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
 from drivecal.storage import audits, evaluations, lots, results
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.lots import LotVerdict, NewLot
 from drivecal.storage.references import runs
 
@@ -67,7 +67,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 6)
         (number,) = lots.insert(connection, sequence, [replace(LOT, kind=Outcome.REUSED, size=4, sample=3)])
-        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED, b"key")
+        cell = new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED, reference_key=b"key")
         (reference,) = simulate(connection, sequence, [cell], score=5, rating=5.25)
         donor = evaluations.own_references(connection, sequence, "S1", setup, [b"key"])[b"key"]
         bare = replace(cell, iteration=2, plan=Outcome.REUSED, lot=number)
@@ -82,7 +82,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         drawn = [waiting[0].id, waiting[1].id, waiting[3].id]
         assert lots.references(connection, sequence, [number]) == {number: {reference, waiting[4].id}}
         assert lots.references(connection, sequence, []) == {}
-        evaluations.draw_sample(connection, drawn, Outcome.REUSED)
+        evaluations.draw_sample(connection, drawn)
         cells = {cell.individual: cell for cell in results.pending(connection, sequence)}
         assert [(cells[0].plan, cells[0].audited, cells[0].sampled)] == [(Outcome.SIMULATED, True, False)]
         assert cells[0].reference == reference, "what it is compared with"
@@ -114,7 +114,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 4)
         (number,) = lots.insert(connection, sequence, [LOT])
-        bare = NewEvaluation(CALIBRATION, 2, 0, "S1", setup, sets[0], Outcome.PREDICTED)
+        bare = new_evaluation(CALIBRATION, 2, 0, "S1", setup, sets[0], Outcome.PREDICTED)
         predicted = [
             replace(bare, individual=place, parameter_set_id=sets[place], lot=number, confidence=0.9, predicted_score=4)
             for place in range(3)
@@ -125,7 +125,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
         drawn = waiting[1]
         run = new_run(setup, drawn.parameter_set_id, evaluation=drawn.id, campaign_sequence=sequence, score=3, rating=3.1)
         (own,) = runs.insert_results(connection, [run])
-        evaluations.draw_sample(connection, [drawn.id], Outcome.PREDICTED)
+        evaluations.draw_sample(connection, [drawn.id])
         assert lots.errors_so_far(connection, sequence, [number]) == {}
     with database.transaction() as connection:
         cells = {cell.id: cell for cell in results.pending(connection, sequence)}
@@ -160,7 +160,7 @@ def test_predicted_answers_are_not_the_sets_own(database: Database, outcome: Out
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (own,) = sample_set_ids(connection, 1)
-        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, own, outcome)
+        cell = new_evaluation(CALIBRATION, 0, 0, "S1", setup, own, outcome)
         evaluations.insert(connection, sequence, [cell])
         (waiting,) = results.pending(connection, sequence)
         evaluations.answer(connection, [AnsweredCell(waiting.id, outcome, 4, 4.2, run_id=None)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 from sqlalchemy import func, select
 from tests.support.computed import ComputedBackend
 from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
-from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
+from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.organising import Archived
@@ -21,11 +20,8 @@ from drivecal.storage import campaigns, evaluations, labels, results, saved_view
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
-from drivecal.storage.maintenance.consistency import check_answers
 from drivecal.storage.references import influence_maps, reference_keys
 from drivecal.storage.references import runs as runs_of
-from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.retention import deletion, removal
 from drivecal.storage.retention.deletion import delete_campaign
 
@@ -171,25 +167,6 @@ def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(d
     assert first.sequence in origins.values()
 
 
-def test_a_withdrawn_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(database: Database) -> None:
-    with database.transaction() as connection:
-        first, other = campaign(connection), campaign(connection)
-        setup, (one,) = setup_id(connection), sample_set_ids(connection, 1)
-        certified = cell(0, setup, one, plan=Outcome.CERTIFIED)
-        (origin,) = evaluations.insert(connection, first.sequence, [certified])
-        (made,) = runs_of.insert_results(connection, [new_run(setup, one, evaluation=origin, campaign_sequence=first.sequence)])
-        evaluations.answer(connection, [AnsweredCell(origin, Outcome.CERTIFIED, 5, 5.25, made.id)])
-        donor = evaluations.own_exact(connection, first.sequence, "S1", setup, [one])[one]
-        evaluations.insert(connection, other.sequence, [replace(certified, plan=Outcome.REPEATED, donor=donor)])
-        evaluations.insert(connection, first.sequence, [replace(certified, individual=1, plan=Outcome.SIMULATED)])
-        withdraw_certified(connection, [setup])
-        campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
-    deleted(database, first)
-    assert cells(database, first) == 1
-    with database.read() as connection:
-        assert list(check_answers(connection)) == []
-
-
 @pytest.mark.parametrize("use", ["rerun of it", "study of it", "use of its influence map"])
 def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use: str) -> None:
     with database.transaction() as connection:
@@ -232,7 +209,7 @@ def test_an_interrupted_deletion_goes_on(database: Database) -> None:
             connection,
             first.sequence,
             [
-                NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
+                new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
                 for n, identifier in enumerate(sample_set_ids(connection, 3))
             ],
         )
@@ -256,7 +233,7 @@ def test_the_keys_under_a_deleted_map_are_out_of_use_at_once_and_go_in_slices(
             connection,
             first.sequence,
             [
-                NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, identifier, Outcome.SIMULATED)
+                new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, identifier, Outcome.SIMULATED)
                 for n, identifier in enumerate(sample_set_ids(connection, 5))
             ],
         )

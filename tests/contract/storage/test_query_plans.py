@@ -20,7 +20,7 @@ import pytest
 from psycopg import sql
 from sqlalchemy import Connection, event, make_url, text
 from tests.support.server import new_database
-from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id
+from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, sample_sets, setup_id
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -40,11 +40,11 @@ from drivecal.storage import (
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.maintenance import statistics
 from drivecal.storage.maintenance.statistics import Tally
 from drivecal.storage.references import parameter_sets, reference_keys, runs
-from drivecal.storage.references.reference_candidates import Integers
+from drivecal.storage.references.reference_keys import Integers
 from drivecal.storage.retention import deletion
 
 ROWS = 4_000
@@ -95,7 +95,7 @@ def fill(database: Database) -> None:
         sets = sample_set_ids(connection, ROWS)
         for one in (sequence, other):
             cells = [
-                NewEvaluation(StageName.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
+                new_evaluation(StageName.CALIBRATION, n % 40, n, "S1", setup, set_id, Outcome.SIMULATED, reference_key=KEYS[n])
                 for n, set_id in enumerate(sets)
             ]
             ids = evaluations.insert(connection, one, cells)
@@ -243,7 +243,18 @@ def test_the_self_check_reads_the_campaigns_own_cells_only(filled: Database, sub
         sequence = campaign(connection).sequence
         donor = evaluations.own_references(connection, 1, "S1", 1, KEYS[1:2])[KEYS[1]]
         cells = [
-            NewEvaluation(StageName.CALIBRATION, 0, n, "S1", 1, 1 + n, Outcome.SIMULATED, KEYS[n], donor, audited=True)
+            new_evaluation(
+                StageName.CALIBRATION,
+                0,
+                n,
+                "S1",
+                1,
+                1 + n,
+                Outcome.SIMULATED,
+                reference_key=KEYS[n],
+                donor=donor,
+                inspected=True,
+            )
             for n in range(30)
         ]
         ids = evaluations.insert(connection, sequence, cells)

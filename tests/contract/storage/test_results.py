@@ -1,22 +1,19 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import pytest
-from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import EVALUATOR, campaign, new_evaluation, sample_set_ids, sample_sets, setup_id, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.evaluations import CellScore, Outcome
+from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.storage import evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.records import encode_cursor
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import runs
-from drivecal.storage.references.withdrawal import withdraw_certified
 from drivecal.storage.results import StoredEvaluation
-from drivecal.storage.retention.marking import mark
 
 CALIBRATION = StageName.CALIBRATION
 
@@ -30,7 +27,7 @@ def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> No
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
         places = list(product((1, 0), (2, 1, 0, 10), ("S2", "S10", "S1", "s1")))
-        cells = [NewEvaluation(CALIBRATION, i, n, scenario, setup, one, Outcome.SIMULATED) for i, n, scenario in places]
+        cells = [new_evaluation(CALIBRATION, i, n, scenario, setup, one, Outcome.SIMULATED) for i, n, scenario in places]
         evaluations.insert(connection, sequence, cells)
         evaluations.insert(connection, campaign(connection).sequence, cells)
     found: list[StoredEvaluation] = []
@@ -60,7 +57,7 @@ def test_a_cursor_of_a_stage_that_does_not_exist_ends_the_list(database: Databas
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
-        evaluations.insert(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
+        evaluations.insert(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
         assert results.page(connection, sequence, cursor=encode_cursor(77, 0, 0, "S1")) == ([], None)
 
 
@@ -74,15 +71,15 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 3)
-        first = NewEvaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
+        first = new_evaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
         simulate(connection, sequence, [first], score=5)
         donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
         copies = [
-            NewEvaluation(CALIBRATION, 0, 6, "S1", setup, sets[1], Outcome.REUSED, donor=donor),
-            NewEvaluation(CALIBRATION, 1, 0, "S1", setup, sets[0], Outcome.REPEATED, donor=donor),
+            new_evaluation(CALIBRATION, 0, 6, "S1", setup, sets[1], Outcome.REUSED, donor=donor),
+            new_evaluation(CALIBRATION, 1, 0, "S1", setup, sets[0], Outcome.REPEATED, donor=donor),
         ]
         evaluations.insert(connection, sequence, copies)
-        waiting = [NewEvaluation(CALIBRATION, 1, n, "S2", setup, sets[n], Outcome.SIMULATED) for n in (0, 1)]
+        waiting = [new_evaluation(CALIBRATION, 1, n, "S2", setup, sets[n], Outcome.SIMULATED) for n in (0, 1)]
         broken, _ = evaluations.insert(connection, sequence, waiting)
         evaluations.answer(connection, [AnsweredCell(broken, Outcome.FAILED, None, None, None, failure="crash")])
         everything = list(results.answers(connection, sequence, CALIBRATION))
@@ -102,10 +99,10 @@ def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Dat
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 3)
         cells = [
-            NewEvaluation(StageName.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])
+            new_evaluation(StageName.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])
         ]
         first, second = simulate(connection, sequence, cells)
-        waiting = [NewEvaluation(StageName.SENSITIVITY, 5, 0, "S1", setup, sets[2], Outcome.SIMULATED)]
+        waiting = [new_evaluation(StageName.SENSITIVITY, 5, 0, "S1", setup, sets[2], Outcome.SIMULATED)]
         evaluations.insert(connection, sequence, waiting)
         zero, one, _ = sample_sets(3)
         assert list(results.donors(connection, sequence, StageName.SENSITIVITY)) == [(first, "S1", zero), (second, "S1", one)]
@@ -120,7 +117,7 @@ def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         (one,) = sample_set_ids(connection, 1)
-        (simulated,) = simulate(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
+        (simulated,) = simulate(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
         assert evaluations.own_references(connection, sequence, "S1", setup, [key]) == {}
         evaluations.set_reference_keys(connection, {})
         evaluations.set_reference_keys(connection, {simulated: key})
@@ -134,8 +131,8 @@ def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(databas
         first, second, third = sample_set_ids(connection, 3)
         assert results.best_simulated(connection, sequence, weights) is None
 
-        def cell(individual: int, scenario: str, one: int) -> NewEvaluation:
-            return NewEvaluation(
+        def cell(individual: int, scenario: str, one: int) -> RequestedCell:
+            return new_evaluation(
                 CALIBRATION, 0, individual, scenario, setup if scenario == "S1" else other, one, Outcome.SIMULATED
             )
 
@@ -151,10 +148,10 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         sets = sample_set_ids(connection, 3)
-        simulate(connection, sequence, [NewEvaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED)], score=5)
+        simulate(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED)], score=5)
         donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
-        reused = NewEvaluation(CALIBRATION, 0, 1, "S1", setup, sets[1], Outcome.REUSED, donor=donor)
-        predicted = NewEvaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.PREDICTED)
+        reused = new_evaluation(CALIBRATION, 0, 1, "S1", setup, sets[1], Outcome.REUSED, donor=donor)
+        predicted = new_evaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.PREDICTED)
         evaluations.insert(connection, sequence, [reused, predicted])
         answers = [
             AnsweredCell(cell.id, cell.plan, 5, 5.0, run_id=donor.run if cell.plan is Outcome.REUSED else None)
@@ -165,7 +162,7 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         watermark = runs.largest_id(connection)
         study = campaign(connection).sequence
         places = enumerate(sets[1:])
-        own = [NewEvaluation(StageName.ROBUSTNESS, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in places]
+        own = [new_evaluation(StageName.ROBUSTNESS, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in places]
         simulate(connection, study, own, score=4)
         assert list(results.answers(connection, sequence, CALIBRATION)) == before
         after = list(results.answers(connection, sequence, CALIBRATION, corrected_by=EVALUATOR))
@@ -185,86 +182,3 @@ def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database
         (4, True, False),
         (4, True, False),
     ]
-
-
-def test_a_copied_score_gives_way_to_the_run_that_a_certificate_names(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 3)
-        donors = [NewEvaluation(CALIBRATION, 0, number, "S1", setup, sets[number], Outcome.SIMULATED) for number in (0, 1)]
-        simulate(connection, sequence, donors[:1], score=5)
-        (proof,) = simulate(connection, sequence, donors[1:], score=3)
-        donor = evaluations.own_exact(connection, sequence, "S1", setup, sets)[sets[0]]
-        reused = NewEvaluation(CALIBRATION, 0, 2, "S1", setup, sets[2], Outcome.REUSED, donor=donor)
-        (copy,) = evaluations.insert(connection, sequence, [reused])
-        evaluations.note_proofs(connection, {copy: proof})
-        believed, known = (
-            list(results.answers(connection, sequence, CALIBRATION, corrected_by=evaluator))[-1]
-            for evaluator in (None, EVALUATOR)
-        )
-    assert (believed.score, believed.own) == (5, False)
-    assert (known.score, known.own) == (3, True)
-
-
-def test_an_answer_by_a_withdrawn_certificate_counts_as_copied_until_the_very_cell_is_simulated(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
-        cells = [
-            NewEvaluation(CALIBRATION, 0, number, "S1", setup, each, Outcome.SIMULATED) for number, each in enumerate(sets)
-        ]
-        (proof,) = simulate(connection, sequence, cells[:1], score=5)
-        (certified,) = evaluations.insert(connection, sequence, cells[1:])
-        (stored,) = runs.insert_results(
-            connection, [new_run(setup, sets[1], evaluation=certified, campaign_sequence=sequence, individual=1)]
-        )
-        evaluations.answer(connection, [AnsweredCell(certified, Outcome.CERTIFIED, 6, 6.0, stored.id, proven_by=proof)])
-
-        def known(evaluator: str | None = EVALUATOR) -> tuple[float | None, bool]:
-            answer = list(results.answers(connection, sequence, CALIBRATION, corrected_by=evaluator))[-1]
-            return answer.score, answer.own
-
-        assert (known(), results.withdrawn(connection, sequence)) == ((6, True), 0)
-        assert results.best_simulated(connection, sequence, {"S1": 1}) == 6
-        withdraw_certified(connection, [setup])
-        assert known() == known(None) == (6, False)
-        assert results.withdrawn(connection, sequence) == 1
-        assert results.best_simulated(connection, sequence, {"S1": 1}) == 5
-        copy = results.first_copy(connection, sequence, "S1", sets[1])
-        assert copy is not None
-        assert (copy.id, copy.reference) == (certified, proof)
-        assert results.first_copy(connection, sequence, "S1", sets[0]) is None
-        assert [results.by_id(connection, each).is_copied for each in (proof, certified)] == [False, True]
-        assert runs.simulated_later(connection, sequence, EVALUATOR) == []
-        again = replace(cells[1], stage=StageName.ROBUSTNESS)
-        (corrects,) = simulate(connection, campaign(connection).sequence, [again], score=4)
-        assert known() == (4, True)
-        assert [run.evaluation for run in runs.simulated_later(connection, sequence, EVALUATOR)] == [corrects]
-        later = replace(cells[1], iteration=1)
-        (own,) = simulate(connection, sequence, [later], score=4)
-        assert results.number_at(connection, sequence, 0, 1, "S1") == own
-        outcomes = list(results.outcomes_of(connection, sequence, [sets[1]]))
-        assert outcomes == [(sets[1], "S1", Outcome.REUSED), (sets[1], "S1", Outcome.SIMULATED)]
-
-
-def test_pruning_leaves_the_simulation_that_corrects_a_withdrawn_answer(database: Database) -> None:
-    with database.transaction() as connection:
-        setup, (one,) = setup_id(connection), sample_set_ids(connection, 1)
-        cell = NewEvaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.CERTIFIED)
-        certified = campaign(connection).sequence
-        (withdrawn,) = evaluations.insert(connection, certified, [cell])
-        evaluations.answer(connection, [AnsweredCell(withdrawn, Outcome.CERTIFIED, 6, 6.0, None)])
-        study = campaign(connection).sequence
-        simulate(connection, study, [replace(cell, plan=Outcome.SIMULATED)], score=4)
-        assert mark(connection, {study}, {}).cells == 0
-        assert mark(connection, {study, certified}, {}).cells == 2
-
-
-def test_a_confirmed_cell_counts_under_the_withdrawn_copy_that_had_answered_it(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup, (one,) = campaign(connection).sequence, setup_id(connection), sample_set_ids(connection, 1)
-        cell = NewEvaluation(CALIBRATION, 1, 0, "S1", setup, one, Outcome.REPEATED)
-        (copy,) = evaluations.insert(connection, sequence, [cell])
-        evaluations.answer(connection, [AnsweredCell(copy, Outcome.REPEATED, 6, 6.0, None)])
-        simulate(connection, sequence, [replace(cell, iteration=2, plan=Outcome.SIMULATED)])
-        assert evaluations.confirmed(connection, sequence, 2) == {"S1": {Outcome.REPEATED: 1}}

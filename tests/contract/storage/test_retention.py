@@ -11,7 +11,6 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import nothing_matters, post_map, rows_of, run, submit
 
 from drivecal.campaigns import retention
-from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.evaluations import Outcome
@@ -81,25 +80,4 @@ def test_what_a_deleted_campaign_left_goes_with_its_row(database: Database) -> N
     with database.read() as connection:
         left = [connection.scalar(text(f"SELECT count(*) FROM {name}")) for name in ("campaigns", "evaluations", "runs")]
     assert left == [0, 0, 0]
-    assert [check for check in verify(database, full=True) if check.problems] == []
-
-
-@pytest.mark.slow
-def test_a_later_cell_may_name_a_pruned_one_as_its_proof(database: Database) -> None:
-    """A worker that drove the first campaign remembers its runs, and certifies by them, after these were pruned."""
-    stored = post_map(database, nothing_matters())
-    run(database, submit(database, stored_map=stored, optimizer=SEARCH))
-    plan = retention.plan(database, now(), 0)
-    gone = int(plan.doomed.levels[-1][0])
-    retention.carry_out(database, plan, lambda *_: None)
-    later = run(database, submit(database, stored_map=stored, optimizer=SEARCH))
-    cell = next(row for row in rows_of(database, later) if row.outcome is Outcome.REUSED)
-    with database.transaction() as connection:
-        proof = {"gone": gone, "cell": cell.id}
-        connection.execute(text("UPDATE evaluations SET proven_by = :gone WHERE id = :cell"), proof)
-    assert [check for check in verify(database, full=True) if check.problems] == []
-    with database.read() as connection:
-        explanation = explain(connection, cell.id)
-    assert explanation.reference is not None
-    retention.carry_out(database, retention.plan(database, now(), 0), lambda *_: None)
     assert [check for check in verify(database, full=True) if check.problems] == []

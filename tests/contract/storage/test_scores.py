@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from tests.support.storage import EVALUATOR, campaign, new_run, sample_set_ids, setup_id
+from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome, Rating
 from drivecal.storage import campaigns, evaluations, results
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import AnsweredCell, NewEvaluation
+from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import ratings, reference_keys, runs
 
 SCORES = (6, 6.0, 0.1 + 0.2, -3.25, 99.999999999, 1e-300, 1e18, 1e300, 0)
@@ -44,7 +44,7 @@ def test_scores_of_cells(database: Database, predicted: bool) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         cells = [
-            NewEvaluation(
+            new_evaluation(
                 StageName.CALIBRATION,
                 0,
                 number,

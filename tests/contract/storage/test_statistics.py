@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from sqlalchemy import Connection, event, update
-from tests.support.storage import campaign, sample_set_ids, setup_id
+from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
@@ -14,7 +14,6 @@ from drivecal.storage import campaigns, evaluations, leases, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.maintenance import statistics
 from drivecal.storage.maintenance.statistics import CampaignKey, CellKey, Statistics, Tally
 
@@ -52,12 +51,12 @@ def test_sums_are_right_from_the_beginning_and_from_look_to_look(database: Datab
         for simulated, sequence in enumerate(sequences[:5]):
             ended(connection, sequence, simulated)
         count(connection, sequences[5], calibration={"simulated": 3, "pending": 4, "reused": 1}, sensitivity={"pending": 2})
-        count(connection, sequences[6], robustness={"certified": 8}, validation={"failed": 1, "pending": 6})
+        count(connection, sequences[6], robustness={"repeated": 8}, validation={"failed": 1, "pending": 6})
     found, tally = look(database, tally)
     assert found.sums.campaigns == {CampaignKey("calibration", "succeeded"): 5, CampaignKey("calibration", "queued"): 3}
     assert found.sums.cells[CellKey("calibration", "simulated")] == 10 + 3
     assert found.sums.cells[CellKey("calibration", "reused")] == 1
-    assert found.sums.cells[CellKey("robustness", "certified")] == 8
+    assert found.sums.cells[CellKey("robustness", "repeated")] == 8
     assert found.sums.cells[CellKey("validation", "failed")] == 1
     assert found.sums.pending == Counter(calibration=4, sensitivity=2, validation=6)
     assert found.sums.simulating_seconds == 5.0
@@ -110,7 +109,7 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         processes.elect(connection, processes.DISPATCHER, 1, now())
         sequence, setup = campaign(connection).sequence, setup_id(connection)
         cells = [
-            NewEvaluation(StageName.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
+            new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
             for n, parameter_set in enumerate(sample_set_ids(connection, 4))
         ]
         ids = evaluations.insert(connection, sequence, cells)

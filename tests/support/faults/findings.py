@@ -36,11 +36,9 @@ OF_A_CAMPAIGN = (
     "narrowed",
     "notes",
 )
-OF_ONE_RUN = {"id", "milliseconds", "worker", "proven_by", "proof_agrees"}
-"""Columns of an evaluation that say who simulated it and how fast, and what that worker happened to know of it, not what came out."""
-NOT_PROVED = {"outcome": "simulated", "reference": "", "agrees": ""}
-"""What a cell shows that was simulated, and not to check a proof. Which cells a worker can prove depends on what it still knows."""
-OUTCOMES = ("repeated", "reused", "predicted", "certified", "simulated", "failed")
+OF_ONE_RUN = {"id", "milliseconds", "worker"}
+"""Columns of an evaluation that say who simulated it and how fast, not what came out."""
+OUTCOMES = ("repeated", "reused", "predicted", "simulated", "failed")
 PLACE = ("stage", "iteration", "individual", "scenario")
 
 
@@ -77,17 +75,8 @@ def found(coordinator: Served, campaign_id: str) -> Found:
         simulated = _runs(connection, campaigns.get(connection, campaign_id).sequence)
     for released in campaign["released"].values():
         released.pop("seconds")
-    for counts in (*campaign["stages"].values(), *tables["generations"]):
-        _without_certificates(counts)
     tables["evaluations"] = _by_place(tables["evaluations"])
     return Found({name: campaign[name] for name in OF_A_CAMPAIGN}, tables, simulated)
-
-
-def _without_certificates(counts: dict[str, Any]) -> None:
-    """Certified cells count as simulated ones."""
-    kind = type(counts["simulated"])
-    counts["simulated"] = kind(int(counts["simulated"]) + int(counts.pop("certified")))
-    counts.pop("checked", None)
 
 
 def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
@@ -97,7 +86,6 @@ def _by_place(rows: list[dict[str, str]]) -> list[dict[str, str]]:
         {name: value for name, value in row.items() if name not in OF_ONE_RUN}
         | {"reference": places.get(row["reference"], row["reference"])}
         | {"lot": str(lots.index(int(row["lot"]))) if row["lot"] else ""}
-        | (NOT_PROVED if row["outcome"] in {"simulated", "certified"} and row["audited"] == "false" else {})
         for row in rows
     ]
     return sorted(kept, key=lambda row: (row["stage"], int(row["iteration"]), int(row["individual"]), row["scenario"]))

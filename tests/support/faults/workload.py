@@ -33,7 +33,7 @@ REUSING: dict[str, Any] = {
     "parameters": COARSE,
     "fixed": {f"P{i}": 0.5 for i in range(7, 12)},
     "optimizer": {"kind": "genetic", "population": tries(40, 50), "iterations": tries(4, 6), "seed": 4, "mutation": 1},
-    "reduction": {"mode": "influence", "audit": 0.2, "max_error": 1, "certified": False},
+    "reduction": {"mode": "influence", "audit": 0.2, "max_error": 1},
 }
 ANALYSING: dict[str, Any] = {
     "name": "analysing",
@@ -55,7 +55,7 @@ PREDICTING: dict[str, Any] = {
     "fixed": {f"P{i}": 0.5 for i in range(4, 12)},
     "vehicle": {"parameters": {"mass": 1500}},
     "optimizer": {"kind": "genetic", "population": tries(300, 400), "iterations": 3, "seed": 3},
-    "reduction": {"mode": "predicted", "certified": False},
+    "reduction": {"mode": "predicted"},
 }
 """Without certificates: with them a cell is so cheap that its measured time decides whether a predictor pays, in each run anew."""
 SECRET = b"faults and lots!"

@@ -61,7 +61,6 @@ class Misbehaving:
         )
     }
     limits: Mapping[str, tuple[float | None, float | None]] = {}
-    certifiable = False
 
     def create(self, scenario: Scenario) -> KeepGoing:
         del scenario

@@ -81,7 +81,6 @@ class Poisonous:
         "all": (Parameter.from_step("dose", Decimal(0), Decimal(DOSES - 1), Decimal(1)),)
     }
     limits: Mapping[str, tuple[float | None, float | None]] = {}
-    certifiable = False
 
     def create(self, scenario: Scenario) -> Swallow:
         del scenario

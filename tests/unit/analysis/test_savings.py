@@ -22,11 +22,10 @@ def _costs(
     stage: StageName = StageName.CALIBRATION,
     runs: int | None = None,
     run_seconds: float | None = None,
-    certifying: float = 0.0,
 ) -> OutcomeCosts:
     answered = (0 if outcome is Outcome.FAILED else cells) if runs is None else runs
     return OutcomeCosts(
-        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds, certifying
+        stage, scenario, outcome, audited, cells, seconds, answered, seconds if run_seconds is None else run_seconds
     )
 
 
@@ -60,7 +59,6 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert found.sensitivity.model_dump() == {
         "requested": 622,
         "repeated": 20,
-        "certified": 0,
         "simulated": 600,
         "failed": 2,
         "seconds": 10.0,
@@ -117,24 +115,12 @@ def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
     assert only.predicted_saved_seconds == pytest.approx(0.5)
 
 
-def test_a_saved_cell_is_worth_a_run_without_certificates_and_what_they_took_is_deducted() -> None:
-    rows = [
-        _costs("S1", Outcome.SIMULATED, 100, 1.2, run_seconds=1.0, certifying=0.2),
-        _costs("S1", Outcome.CERTIFIED, 50, 0.1, runs=0, run_seconds=0.0, certifying=0.1),
-    ]
-    balance = account("c", "succeeded", ["S1"], rows, None)
-    assert balance.scenarios[0].mean_seconds == pytest.approx(0.01)
-    assert balance.saved_seconds == pytest.approx(0.5)
-    assert balance.scenarios[0].certifying_seconds == balance.certifying_seconds == pytest.approx(0.3)
-    assert balance.net_seconds == pytest.approx(150 * 0.01 - (1.2 + 0.1)), "without reuse less with reuse"
-    assert "net saving of 0.2 s" in balance.sentence
-
-
 def test_the_net_is_what_all_outcomes_saved_less_all_that_saving_took() -> None:
-    rows = [*ANALYSIS, *CALIBRATION, _costs("S2", Outcome.CERTIFIED, 10, 0.02, runs=0, run_seconds=0.0, certifying=0.02)]
-    balance = account("c", "succeeded", ["S1", "S2"], rows, MapOrigin("m", "c", ANALYSIS))
-    assert balance.savings == pytest.approx({"repeated": 0.4, "reused": 4.5, "predicted": 0.0, "certified": 0.2})
-    assert balance.deductions == pytest.approx({"sensitivity": 10.0, "certificates": 0.02, "predictor": 0.0})
+    rows = [*ANALYSIS, *CALIBRATION, _costs("S2", Outcome.PREDICTED, 10, 0.0, runs=0, run_seconds=0.0)]
+    origin, predictors = MapOrigin("m", "c", ANALYSIS), {"S2": 0.02}
+    balance = account("c", "succeeded", ["S1", "S2"], rows, origin, predictors=predictors)
+    assert balance.savings == pytest.approx({"repeated": 0.4, "reused": 4.5, "predicted": 0.2})
+    assert balance.deductions == pytest.approx({"sensitivity": 10.0, "predictor": 0.02})
     assert balance.saved_seconds == pytest.approx(sum(balance.savings.values()))
     assert balance.net_seconds == pytest.approx(balance.saved_seconds - sum(balance.deductions.values()))
 
@@ -184,7 +170,7 @@ def test_from_the_break_even_on_the_map_has_paid_and_not_before(cost: float, sav
 def _waiting(stage: StageName, outcome: Outcome, cells: int, each: float) -> OutcomeCosts:
     """Cells of a simulator that sleeps: 10 ms of CPU time in `each` seconds."""
     own, cpu = cells if outcome is Outcome.SIMULATED else 0, 0.01
-    return OutcomeCosts(stage, "S1", outcome, False, cells, own * cpu, cells, cells * cpu, 0.0, own * each, cells * each)
+    return OutcomeCosts(stage, "S1", outcome, False, cells, own * cpu, cells, cells * cpu, own * each, cells * each)
 
 
 def test_a_simulator_that_waits_is_accounted_by_the_wall_clock() -> None:

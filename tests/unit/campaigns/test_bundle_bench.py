@@ -55,39 +55,9 @@ def rated(score: str, measures: dict[str, float | None], failure: str | None = N
     return None if rating is None else rating.rating
 
 
-@pytest.mark.parametrize(
-    ("reduction", "is_noted"),
-    [
-        ({"mode": "exact"}, True),
-        ({"mode": "both"}, True),
-        ({"certified": True}, True),
-        ({"mode": "exact", "certified": False}, False),
-        ({"mode": "predicted", "tolerance": 1}, False),
-        ({"tolerance": 1}, False),
-    ],
-)
-@pytest.mark.parametrize("example", ["python-function", "planner-highway"])
-def test_a_campaign_that_asks_for_certificates_of_a_bundle_has_a_note_that_there_are_none(
-    example: str, reduction: dict[str, Any], is_noted: bool
-) -> None:
-    manifest = checked(yaml.safe_load((EXAMPLE.parents[1] / example / "problem.yaml").read_text()))
-    problem = resolved(Bundle("d1", "f1", manifest), problem=example, reduction=reduction)
-    assert problem.checked_certificates is None
-    assert any("certified" in note for note in problem.notes) == is_noted
-    assert any("certified" in note for note in problem.expected_runs().notes) == is_noted
-
-
-def test_the_motorway_has_certificates_and_no_note() -> None:
-    document = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}, "reduction": {"mode": "exact"}}
-    problem = resolve(CampaignSpecification.model_validate(document))
-    assert problem.checked_certificates is not None
-    assert not any("certif" in note for note in problem.notes)
-
-
 def test_goals_leave_equal_sets_only_on_a_bundle() -> None:
     problem = resolved(objectives=[{"measure": "min_gap_m", "direction": "maximise"}])
     assert problem.specification.reduction.mode == "exact"
-    assert not any("certif" in note for note in problem.notes)
 
 
 def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() -> None:
@@ -192,7 +162,6 @@ def test_a_name_becomes_the_digest_of_its_latest_push() -> None:
     assert problem.scenarios == ("standing", "slower", "wet", "crossing")
     assert [parameter.kind for parameter in problem.space.searched] == ["continuous", "grid", "grid", "integer", "choice"]
     assert problem.bench.scale.name == "discomfort"
-    assert not problem.bench.certifiable
 
 
 def test_scenarios_and_score_are_chosen_as_for_the_built_in_problem() -> None:

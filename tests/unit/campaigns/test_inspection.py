@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.campaigns.cells.inspection import Inspection
-from drivecal.campaigns.cells.reusing import check_reuse
+from drivecal.campaigns.cells.inspection import Inspection, check_reuse
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
@@ -29,7 +28,7 @@ def test_a_lot_that_was_sampled_whole_still_has_its_verdict_when_its_reference_i
     monkeypatch.setattr(audits, "wrong_in_lots", lambda *_: {})
     monkeypatch.setattr(audits, "trusted", lambda *_: {})
     connection: Any = None
-    waiting: Any = {REFERENCE: SimpleNamespace(id=REFERENCE, lot=None, sampled=False, audited=False)}
+    waiting: Any = {REFERENCE: SimpleNamespace(id=REFERENCE, lot=None, inspected=False)}
     resumed = Inspection(1, "reference 1", COMFORT)
     assert resumed.load(connection, waiting) == {}
     assert resumed.conclude(connection, waiting) == ([], [])
@@ -49,7 +48,7 @@ def test_released_predictions_are_answered_by_lot(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(lots, "conclude", lambda _, concluded: verdicts.update(concluded))
     monkeypatch.setattr(lots, "release_predictions", lambda _, __, numbers: answered.extend(numbers))
     cells: Any = {
-        number: SimpleNamespace(id=number, lot=7, sampled=number == 1, audited=False, predicted_score=4.0, predicted_rating=4.2)
+        number: SimpleNamespace(id=number, lot=7, inspected=number == 1, predicted_score=4.0, predicted_rating=4.2)
         for number in (1, 2, 3)
     }
     inspection = Inspection(1, "reference 1", COMFORT)

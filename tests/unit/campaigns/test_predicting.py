@@ -13,17 +13,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.storage import new_evaluation
 
 from drivecal.campaigns.cells import predicting
-from drivecal.campaigns.cells.past_lots import (
+from drivecal.campaigns.cells.predicting import (
     ASKING_SECONDS,
     LIKELY,
+    LotPlanner,
+    batch_of,
     pays,
     released_by_scenario,
     skipped_text,
+    slice_size,
     training_seconds,
 )
-from drivecal.campaigns.cells.predicting import LotPlanner, batch_of, slice_size
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
@@ -32,7 +35,6 @@ from drivecal.domain.scales import COMFORT
 from drivecal.reduction.lots import cost_of_an_error
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
 from drivecal.storage import lots
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 
 NOTHING: Any = None
@@ -199,7 +201,7 @@ def test_seconds_of_a_forecast_without_a_cell_to_predict_are_those_of_the_next_l
     planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
     known = Donor(1, 1, 5.0, 5.0, None)
     repeated = [
-        NewEvaluation(StageName.CALIBRATION, 0, place, "S1", 1, place, Outcome.REPEATED, donor=known) for place in (0, 1)
+        new_evaluation(StageName.CALIBRATION, 0, place, "S1", 1, place, Outcome.REPEATED, donor=known) for place in (0, 1)
     ]
     predictions = Predictions(*(np.array([5.0, 5.0]) for _ in fields(Predictions)))
     planner._rows = {0: 0, 1: 1}
@@ -218,7 +220,7 @@ def test_bounds_of_new_lots_are_prepared_while_the_workers_simulate(monkeypatch:
     weights = {"S1": 0.5, "S2": 0.5}
     planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
     cells = [
-        NewEvaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
+        new_evaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
         for place in range(97)
         for scenario in weights
     ]
@@ -247,7 +249,7 @@ def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pyte
     weights = {"S1": 0.5, "S2": 0.5}
     planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
     cells = [
-        NewEvaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
+        new_evaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
         for place in range(98)
         for scenario in weights
     ]

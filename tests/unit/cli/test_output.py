@@ -31,7 +31,7 @@ from drivecal.contracts.tables import Solution
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
-PREDICTED = CellCounts(proposed=100, requested=100, repeated=5, reused=5, predicted=40, certified=10, simulated=40, sampled=8)
+PREDICTED = CellCounts(proposed=100, requested=100, repeated=5, reused=5, predicted=40, simulated=50, sampled=8)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_the_bar_colours_outcomes_and_shows_reasons_as_they_are() -> None:
     assert isinstance(console.file, io.StringIO)
     shown = console.file.getvalue()
     assert "no worker [/opt/sim] agrees" in shown
-    assert re.search(r"38;2;230;159;0msimulated 40\b", shown)
+    assert re.search(r"38;2;230;159;0msimulated 50\b", shown)
 
 
 def test_a_moment_names_its_offset_because_an_hour_comes_twice(monkeypatch: pytest.MonkeyPatch) -> None:

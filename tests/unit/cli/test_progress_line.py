@@ -21,7 +21,7 @@ def test_the_progress_is_one_line_with_its_stage_and_count_in_any_width(width: i
     written = StringIO()
     console = Console(width=width, file=written)
     progress = progress_line(console)
-    cells = CellCounts(proposed=120_000, requested=59_000, simulated=12_345, reused=23_456, predicted=3_456, certified=19_743)
+    cells = CellCounts(proposed=120_000, requested=59_000, simulated=12_345, reused=23_456, predicted=23_199)
     campaign = Campaign(
         id="1" * 32,
         name="long",

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from drivecal.cli.commands.serve import doing, remarks, remembering
+from drivecal.cli.commands.serve import doing, remarks
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -13,12 +13,6 @@ def test_a_busy_worker_says_what_it_simulates_and_for_how_long() -> None:
     busy = WorkerAnswer(id="w", state="busy", scenario="S3", since=NOW - timedelta(seconds=75))
     assert doing(busy, NOW) == "S3 for 1 min 15 s"
     assert doing(busy, NOW - timedelta(hours=1)) == "S3 for 0 s", "its clock is ahead"
-
-
-def test_a_worker_says_what_it_remembers_and_what_it_may() -> None:
-    assert remembering(WorkerAnswer(id="w", state="idle")) is None
-    worker = WorkerAnswer(id="w", state="idle", states=12_345, state_mb=17.6, state_mb_at_most=512.0)
-    assert remembering(worker) == "12,345 states, 18 of 512 MB"
 
 
 def test_what_a_silent_dispatcher_said_is_marked_as_old() -> None:

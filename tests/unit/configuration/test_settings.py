@@ -53,7 +53,7 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
     [
         (b"workers = ", "drivecal.toml: "),
         (b"\xff\xfe", "drivecal.toml: "),
-        (b"worker = 2", "^worker: .*certificates_mb, database_password_file, .*home, "),
+        (b"worker = 2", "^worker: .*database_password_file, .*home, "),
         (b"workers = 0", "^workers: 0 .*1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
         (b"url = 'localhost:8000'", "^url: 'localhost:8000'"),

@@ -11,7 +11,7 @@ from drivecal.domain.evaluations import Breakdown, Failure, Outcome
 
 
 def test_outcomes_are_those_of_the_interface_in_the_order_of_trying() -> None:
-    assert [str(outcome) for outcome in Outcome] == ["repeated", "reused", "predicted", "certified", "simulated", "failed"]
+    assert [str(outcome) for outcome in Outcome] == ["repeated", "reused", "predicted", "simulated", "failed"]
 
 
 def test_reasons_are_plain_words() -> None:

@@ -1,8 +1,7 @@
 from __future__ import annotations
 
-from drivecal.contracts.work import CertificateMemory
 from drivecal.execution.backend import WorkerInfo
-from drivecal.execution.scheduling.activity import RECENT_BATCHES, Activity
+from drivecal.execution.observing import RECENT_BATCHES, Activity
 
 WORKER = WorkerInfo("worker-1", "here", 7, "busy", 30)
 
@@ -33,15 +32,6 @@ def test_the_speed_is_that_of_the_last_batches() -> None:
         activity.sent("worker-1", batch, "S1")
         activity.finished("worker-1", batch, 8, 1.0)
     assert activity.describe([WORKER])[0].cells_per_second == 8.0
-
-
-def test_a_worker_remembers_what_it_said_last() -> None:
-    activity = Activity()
-    for batch in (1, 2):
-        activity.sent("worker-1", batch, "S1")
-        activity.finished("worker-1", batch, 1, 1.0, CertificateMemory(100 * batch, 3 * 2**20, 512 * 2**20))
-    (one,) = activity.describe([WORKER])
-    assert (one.states, one.state_mb, one.state_mb_at_most) == (200, 3.0, 512.0)
 
 
 def test_late_and_unknown_batches_and_workers_change_nothing() -> None:

@@ -59,33 +59,16 @@ def test_homes_are_forgotten_at_last() -> None:
     assert setups.choose("two", {key("0"): 1.0, key("9"): 5.0}) == key("0")
 
 
-def test_a_worker_returns_to_the_setup_that_it_has_run_most_of() -> None:
+def test_a_worker_prefers_setups_that_it_has_loaded() -> None:
+    setups = loaded(("one", A), ("two", B), ("one", B), ("two", C))
+    assert setups.choose("one", {A: 1.0, C: 99.0}) == A
+
+
+@given(st.lists(st.tuples(st.sampled_from(["one", "two", "three"]), st.sampled_from([A, B, C, D]))))
+def test_no_worker_is_idle_while_something_waits(history: list[tuple[str, SetupKey]]) -> None:
     setups = loaded()
-    setups.load("one", A, 40)
-    setups.load("two", B, 40)
-    setups.load("one", B, 3)  # it helped at the end of a generation
-    assert setups.choose("one", {A: 1.0, B: 9.0}) == A
-    assert setups.choose("one", {B: 9.0}) == B
-
-
-def test_several_workers_own_a_setup_that_they_have_run_about_equally() -> None:
-    setups = loaded()
-    setups.load("one", A, 40)
-    setups.load("two", A, 25)
-    setups.load("three", A, 4)
-    for worker in ("one", "two", "three"):
-        setups.load(worker, B, 5)
-    assert setups.owners(A) == ["one", "two"]
-    assert [setups.choose(worker, {A: 1.0, B: 1.0}) for worker in ("one", "two")] == [A, A]
-    setups.meet(["two", "three"])
-    assert setups.owners(A) == ["two"]
-
-
-@given(st.lists(st.tuples(st.sampled_from(["one", "two", "three"]), st.sampled_from([A, B, C, D]), st.integers(1, 99))))
-def test_no_worker_is_idle_while_something_waits(history: list[tuple[str, SetupKey, int]]) -> None:
-    setups = loaded()
-    for worker, setup, cells in history:
-        setups.load(worker, setup, cells)
+    for worker, setup in history:
+        setups.load(worker, setup)
     for setup in (A, B, C, D):
         assert setups.choose("one", {setup: 1.0}) == setup
     assert setups.choose("one", {}) is None

@@ -10,8 +10,7 @@ from tests.support.plant import TARGET, V, W, answers, cells, ids, send, setup
 from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, MOST_PASSED_OVER, Scheduler
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 

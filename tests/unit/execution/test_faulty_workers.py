@@ -13,8 +13,7 @@ from tests.support.pooled import TAGS, cells, drain
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import WITNESSES, Work
+from drivecal.execution.scheduling.in_flight import WITNESSES, Completed, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 

@@ -14,8 +14,7 @@ from tests.support.pooled import cells, drain
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 

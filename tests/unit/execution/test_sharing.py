@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -14,8 +13,7 @@ from tests.support.plant import Plant, V, W, answers, cells, ids, send, setup
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS, Scheduler
 
 
@@ -102,28 +100,6 @@ def test_cells_of_other_setups_and_evaluators_are_not_identical(other: SetupRequ
     add(one, "a", 1, [1.0])
     one.add(Work(other, cells(1, 2, [1.0])), "b", 0)
     assert ids(send(one)) + ids(send(one)) == [1, 2]
-
-
-@pytest.mark.parametrize(
-    "strict", [Cell(2, {"P1": 1.0}), Cell(2, {"P1": 1.0}, check=True), Cell(2, {"P1": 1.0}, certify=True, check=True)]
-)
-@pytest.mark.parametrize("certified", [True, False])
-def test_a_cell_that_has_to_be_simulated_takes_no_certified_answer(strict: Cell, *, certified: bool) -> None:
-    one = scheduler()
-    one.add(Work(setup(), [Cell(1, {"P1": 1.0}, certify=True)]), "a", 0)
-    one.add(Work(setup(), [strict]), "b", 0)
-    one.add(Work(setup(), [Cell(3, {"P1": 1.0}, certify=True)]), "c", 0)
-    sent = send(one)
-    result = answers(sent)
-    if certified:
-        result = replace(result, results=tuple(replace(answer, proven_by=99) for answer in result.results))
-    completed = one.finished(sent.batch_id, result)
-    assert [done.result.id for done in completed] == ([1, 3] if certified else [1, 2, 3])
-    if certified:
-        assert one.held("b") == 1
-        [left] = finish(one, send(one))
-        assert (left.result.id, left.shared, left.result.is_certified) == (2, False, False)
-    assert one.next_batch(V, idle=True) is None
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,8 @@ from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.supervised import SupervisedBackend, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 from drivecal.plugins.simulators import PROBE_SECONDS, start_limit
-from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.bundles import BundleSessions, Tools
 from drivecal.runtime.cache import BundleCache
-from drivecal.runtime.tools import Tools
 from drivecal.runtime.worker import Worker, WorkerFacts
 
 SIMULATOR: dict[str, Any] = {"kind": "command", "command": ["mysim"], "probe": ["mysim", "--version"], "timeout": 60.0}

@@ -27,7 +27,7 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry, setups
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
-from drivecal.runtime import bundles, results
+from drivecal.runtime import bundles
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.cache import BundleCache
 from drivecal.runtime.worker import Worker
@@ -292,7 +292,7 @@ def test_a_replay_that_cannot_be_kept_leaves_the_time_series(
 ) -> None:
     replay = ReplayAnswer.model_validate(REPLAY | ({"time_s": [math.nan]} if cause == "not finite" else {}))
     if cause == "too large":
-        monkeypatch.setattr(results, "LARGEST_SERIES", 150)
+        monkeypatch.setattr(bundles, "LARGEST_SERIES", 150)
     works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=replay)}))
     works.store(request_.bundle, archive)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results

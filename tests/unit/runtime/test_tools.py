@@ -10,9 +10,8 @@ from tests.unit.runtime.test_bundles import ScriptedSimulator
 
 from drivecal.contracts.work import Batch, BatchResult, BundleRequest, Cell
 from drivecal.domain.errors import UnavailableError
-from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.bundles import ASK_AGAIN_SECONDS, BundleSessions, Tools
 from drivecal.runtime.cache import BundleCache
-from drivecal.runtime.tools import ASK_AGAIN_SECONDS, Tools
 from drivecal.runtime.worker import Worker
 
 

@@ -5,24 +5,19 @@ import json
 import os
 import pickle
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import pytest
 
-from drivecal.contracts.work import Batch, Cell, CellResult, CertificateMemory, DriveRequest, Probe, RecordedRun
+from drivecal.contracts.work import Batch, Cell, CellResult, DriveRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
-from drivecal.highway.certification.nodes import Nodes
 from drivecal.plugins import registry
 from drivecal.plugins.runners import TimeSeries
 from drivecal.plugins.setups import setup_of, simulator
-from drivecal.runtime.runners import RefusedError
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
 SETUP = DriveRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
-WALK, RECORDING = 0.001, 0.002
-"""Milliseconds that the scripted runner says its certificates took."""
 
 
 class ForeignError(Exception):
@@ -34,47 +29,13 @@ class ForeignError(Exception):
 
 @dataclass
 class ScriptedRunner:
-    """Certifies what has the same `b` as a run before; disagrees with itself for a = 7, and is not deterministic for a = 8."""
+    """Fails in its own way for each of some values of `a`, and rates others by `b`."""
 
     parameters: Sequence[str] = ("a", "b")
     runs: int = 0
-    known: dict[float, tuple[int, RunResult]] = field(default_factory=dict)
-    recording: list[RecordedRun] | None = None
-
-    def answer(self, parameters: Sequence[float], number: int, *, check: bool) -> RunResult:
-        first, second = parameters
-        if second in self.known and not check:
-            by, result = self.known[second]
-            return replace(result, proven_by=by, certifying=WALK)
-        result = replace(self.run(parameters), certifying=RECORDING)
-        if first == 8.0:
-            return replace(result, agrees=False)
-        if second in self.known:
-            return replace(result, proven_by=self.known[second][0], agrees=first != 7.0)
-        self.known[second] = number, result
-        if self.recording is not None:
-            self.recording.append(RecordedRun(number, result, (first, second), (), b""))
-        return result
-
-    def prove(self, parameters: Sequence[float]) -> int | None:
-        return self.known[parameters[1]][0] if parameters[1] in self.known else None
 
     def trace(self, parameters: Sequence[float]) -> TimeSeries:
         raise NotImplementedError
-
-    def take_over(self, interrupted: ScriptedRunner) -> None:
-        self.known = interrupted.known
-
-    def learn(self, known: Sequence[RecordedRun]) -> None:
-        self.recording = []
-        for run in known:
-            if run.parameters[0] == 4.0:
-                raise ValueError(run)
-            self.known[run.parameters[1]] = run.number, run.result
-
-    def recorded(self, most_bytes: int) -> tuple[RecordedRun, ...]:
-        recording, self.recording = self.recording, None
-        return tuple(recording or ())[:most_bytes]
 
     def run(self, parameters: Sequence[float]) -> RunResult:
         self.runs += 1
@@ -256,137 +217,3 @@ def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
     ):
         with pytest.raises(UnavailableError, match=named):
             Worker("w").warm(trial)
-
-
-def certified(worker: Worker, *cells: Cell, setup: DriveRequest = SETUP) -> tuple[CellResult, ...]:
-    return worker.run(Batch(setup, tuple(replace(cell, certify=True) for cell in cells))).results
-
-
-def test_a_certified_cell_names_the_cell_whose_run_it_repeats() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    first, again, other = certified(
-        worker, Cell(7, {"a": 0.0, "b": 3.0}), Cell(8, {"a": 0.5, "b": 3.0}), Cell(9, {"a": 0.0, "b": 4.0})
-    )
-    assert [(cell.proven_by, cell.agrees) for cell in (first, again, other)] == [(None, None), (7, None), (None, None)]
-    assert (again.rating, again.score, again.metrics) == (first.rating, first.score, first.metrics)
-    assert again.breakdown is None
-
-
-def test_a_certified_cell_that_is_checked_is_simulated_and_says_whether_both_agree() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    certified(worker, Cell(1, {"a": 0.0, "b": 3.0}))
-    good, bad, chaotic = certified(
-        worker,
-        Cell(2, {"a": 0.0, "b": 3.0}, check=True),
-        Cell(3, {"a": 7.0, "b": 3.0}, check=True),
-        Cell(4, {"a": 8.0, "b": 5.0}),
-    )
-    assert [(cell.proven_by, cell.agrees) for cell in (good, bad, chaotic)] == [(1, True), (1, False), (None, False)]
-    assert good.metrics["runs"] == 2
-
-
-def test_an_exception_of_a_cell_costs_no_certificate() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    _, broken, again = certified(
-        worker, Cell(1, {"a": 0.0, "b": 3.0}), Cell(2, {"a": 4.0, "b": 9.0}), Cell(3, {"a": 0.5, "b": 3.0})
-    )
-    assert broken.breakdown == "error"
-    assert again.proven_by == 1
-
-
-def test_an_exception_of_the_evaluator_leaves_the_recorded_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    worker = Worker("w")
-    request = _request()
-    certified(worker, Cell(1, MIDDLE), setup=request)
-    states = worker.run(Batch(request, ())).remembered
-    evaluator = type(registry.evaluator("reference"))
-    rate = evaluator.rate
-    monkeypatch.setattr(evaluator, "rate", lambda *_: 1 / 0)
-    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
-    assert broken.breakdown == "error"
-    monkeypatch.setattr(evaluator, "rate", rate)
-    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
-    assert again.proven_by == 1
-    assert worker.run(Batch(request, ())).remembered == states
-
-
-def test_an_exception_in_the_trie_itself_costs_its_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    worker = Worker("w")
-    request = _request()
-    certified(worker, Cell(1, MIDDLE), setup=request)
-    extend = Nodes.extend
-
-    def interrupted(nodes: Nodes, *arguments: Any) -> Any:
-        extend(nodes, *arguments)
-        raise MemoryError
-
-    monkeypatch.setattr(Nodes, "extend", interrupted)
-    [broken] = certified(worker, Cell(2, MIDDLE | {"P1": -20.0}), setup=request)
-    assert broken.breakdown == "memory"
-    monkeypatch.setattr(Nodes, "extend", extend)
-    [again] = certified(worker, Cell(3, MIDDLE), setup=request)
-    assert again.proven_by is None
-
-
-def test_a_worker_certifies_by_the_runs_of_others_and_returns_its_own() -> None:
-    sender, reader = (Worker(name, lambda _: ScriptedRunner()) for name in ("w", "v"))
-    cells = (Cell(1, {"a": 0.0, "b": 3.0}, certify=True), Cell(2, {"a": 5.0, "b": 3.0}, certify=True))
-    sent = sender.run(Batch(SETUP, cells, share=1000))
-    assert [run.number for run in sent.learned] == [1]
-    assert sender.run(Batch(SETUP, (Cell(3, {"a": 0.0, "b": 9.0}, certify=True),))).learned == ()
-    [answered] = reader.run(Batch(SETUP, (replace(cells[0], id=4),), known=sent.learned, share=1000)).results
-    assert (answered.proven_by, answered.rating) == (1, sent.results[0].rating)
-
-
-def test_a_run_of_another_worker_that_raises_costs_no_cell() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    bad = RecordedRun(9, RunResult(Rating(1.0, 1), {}), (4.0, 0.0), (), b"")
-    result = worker.run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), known=(bad,), share=1000))
-    assert [cell.breakdown for cell in result.results] == [None]
-
-
-def test_a_setup_that_is_refused_learns_nothing() -> None:
-    def refuse(_: DriveRequest) -> ScriptedRunner:
-        raise RefusedError("another version")
-
-    result = Worker("w", refuse).run(Batch(SETUP, (Cell(1, {"a": 0.0, "b": 3.0}, certify=True),), share=1000))
-    assert (result.refusal, result.results, result.learned) == ("another version", (), ())
-
-
-def test_without_leave_nothing_is_certified() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    assert [cell.metrics["runs"] for cell in run(worker, (0.0, 3.0), (0.0, 3.0))] == [1, 2]
-
-
-def test_a_worker_reports_the_use_and_limit_of_its_certificate_memory() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner(), certificates_mb=7)
-    assert worker.run(Batch(SETUP, ())).remembered == CertificateMemory(0, 0, 7 * 2**20)
-
-
-def test_a_worker_reports_certificates_of_probes_without_a_simulation() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    probes = (Probe(7, {"a": 9.0, "b": 3.0}), Probe(8, {"a": 0.0, "b": 4.0}))
-    (first,) = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}, probes=probes))
-    assert first.probed == ((7, 1),)
-    assert first.metrics["runs"] == 1
-
-
-def test_what_certificates_took_is_reported_apart_from_the_run() -> None:
-    worker = Worker("w", lambda _: ScriptedRunner())
-    simulated, proved = certified(worker, Cell(1, {"a": 0.0, "b": 3.0}), Cell(2, {"a": 0.0, "b": 3.0}))
-    [plain] = run(worker, (0.0, 3.0))
-    assert (simulated.certifying, proved.certifying, plain.certifying) == (RECORDING, WALK, 0.0)
-    assert simulated.run_milliseconds == simulated.milliseconds - RECORDING
-    assert plain.run_milliseconds == plain.milliseconds
-
-
-def test_probes_are_part_of_the_time_and_of_what_certificates_took() -> None:
-    class Slow(ScriptedRunner):
-        def prove(self, parameters: Sequence[float]) -> int | None:
-            sum(range(20_000))
-            return super().prove(parameters)
-
-    probe = Probe(7, {"a": 9.0, "b": 3.0})
-    [cell] = certified(Worker("w", lambda _: Slow()), Cell(1, {"a": 0.0, "b": 3.0}, probes=(probe,)))
-    assert cell.certifying > RECORDING
-    assert cell.milliseconds > cell.certifying

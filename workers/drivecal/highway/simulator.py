@@ -4,24 +4,17 @@ from collections.abc import Mapping
 from importlib import import_module
 from types import MappingProxyType
 
-from drivecal.contracts.work import CertificateMemory
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.certification.memory import Memory
 from drivecal.highway.planner.frenet import corridor_version
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
-from drivecal.plugins.runners import DriveSession, DriveSimulator, Runner
+from drivecal.plugins.runners import DriveSimulator, Runner
 
 
-class HighwaySession:
-    """Runners of one process, whose certificates share one memory."""
+class Highway:
+    """The closed loop of planner, vehicle and SUMO's traffic. A process can hold only one SUMO simulation."""
 
-    def __init__(self, certificates_mb: int | None) -> None:
-        self._memory = Memory(certificates_mb)
-
-    @property
-    def remembered(self) -> CertificateMemory:
-        """States and bytes of all runners, and their limit."""
-        return CertificateMemory(self._memory.states, self._memory.bytes, self._memory.limit)
+    name = "highway"
+    controllers: Mapping[str, str] = MappingProxyType({"planner": corridor_version()})
 
     def load(self) -> None:
         """Imports SUMO and the compiled kernels. Raises UnavailableError without SUMO."""
@@ -30,21 +23,10 @@ class HighwaySession:
     def runner(
         self, scenario: Scenario, function: DrivingFunction, vehicle: Vehicle, values: Mapping[str, float], evaluator: Evaluator
     ) -> Runner:
-        """Creates the runner of a setup, which records decisions if its driving function can be certified."""
-        from drivecal.highway.episode.certified import CertifiedRunner
+        """Creates the runner of a setup."""
+        from drivecal.highway.episode.runner import EpisodeRunner
 
-        return CertifiedRunner(scenario, function, vehicle.create(values), evaluator, self._memory)
-
-
-class Highway:
-    """The closed loop of planner, vehicle and SUMO's traffic."""
-
-    name = "highway"
-    controllers: Mapping[str, str] = MappingProxyType({"planner": corridor_version()})
-
-    def open(self, certificates_mb: int | None) -> DriveSession:
-        """Opens a session of this process, which can hold only one SUMO simulation."""
-        return HighwaySession(certificates_mb)
+        return EpisodeRunner(scenario, function, vehicle.create(values), evaluator)
 
 
 HIGHWAY: DriveSimulator = Highway()

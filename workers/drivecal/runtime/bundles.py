@@ -1,15 +1,20 @@
 """Problem bundles on a worker: the open sessions of their simulators."""
 
+import gzip
+import json
 import logging
 import math
+import socket
 import threading
 import time
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Any
 
+from drivecal.adapters.command import run_probe
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
 from drivecal.bundles.fingerprints import parts_of
@@ -26,8 +31,77 @@ from drivecal.plugins.simulators import (
     UnsuitableError,
 )
 from drivecal.runtime.cache import BundleCache
-from drivecal.runtime.results import compressed, milliseconds_since
-from drivecal.runtime.tools import Tools
+
+ASK_AGAIN_SECONDS = 600.0
+"""Age of an answer after which the probe runs again: tools may be upgraded while a worker lives."""
+_SHOWN = 150
+
+
+class OtherToolsError(UnavailableError):
+    """This machine has other versions of tools than the campaign began with. `answer`: of the probe here."""
+
+    def __init__(self, command: str, answer: str, expected: str) -> None:
+        super().__init__(
+            f"the probe `{command}` answers {_shown(answer)} on {socket.gethostname()} and {_shown(expected)} in this campaign;"
+            " install the same version on all machines, or submit the campaign again"
+        )
+        self.answer = answer
+
+
+class Tools:
+    """Answers of probes, by bundle."""
+
+    def __init__(
+        self,
+        run: Callable[[Mapping[str, Any], Path], str] = run_probe,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._run, self._clock = run, clock
+        self._answers: dict[str, tuple[str, float]] = {}
+
+    def ask(self, setup: BundleRequest, folder: Path) -> str:
+        """Runs the probe of a bundle in `folder`. Raises UnavailableError if it gives no answer."""
+        answer = self._run(setup.simulator, folder)
+        self._answers[setup.bundle] = answer, self._clock()
+        return answer
+
+    def check(self, setup: BundleRequest, folder: Callable[[], Path]) -> None:
+        """Raises OtherToolsError if the tools are not those of the setup. The probe runs unless its last answer is recent and agrees."""
+        if setup.tools is None:
+            return
+        answer, since = self._answers.get(setup.bundle, ("", 0.0))
+        if answer != setup.tools or self._clock() >= since + ASK_AGAIN_SECONDS:
+            answer = self.ask(setup, folder())
+        if answer != setup.tools:
+            raise OtherToolsError(" ".join(setup.simulator["probe"]), answer, setup.tools)
+
+
+def _shown(answer: str) -> str:
+    text = " ".join(answer.split())
+    return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
+
+
+LARGEST_SERIES = 8_000_000
+"""Largest size of compressed time series in bytes; the built-in scenarios stay far below."""
+
+
+def milliseconds_since(start: int) -> float:
+    """Returns the CPU time of this thread since `start` (of `time.thread_time_ns`), without Ray's own threads."""
+    return (time.thread_time_ns() - start) / 1e6
+
+
+def compressed(document: Mapping[str, Any]) -> bytes:
+    """Returns a run with its time series as compressed JSON.
+
+    Raises ConflictError if it is too large, and ValueError if a number is not finite.
+    """
+    content = gzip.compress(json.dumps(document, separators=(",", ":"), allow_nan=False).encode(), mtime=0)
+    if len(content) > LARGEST_SERIES:
+        raise ConflictError(
+            f"the time series of the run take {len(content):,} bytes, more than the limit of {LARGEST_SERIES:,}"
+        )
+    return content
+
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +201,7 @@ class BundleSessions:
             milliseconds=milliseconds + spent,
             repeats=repeats,
             trace=trace,
-            certifying=spent,
+            checking=spent,
             wall_milliseconds=wall_milliseconds,
         )
 

@@ -6,7 +6,7 @@ from drivecal.domain.scenarios import Scenario
 from drivecal.domain.setups import Setup
 from drivecal.plugins import registry
 from drivecal.plugins.ports import DrivingFunction, Evaluator, Vehicle
-from drivecal.plugins.runners import DriveSession, Runner
+from drivecal.plugins.runners import DriveSimulator, Runner
 from drivecal.plugins.setups import setup_of
 
 
@@ -14,27 +14,28 @@ class RefusedError(DrivecalError):
     """This worker cannot run a setup with any parameters, because of its installation."""
 
 
-def make_runner(request: DriveRequest, session: DriveSession) -> Runner:
+def make_runner(request: DriveRequest) -> Runner:
     """Creates the runner of a setup.
 
     Raises RefusedError if a plug-in or the simulator is unusable, lacks shipped files, or differs in version from the coordinator's, whose
     results must not mix with others. Other exceptions from the creation of plug-ins propagate, because every worker would raise them.
     """
+    simulator = registry.simulator("highway")
     try:
-        installed = _find(request, session)
+        installed = _find(request, simulator)
     except DrivecalError as error:
         raise RefusedError(str(error)) from error
     except Exception as error:  # a badly installed package may raise any exception
         raise RefusedError(f"a plug-in cannot be loaded: {type(error).__name__}: {error}") from error
     try:
         scenario, function, vehicle, evaluator = installed
-        return session.runner(scenario, function, vehicle, request.vehicle_parameters, evaluator)
+        return simulator.runner(scenario, function, vehicle, request.vehicle_parameters, evaluator)
     except UnavailableError as error:
         raise RefusedError(str(error)) from error
 
 
-def _find(request: DriveRequest, session: DriveSession) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
-    session.load()
+def _find(request: DriveRequest, simulator: DriveSimulator) -> tuple[Scenario, DrivingFunction, Vehicle, Evaluator]:
+    simulator.load()
     catalogue = registry.catalogue(request.catalogue)
     if request.scenario not in catalogue.scenarios:
         remedy = f"it has {', '.join(catalogue.scenarios)}"

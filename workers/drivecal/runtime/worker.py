@@ -7,9 +7,8 @@ import socket
 import time
 import traceback
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +19,16 @@ from drivecal.contracts.work import (
     Cell,
     CellResult,
     DriveRequest,
-    Probe,
-    RecordedRun,
 )
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.scales import plain
-from drivecal.plugins import registry
 from drivecal.plugins.runners import Runner
 from drivecal.plugins.simulators import UnsuitableError
-from drivecal.runtime.bundles import BundleSessions
+from drivecal.runtime.bundles import BundleSessions, OtherToolsError, compressed, milliseconds_since
 from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.compilation import prepare_cache
-from drivecal.runtime.results import compressed, milliseconds_since
 from drivecal.runtime.runners import RefusedError, make_runner
-from drivecal.runtime.tools import OtherToolsError
 
 log = logging.getLogger(__name__)
 
@@ -58,22 +52,20 @@ class Worker:
     def __init__(
         self,
         name: str,
-        make: Callable[[DriveRequest], Runner] | None = None,
-        certificates_mb: int | None = None,
+        make: Callable[[DriveRequest], Runner] = make_runner,
         bundles: BundleSessions | None = None,
     ) -> None:
         """Creates a worker.
 
-        `make`: creates runners of driving functions, by default from the registry; `certificates_mb`: memory limit of certificates;
-        `bundles`: runs problem bundles, by default with the adapters.
+        Args:
+            name: Its name in results and messages.
+            make: Creates runners of driving functions.
+            bundles: Runs problem bundles, by default with the adapters.
         """
         self._name = name
-        self._drives = registry.simulator("highway").open(certificates_mb)
-        self._make = make or partial(make_runner, session=self._drives)
+        self._make = make
         self._bundles = bundles or BundleSessions(BundleCache(cache_folder()))
         self._runners: OrderedDict[tuple[object, ...], Runner] = OrderedDict()
-        self._interrupted: set[tuple[object, ...]] = set()
-        """Setups whose runner an exception interrupted."""
 
     def warm(self, trial: Batch) -> WorkerFacts:
         """Simulates `trial`, which loads and compiles everything for the first batch and tests this worker.
@@ -113,30 +105,15 @@ class Worker:
             refusal, tools = describe(error), error.answer
         except (RefusedError, UnavailableError) as error:
             refusal, unsuitable = describe(error), isinstance(error, UnsuitableError)
-        runner = self._runners.get(batch.setup.key) if batch.share else None
-        learned = () if runner is None else runner.recorded(batch.share)
         seconds = time.perf_counter() - start
-        return BatchResult(
-            self._name, tuple(results), seconds, refusal, self._drives.remembered, learned, tools, unsuitable=unsuitable
-        )
+        return BatchResult(self._name, tuple(results), seconds, refusal, tools, unsuitable=unsuitable)
 
     def _run_all(self, batch: Batch) -> Iterator[CellResult]:
         setup = batch.setup
         if isinstance(setup, DriveRequest):
-            if batch.share:
-                self._learn(setup, batch.known)
             yield from (self._run_cell(setup, cell) for cell in batch.cells)
         else:
             yield from (self._bundles.run(setup, cell) for cell in batch.cells)
-
-    def _learn(self, setup: DriveRequest, known: Sequence[RecordedRun]) -> None:
-        """Records the runs of other workers. An exception does not propagate: the cells report it if it concerns them."""
-        try:
-            self._runner(setup).learn(known)
-        except RefusedError:
-            raise
-        except (Exception, SystemExit):  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
-            self._interrupt(setup)
 
     def _run_cell(self, setup: DriveRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
@@ -145,16 +122,10 @@ class Worker:
             parameters = [cell.parameters[name] for name in runner.parameters]
             if cell.trace:
                 return _traced(cell, runner.trace(parameters).to_json(), start)
-            result = runner.answer(parameters, cell.id, check=cell.check) if cell.certify else runner.run(parameters)
+            result = runner.run(parameters)
             rating = _finite("the rating", result.rating.rating)
             metrics = {name: _finite(name, value) for name, value in result.metrics.items()}
             failure = result.failure.value if result.failure else None
-            certifying = result.certifying
-            probed: tuple[tuple[int, int], ...] = ()
-            if cell.probes:
-                probing = time.thread_time_ns()
-                probed = _probed(runner, cell.probes)
-                certifying += milliseconds_since(probing)
             return CellResult(
                 id=cell.id,
                 rating=rating,
@@ -162,10 +133,6 @@ class Worker:
                 metrics=metrics,
                 failure=failure,
                 milliseconds=milliseconds_since(start),
-                proven_by=result.proven_by,
-                agrees=result.agrees,
-                probed=probed,
-                certifying=certifying,
             )
         except RefusedError:
             raise
@@ -176,24 +143,15 @@ class Worker:
 
     def _runner(self, setup: DriveRequest) -> Runner:
         key = setup.key
-        if key not in self._runners or key in self._interrupted:
-            runner = self._make(setup)
-            if key in self._interrupted:
-                runner.take_over(self._runners[key])
-                self._interrupted.remove(key)
-            self._runners[key] = runner
+        if key not in self._runners:
+            self._runners[key] = self._make(setup)
             if len(self._runners) > MOST_RUNNERS:
-                self._interrupted.discard(self._runners.popitem(last=False)[0])
+                self._runners.popitem(last=False)
         self._runners.move_to_end(key)
         return self._runners[key]
 
-    def _interrupt(self, setup: DriveRequest) -> None:
-        """Notes that an exception interrupted a runner, which may be in any state: the next cell gets a new one."""
-        if setup.key in self._runners:
-            self._interrupted.add(setup.key)
-
     def _broken(self, setup: DriveRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
-        self._interrupt(setup)
+        self._runners.pop(setup.key, None)  # it may be in any state
         return CellResult(cell.id, None, None, {}, None, milliseconds_since(start), cause.value, describe(error))
 
 
@@ -215,12 +173,6 @@ def _traced(cell: Cell, document: Mapping[str, Any], start: int) -> CellResult:
     content = compressed(document)
     rating, score, metrics, failure = (document[name] for name in ("rating", "score", "metrics", "failure"))
     return CellResult(cell.id, rating, score, metrics, failure, milliseconds_since(start), trace=content)
-
-
-def _probed(runner: Runner, probes: Sequence[Probe]) -> tuple[tuple[int, int], ...]:
-    """Returns the ids of proven probes with the numbers of their runs."""
-    runs = ((probe.id, runner.prove([probe.parameters[name] for name in runner.parameters])) for probe in probes)
-    return tuple((probe, run) for probe, run in runs if run is not None)
 
 
 def _finite(name: str, value: float) -> float:

@@ -53,7 +53,7 @@ class LaneFollower:
 
 
 class Plugin:
-    name, version, certifiable, limits = "lane_follower", "1", False, {}
+    name, version, limits = "lane_follower", "1", {}
     spaces = {"highway": SPACE}
 
     def create(self, scenario):

@@ -1,7 +1,7 @@
 """Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 from fastapi import APIRouter, Response
@@ -63,7 +63,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
             page, following = generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
-        return [{"iteration": iteration, **asdict(figures)} for iteration, figures in page], following
+        return [{"iteration": iteration, **figures.flat} for iteration, figures in page], following
 
     return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
 

@@ -5,18 +5,24 @@ The rows are authoritative. A sample is drawn after the lot is committed, by the
 nor verdict.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from sqlalchemy import Connection
 
-from drivecal.domain.evaluations import Outcome
+from drivecal.campaigns.cells.planning import View
+from drivecal.contracts.campaign import ErrorRate
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Outcome, RequestedCell
+from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
-from drivecal.reduction.lots import SamplingPlan, draw
+from drivecal.reduction.audit import error_rates, expected_error_rate
+from drivecal.reduction.lots import SamplingPlan, best_plan, draw, most_released
 from drivecal.reduction.prediction import ROUNDING
-from drivecal.storage import audits, evaluations, lots
+from drivecal.storage import audits, evaluations, events, lots
 from drivecal.storage.evaluations import AnsweredCell
-from drivecal.storage.lots import LotVerdict, StoredLot
+from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -55,7 +61,7 @@ class Inspection:
         for number, references in lots.references(connection, self._campaign, reused).items():
             self._open[number].awaited = references & pending.keys()
         for cell in pending.values():
-            if cell.lot in self._open and (cell.sampled or cell.audited):
+            if cell.lot in self._open and cell.inspected:
                 self._open[cell.lot].sampled.add(cell.id)
             elif cell.lot in self._open:
                 self._open[cell.lot].members[cell.id] = cell
@@ -63,7 +69,7 @@ class Inspection:
         for lot in self._open.values():
             if len(lot.members) == lot.lot.size:
                 sample = self._draw(connection, lot)
-                evaluations.draw_sample(connection, list(sample), lot.lot.kind)
+                evaluations.draw_sample(connection, list(sample))
                 drawn |= sample
         return drawn
 
@@ -74,19 +80,18 @@ class Inspection:
         for cell in chosen:
             del lot.members[cell.id]
             lot.sampled.add(cell.id)
-        reused = lot.lot.kind is Outcome.REUSED
-        return {cell.id: replace(cell, plan=Outcome.SIMULATED, sampled=not reused, audited=reused) for cell in chosen}
+        return {cell.id: replace(cell, plan=Outcome.SIMULATED, inspected=True) for cell in chosen}
 
     def compare(self, cell: StoredEvaluation, score: float | None) -> bool | None:
         """Takes a sampled cell's simulated score, None without a result, and returns whether the prediction was right; None for other
         cells. Samples of references are compared by the verdict, for their references may still be simulated."""
         lot = self._open.get(cell.lot or 0)
-        if lot is not None and cell.audited:
-            lot.sampled.discard(cell.id)
-        if not cell.sampled or lot is None or cell.predicted_score is None:
+        if lot is None or not cell.inspected:
+            return None
+        lot.sampled.discard(cell.id)
+        if lot.lot.kind is not Outcome.PREDICTED or cell.predicted_score is None:
             return None
         right = score is not None and abs(score - cell.predicted_score) <= lot.lot.tolerance + ROUNDING
-        lot.sampled.discard(cell.id)
         lot.errors += not right
         return right
 
@@ -149,3 +154,70 @@ class Inspection:
             cell: AnsweredCell(cell, kind, donor.score, donor.rating, donor.run, donor.failure)
             for cell, donor in with_result.items()
         }
+
+
+def form_lots_of_references(
+    connection: Connection, view: View, cells: Sequence[RequestedCell], limit: float, rates: Mapping[str, ErrorRate]
+) -> list[RequestedCell]:
+    """Stores a lot for the reused cells of each scenario in a batch, and returns all cells, these with their lots. A `limit` of 1 makes no
+    lots.
+
+    An answer is wrong if it is off by more than the scale's tolerance. `rates` are the audits so far; they choose how many errors a sample
+    may hold. The sample of a very small lot is the whole lot.
+    """
+    members: dict[str, list[int]] = defaultdict(list)
+    for place, cell in enumerate(cells):
+        if cell.plan is Outcome.REUSED:
+            members[cell.scenario].append(place)
+    if not members or limit >= 1.0:
+        return list(cells)
+    first, new = cells[0], []
+    for scenario, places in members.items():
+        plan = best_plan(len(places), limit, expected_error_rate(rates.get(scenario)))
+        at = first.iteration, first.individual, scenario
+        size = plan.size, plan.sample, plan.acceptance
+        new.append(NewLot(*at, *size, view.bench.scale.tolerance, limit, known=0, seconds=0.0, kind=Outcome.REUSED))
+    planned = list(cells)
+    for places, number in zip(members.values(), lots.insert(connection, view.campaign, new), strict=True):
+        for place in places:
+            planned[place] = replace(planned[place], lot=number)
+    return planned
+
+
+def check_reuse(
+    connection: Connection, view: View, iteration: int, scenarios: Sequence[str], before: Mapping[str, ErrorRate]
+) -> dict[str, ErrorRate]:
+    """Evaluates the audits of this and all earlier iterations of the calibration, and results that contradict each other. Without an
+    influence map, nothing was reused."""
+    if view.influence_map is None:
+        return error_rates((), scenarios)
+    campaign, bench = view.campaign, view.bench
+    rater, scale = bench.evaluator_id, bench.scale
+    audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
+    contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
+    inspected = lots.verdicts(connection, campaign, Outcome.REUSED)
+    counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign) if inspected else {}
+    rates = error_rates(counts, scenarios, contradictions, inspected, bounds)
+    for scenario, rate in rates.items():
+        if rate.rejected and not (scenario in before and before[scenario].rejected):
+            data = {"scenario": scenario, "wrong": rate.wrong, "audited": rate.audited}
+            events.add(connection, campaign, EventKind.LOT_REJECTED, data)
+    return rates
+
+
+def _most_wrong(connection: Connection, campaign: int) -> dict[str, float]:
+    """Returns an upper 95 % limit of the share of wrong answers among those that lots of references released, by scenario."""
+    plans: dict[str, list[tuple[SamplingPlan, int]]] = defaultdict(list)
+    for lot in lots.of_campaign(connection, campaign, Outcome.REUSED):
+        if lot.verdict is not None:
+            plans[lot.scenario].append((SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0))
+    released = lots.released_cells(connection, campaign, Outcome.REUSED)
+    return {name: min(1.0, most_released(plans[name]) / count) for name, count in released.items()}
+
+
+def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:
+    """Returns a note on the scenarios in which lots of references were rejected; None without any."""
+    rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
+    if not rejected:
+        return None
+    return f"lots of reused answers had too many wrong samples, so every cell of them was simulated: {', '.join(rejected)}"

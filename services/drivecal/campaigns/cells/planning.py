@@ -8,15 +8,14 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor
+from drivecal.domain.evaluations import Donor, RequestedCell
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.execution.measures import MEASURES
-from drivecal.reduction.assignment import Policy, RequestedCell, assign
+from drivecal.reduction.assignment import Policy, assign
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix, keys_under
 from drivecal.storage import evaluations
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.references import parameter_sets, reference_keys, runs, setups
 
 
@@ -30,8 +29,6 @@ class View:
     bench: Bench
     influence_map: InfluenceMap | None = None
     influence_map_sequence: int | None = None
-    checked_certificates: float | None = None
-    """Share of certified cells that are simulated as a check; None: no cell is certified."""
     traced: bool = False
     """The time series of its cells are wanted."""
 
@@ -71,7 +68,7 @@ def sync_reference_keys(database: Database, view: View) -> None:
 @MEASURES.timed("lookup")
 def plan_cells(
     connection: Connection, view: View, policy: Policy, stage: StageName, iteration: int, wanted: Sequence[RequestedCell]
-) -> list[NewEvaluation]:
+) -> list[RequestedCell]:
     """Returns the planned answer of each requested cell, in order."""
     setup_ids = ensure_setups(connection, view.bench)
     sets = list(dict.fromkeys(cell.parameters for cell in wanted))
@@ -94,23 +91,18 @@ def plan_cells(
         if policy.reuses and scenario in view.keys and setup_id in stocked:
             stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)))
             references |= {(scenario, key): donor for key, donor in stored.items()}
-    cells = [replace(cell, reference_key=class_keys.get((cell.scenario, cell.parameters))) for cell in wanted]
-    return [
-        NewEvaluation(
+    placed = [
+        replace(
+            cell,
             stage=stage,
             iteration=iteration,
-            individual=cell.individual,
-            scenario=cell.scenario,
             setup_id=setup_ids[cell.scenario],
             parameter_set_id=set_ids[cell.parameters],
-            plan=assignment.plan,
-            reference_key=cell.reference_key,
-            donor=assignment.donor,
-            leader=assignment.leader,
-            audited=assignment.audited,
+            reference_key=class_keys.get((cell.scenario, cell.parameters)),
         )
-        for cell, assignment in zip(cells, assign(cells, policy, exact, references), strict=True)
+        for cell in wanted
     ]
+    return assign(placed, policy, exact, references)
 
 
 def _exact(connection: Connection, view: View, scenario: str, setup_id: int, set_ids: Sequence[int]) -> dict[int, Donor]:

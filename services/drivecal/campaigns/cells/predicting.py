@@ -1,7 +1,8 @@
 """Predicts the cells of a calibration batch by batch, and accepts predictions in lots.
 
-A batch is a slice of the start population or a later generation. Its predictors learn from all earlier answers that were simulated or
-certified, so lots depend on stored rows, never on the order of answers. The stored times of simulations decide whether a predictor pays.
+A batch is a slice of the start population or a later generation. Its predictors learn from all earlier
+answers that were simulated, so lots depend on stored rows, never on the order of answers. The stored times of simulations decide whether a
+predictor pays.
 """
 
 import math
@@ -10,7 +11,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,18 +21,18 @@ from itertools import groupby
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.campaigns.cells.past_lots import pays, released_by_scenario
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import CellScore, Outcome
+from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.domain.scales import Scale, plain
-from drivecal.reduction.lots import SamplingPlan, weigh
+from drivecal.reduction.lots import SamplingPlan, most_released, weigh
 from drivecal.reduction.prediction import (
     FEWEST_KNOWN,
     MOST_KNOWN,
+    REFIT,
     ROUNDING,
     FeatureSpace,
     Floats,
@@ -43,8 +44,7 @@ from drivecal.reduction.prediction import (
 )
 from drivecal.storage import evaluations, lots
 from drivecal.storage.engine.types import ORDER
-from drivecal.storage.evaluations import NewEvaluation
-from drivecal.storage.lots import KnownAnswer, NewLot, StoredLot
+from drivecal.storage.lots import KnownAnswer, LotVerdict, NewLot, StoredLot
 from drivecal.storage.references import runs
 
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
@@ -222,11 +222,11 @@ class LotPlanner:
     def plan(
         self,
         connection: Connection,
-        cells: Sequence[NewEvaluation],
+        cells: Sequence[RequestedCell],
         best: float | None,
         whole: Collection[int],
         reaches: Callable[[Mapping[str, CellScore]], bool] | None = None,
-    ) -> list[NewEvaluation]:
+    ) -> list[RequestedCell]:
         """Stores the batch's lots, and returns its cells with accepted predictions in the place of simulations.
 
         Sets in `whole` (individuals) and those believed within reach of the `best` simulated objective, or of the front if `reaches` is
@@ -248,7 +248,7 @@ class LotPlanner:
                 for place, cell in enumerate(cells)
                 if cell.scenario == scenario
                 and cell.plan is Outcome.SIMULATED
-                and not cell.audited
+                and not cell.inspected
                 and cell.individual in self._rows
             ]
             for place in here:
@@ -274,7 +274,7 @@ class LotPlanner:
                 planned[place] = replace(planned[place], plan=Outcome.PREDICTED, lot=number)
         return planned
 
-    def _new(self, first: NewEvaluation, scenario: str, lot: Lot | None) -> NewLot:
+    def _new(self, first: RequestedCell, scenario: str, lot: Lot | None) -> NewLot:
         plan = SamplingPlan(0, 0, 0) if lot is None else lot.plan
         forecast = self._forecasts[scenario]
         return NewLot(
@@ -291,7 +291,7 @@ class LotPlanner:
             Outcome.PREDICTED,
         )
 
-    def _promoted(self, cells: Sequence[NewEvaluation], best: float | None) -> set[int]:
+    def _promoted(self, cells: Sequence[RequestedCell], best: float | None) -> set[int]:
         """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations
         worse; without a simulated one, the individual that is believed to be the best. Without a prediction, the newest known scores of
         the scenario give mean and deviation."""
@@ -311,11 +311,11 @@ class LotPlanner:
             return {max(hoped, key=lambda individual: hoped[individual])}
         return {individual for individual, hope in hoped.items() if hope >= sign * best - ROUNDING}
 
-    def _believed(self, cells: Sequence[NewEvaluation]) -> Iterator[tuple[NewEvaluation, float, float, float]]:
+    def _believed(self, cells: Sequence[RequestedCell]) -> Iterator[tuple[RequestedCell, float, float, float]]:
         """Yields each cell with its believed score, the mean and the variance."""
         prior = {scenario: learner.newest() for scenario, learner in self._learners.items() if scenario not in self._forecasts}
         for cell in cells:
-            if cell.donor is not None and not cell.audited:
+            if cell.donor is not None and not cell.inspected:
                 yield cell, float(cell.donor.score), float(cell.donor.score), 0.0
             elif cell.scenario in prior:
                 mean, variance = prior[cell.scenario]
@@ -324,7 +324,7 @@ class LotPlanner:
                 predictions, row = self._forecasts[cell.scenario].predictions, self._rows[cell.individual]
                 yield cell, float(predictions.scores[row]), float(predictions.mean[row]), float(predictions.variance[row])
 
-    def _reaching(self, cells: Sequence[NewEvaluation], reaches: Callable[[Mapping[str, CellScore]], bool]) -> set[int]:
+    def _reaching(self, cells: Sequence[RequestedCell], reaches: Callable[[Mapping[str, CellScore]], bool]) -> set[int]:
         """Individuals that reach the front with the better of their believed scores and `REACH` standard deviations beyond their means."""
         sign = self._view.bench.scale.sign
         hoped: dict[int, dict[str, CellScore]] = defaultdict(dict)
@@ -334,3 +334,92 @@ class LotPlanner:
                 cell.parameter_set_id, cell.scenario, value, value, own=False, iteration=0, individual=cell.individual
             )
         return {individual for individual, scores in hoped.items() if reaches(scores)}
+
+
+PATIENCE = 3
+"""Batches after a training in which a predictor is asked whatever it saves: a single lot may be empty or rejected, and asking costs no more
+than a few cells."""
+GROWTH = 1.25
+"""Growth of the known answers after which a predictor without an accepted lot is tried again."""
+LIKELY = 0.25
+"""Share of a batch that a predictor is expected to save if it has saved nothing yet."""
+
+
+TRAINING_SECONDS, SECONDS_PER_ANSWER, SECONDS_PER_VALUE = 0.015, 20e-6, 4e-6
+"""CPU time of a training: in any case, for each known answer, and for each parameter of it. Usual times in the place of measured ones:
+a dispatcher that was killed trains once more, and its campaign would go on with other lots."""
+ASKING_SECONDS = 0.01
+"""CPU time of a batch's predictions."""
+
+
+def pays(lots_so_far: Sequence[StoredLot], known: int, cells: int, parameters: int, cell_seconds: float) -> bool:
+    """Whether a scenario's predictor of so many parameters can save more than it costs in a batch of so many cells.
+
+    Training takes most of its time, so all batches since the last training count for another one; without success it waits until clearly
+    more answers are `known`. Until a training is due, asking again costs a prediction: it goes on for `PATIENCE` batches, and then as long
+    as those alone pay.
+    """
+    if not lots_so_far:
+        return True
+    trained_on = lots_so_far[-1].known
+    served = [lot for lot in lots_so_far if lot.known == trained_on]
+    if known < REFIT * trained_on:
+        asked = served[1:]
+        return len(asked) < PATIENCE or ASKING_SECONDS * len(asked) <= _saved_seconds(asked, cell_seconds)
+    training = training_seconds(trained_on, parameters)
+    grown = known >= GROWTH * trained_on and training + ASKING_SECONDS <= LIKELY * cells * cell_seconds
+    return grown or training + ASKING_SECONDS * len(served) <= _saved_seconds(served, cell_seconds)
+
+
+def training_seconds(known: int, parameters: int) -> float:
+    """Returns the usual CPU time of a training on so many known answers."""
+    return TRAINING_SECONDS + min(known, MOST_KNOWN) * (SECONDS_PER_ANSWER + SECONDS_PER_VALUE * parameters)
+
+
+def _saved_seconds(served: Sequence[StoredLot], cell_seconds: float) -> float:
+    return sum(lot.released for lot in served) * cell_seconds
+
+
+def released_by_scenario(
+    stored: Sequence[StoredLot], scenarios: Iterable[str], limit: float, batches: int, number: Callable[[StoredLot], int]
+) -> dict[str, Released]:
+    """Sums up lots with a verdict, after so many batches. `number`: of a lot's batch, from 0."""
+    of = {name: [lot for lot in stored if lot.scenario == name] for name in scenarios}
+    return {name: _released(lots, limit, batches, number(lots[0]) if lots else batches) for name, lots in of.items()}
+
+
+def _released(stored: Sequence[StoredLot], limit: float, batches: int, early: int) -> Released:
+    inspected = [lot for lot in stored if lot.verdict is not None]
+    released = sum(lot.released for lot in inspected)
+    plans = [(SamplingPlan(lot.size, lot.sample, lot.acceptance), lot.errors or 0) for lot in inspected]
+    return Released(
+        batches=batches,
+        asked=len(stored),
+        early=early,
+        inspected=sum(lot.size for lot in inspected),
+        lots=len(inspected),
+        rejected=sum(lot.verdict is LotVerdict.REJECTED for lot in inspected),
+        predicted=released,
+        sampled=sum(lot.sample for lot in inspected),
+        different=sum(lot.errors or 0 for lot in inspected),
+        limit=limit,
+        upper_95=most_released(plans) / released if released else None,
+        seconds=sum(lot.seconds for lot in stored),
+    )
+
+
+def skipped_text(released: Mapping[str, Released]) -> str | None:
+    """Returns a note on scenarios whose predictor made no lot in some batches; None if there is none."""
+    early = {name: each.early for name, each in released.items()}
+    late = {name: each.batches - each.asked - each.early for name, each in released.items()}
+    unsure = {name: each.asked - each.lots for name, each in released.items()}
+    parts = [
+        f"{reason}: {', '.join(f'{name} ({count} of {released[name].batches})' for name, count in counts.items() if count)}"
+        for reason, counts in (
+            ("because too little was known yet, or every answer was known", early),
+            ("because predicting would have cost more than it saves, or every answer was known", late),
+            ("because no prediction was sure enough", unsure),
+        )
+        if any(counts.values())
+    ]
+    return f"batches without predictions, {'; '.join(parts)}" if parts else None

@@ -53,10 +53,6 @@ class Bench(Protocol):
         """Scale of the scores."""
 
     @property
-    def certifiable(self) -> bool:
-        """Whether runs can be certified."""
-
-    @property
     def needs_series(self) -> bool:
         """Whether stored runs lack the time series that a score needs."""
 
@@ -144,11 +140,6 @@ class DrivingBench:
         return COMFORT
 
     @property
-    def certifiable(self) -> bool:
-        """Whether runs of the driving function can be certified."""
-        return self.driving_function.certifiable
-
-    @property
     def needs_series(self) -> bool:
         """Whether the evaluator rates time series, which are not stored."""
         return isinstance(self.evaluator, SeriesEvaluator)
@@ -160,7 +151,7 @@ class DrivingBench:
 
     @property
     def repeated_share(self) -> float | None:
-        """None: the closed loop is deterministic, and certificates check it."""
+        """None: the closed loop is deterministic."""
         return None
 
     def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:

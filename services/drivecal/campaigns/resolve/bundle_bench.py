@@ -115,11 +115,6 @@ class BundleBench:
         return self._entry.scale(self.score)
 
     @property
-    def certifiable(self) -> bool:
-        """Runs of foreign simulators cannot be certified."""
-        return False
-
-    @property
     def needs_series(self) -> bool:
         """Scores are formulas over measures, which are stored."""
         return False

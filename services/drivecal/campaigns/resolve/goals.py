@@ -50,12 +50,9 @@ def find_goals(
 
 
 def check_reuse(
-    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics, *, certifiable: bool
+    reduction: ReductionSpecification, goals: Goals | None, diagnostics: Diagnostics
 ) -> tuple[ReductionSpecification, tuple[str, ...]]:
-    """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only.
-
-    `certifiable`: whether runs can be certified.
-    """
+    """Returns the settings of reuse under these goals, with a note: references, predictions and maps know one score only."""
     if goals is None or not goals.computed:
         return reduction, ()
     if reduction.narrow:
@@ -66,12 +63,9 @@ def check_reuse(
     named = ", ".join(sorted({goal.name for goal in (*goals.objectives, *goals.bounds) if goal.value.key != SCORE}))
     if "mode" in reduction.model_fields_set:
         message = f"references and predictions answer the campaign's score only, and {named} would have no value"
-        diagnostics.add(
-            "reduction.mode", message, f"give mode: exact, which repeats equal sets{' and proven runs' if certifiable else ''}"
-        )
+        diagnostics.add("reduction.mode", message, "give mode: exact, which repeats equal sets")
         return reduction, ()
-    answers = "equal sets and certificates" if certifiable else "equal sets"
-    note = f"cells are answered by {answers} only, as references and predictions have no {named}"
+    note = f"cells are answered by equal sets only, as references and predictions have no {named}"
     return reduction.model_copy(update={"mode": "exact"}), (note,)
 
 

@@ -67,12 +67,6 @@ class CalibrationProblem:
         return resolvers.plan_analysis(wanted, self.constraints, self.scenarios, self.bench.scale)
 
     @property
-    def checked_certificates(self) -> float | None:
-        """The share of certified cells that are still simulated, to check certificates; None without certificates."""
-        wanted = self.specification.reduction
-        return wanted.audit if wanted.certified and self.bench.certifiable else None
-
-    @property
     def scenarios(self) -> tuple[str, ...]:
         """The ids of the simulated scenarios, in the catalogue's order."""
         return tuple(self.weights)
@@ -175,8 +169,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
     goals = find_goals(specification, workbench.known, weights, diagnostics) if workbench.known.scores and weights else None
-    asked = specification.reduction
-    reduction, more = check_reuse(asked, goals, diagnostics, certifiable=workbench.certifiable)
+    reduction, more = check_reuse(specification.reduction, goals, diagnostics)
     specification = specification.model_copy(update={"reduction": reduction})
     notes += more
     resolvers.check_abilities(optimization, constraints, goals, diagnostics)
@@ -209,7 +202,6 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     resolvers.check_units(specification, bench.scale, diagnostics)
     diagnostics.raise_if_any()
     notes += resolvers.note_predictions(specification, bench.scale)
-    notes += resolvers.note_certificates(asked, bench)
     return CalibrationProblem(
         specification, bench, space, weights, optimization, baseline, start_sets, robust_sets, notes, constraints, goals
     )

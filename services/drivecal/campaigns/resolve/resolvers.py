@@ -8,14 +8,12 @@ from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.goals import Goals
 from drivecal.analysis.robustness import check_nominal
-from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.campaign import STUDIES
 from drivecal.contracts.input_errors import nearest, problem
 from drivecal.contracts.specification import (
     CampaignSpecification,
-    ReductionSpecification,
     SensitivitySpecification,
     SeparateThresholds,
     VehicleSpecification,
@@ -225,15 +223,6 @@ def note_predictions(specification: CampaignSpecification, scale: Scale) -> tupl
         return ()
     remedy = "a `tolerance` of the score in problem.yaml, or `reduction.tolerance`, lets predictions answer cells"
     return (f"the score {scale.name} has neither steps nor a tolerance, so hardly any prediction is right: {remedy}",)
-
-
-def note_certificates(reduction: ReductionSpecification, bench: Bench) -> tuple[str, ...]:
-    """Notes that nothing is certified, to users who ask for certificates or for a mode in which they may expect them."""
-    asked = reduction.model_fields_set
-    expects = "certified" in asked or ("mode" in asked and reduction.mode in {"exact", "both"})
-    if bench.certifiable or not reduction.certified or not expects:
-        return ()
-    return (f"runs of {bench.function} cannot be certified: no run is proved to repeat a stored one of another set",)
 
 
 def check_validation(specification: CampaignSpecification, diagnostics: Diagnostics) -> None:

@@ -50,8 +50,6 @@ class Workbench:
     """The problem's own baseline."""
     notes: tuple[str, ...] = ()
     known: KnownValues = field(default_factory=KnownValues)
-    certifiable: bool = False
-    """Whether runs can be certified; those of bundles cannot."""
 
 
 def no_bundles(name: str) -> Bundle:
@@ -84,10 +82,7 @@ def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:
             return DrivingBench({name: catalogued[name] for name in scenarios}, driver, driven, values, rater)
 
     known = KnownValues({COMFORT.name: CellValue(COMFORT)}, CLOSED_LOOP_MEASURES)
-    certifiable = function is not None and function.certifiable
-    return Workbench(
-        {"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make, known=known, certifiable=certifiable
-    )
+    return Workbench({"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make, known=known)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from drivecal.reduction.explanation import CellComparison, Nearest, ParameterDif
 from drivecal.storage import campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import influence_maps, parameter_sets, reference_candidates, runs
+from drivecal.storage.references import influence_maps, parameter_sets, reference_keys, runs
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -100,7 +100,7 @@ def explain(connection: Connection, evaluation_id: int) -> Explanation:
         return _explanation(case, "checked")
     if cell.plan is Outcome.PREDICTED:
         return _explanation(case, "predicted")
-    if (reason := "reused" if cell.outcome is Outcome.CERTIFIED else _HITS.get(cell.plan)) is not None:
+    if (reason := _HITS.get(cell.plan)) is not None:
         return _explanation(case, reason, *_reference(case, cell.reference))
     if (confirmed := _trusted(case)) is not None:
         prediction = replace(case, cell=confirmed).prediction if confirmed.outcome is Outcome.PREDICTED else None
@@ -135,8 +135,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     stored = 0
     place = (cell.stage, cell.iteration, cell.individual)
     sources = (
-        reference_candidates.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
-        reference_candidates.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
+        reference_keys.stored_sets(case.connection, cell.setup_id, case.evaluator, watermark, names),
+        reference_keys.own_sets(case.connection, cell.campaign_sequence, cell.scenario, place, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

@@ -4,7 +4,7 @@ On request, later rounds confirm the best set (`confirmation`). Their cells belo
 belong to no generation.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,36 +13,30 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
 from drivecal.analysis.verdicts import confirmation_verdict
-from drivecal.campaigns.cells.past_lots import skipped_text
+from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
-from drivecal.campaigns.cells.predicting import LotPlanner, slice_size
-from drivecal.campaigns.cells.reusing import check_reuse, form_lots_of_references, rejected_text
+from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.best_set import BestSetStage
 from drivecal.campaigns.stages.population import PopulationAnswers
 from drivecal.campaigns.stages.proposing import Computation
 from drivecal.campaigns.stages.stage import Round
-from drivecal.contracts.campaign import CellCounts, ErrorRate, Released
+from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, Released
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
+from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.parameters import Indices
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.repair import checked_proposal
 from drivecal.plugins.ports import Optimizer, Proposal
-from drivecal.reduction.assignment import Policy, RequestedCell
+from drivecal.reduction.assignment import Policy
 from drivecal.reduction.narrowing import begun_area
 from drivecal.storage import campaigns, events, generations, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
 from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
-
-_COUNTED = (
-    *("proposed", "carried_over", "requested", "repeated", "reused", "predicted", "certified", "simulated", "failed"),
-    *("audited", "sampled"),
-)
 
 
 class Calibration(BestSetStage):
@@ -64,7 +58,7 @@ class Calibration(BestSetStage):
         if problem.specification.reduction.narrow:
             self._notes = (*problem.notes, self._area.note())
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
-        self._before = CellCounts()
+        self._before = GenerationCounts()
         self._iteration: int | None = None
         self._proposal: Proposal | None = None
         self._evaluated: Indices | None = None
@@ -84,7 +78,6 @@ class Calibration(BestSetStage):
             self._planner = LotPlanner(view, problem.space, reduction, problem.weights, population)
         self._released: dict[str, Released] = dict(campaign.released)
         self._confirming: Confirming | None = None
-        self._withdrawn = 0
         """Withdrawn answers that the ranking knows of."""
         self._confirmation = campaign.confirmation
 
@@ -134,7 +127,7 @@ class Calibration(BestSetStage):
             self._last = last = generations.last(connection, self._campaign.sequence)
             if last is not None:
                 finished = last.iteration + last.finished
-                self._before = CellCounts(**generations.sums(connection, self._campaign.sequence, _COUNTED, finished))
+                self._before = generations.sums(connection, self._campaign.sequence, finished)
                 self._answers.take_in(connection, self._campaign.sequence, range(finished))
         constraints, area, optimization = self._problem.constraints, self._area, self._optimization
         if last is None:
@@ -225,7 +218,7 @@ class Calibration(BestSetStage):
             self._planner.predict(dict(zip(batch, sets, strict=True)))
         return Round(self._iteration, [(problem.bench, wanted)], self._policy())
 
-    def _form_lots(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:
+    def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:
         if asked.number != self._iteration:
             return planned
         limit = self._problem.specification.reduction.max_error
@@ -267,10 +260,6 @@ class Calibration(BestSetStage):
     def _confirm(self) -> Round | None:
         """The best set in the scenarios with scores copied from references, after the previous answers; None when no set is left."""
         sequence, first = self._campaign.sequence, self._optimization.iterations
-        with self._database.read() as connection:
-            withdrawn = results.withdrawn(connection, sequence)
-            if withdrawn != self._withdrawn:  # others may contradict their certificates
-                self._ranking, self._withdrawn = self._answers.rank_again(connection, sequence), withdrawn
         limit, best = self._problem.specification.reduction.confirm, self._ranking.best()
         believed = self._ranking.doubtful() if best is None else best[0]  # every set may have a predicted score
         if limit == 0 or believed is None:
@@ -330,7 +319,7 @@ class Calibration(BestSetStage):
             figures = self._figures(objectives)
             generations.finish(connection, self._campaign.sequence, self._iteration, figures, objectives.tolist())
             self._save(connection)
-            data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **asdict(figures)}
+            data = {"iteration": self._iteration, "iterations": self._optimization.iterations, **figures.flat}
             events.add(connection, self._campaign.sequence, EventKind.GENERATION, data)
         self._before = CellCounts(**self._tracker.counts)
         self._evaluated = None if self._proposal is None else self._proposal.population
@@ -340,14 +329,15 @@ class Calibration(BestSetStage):
             self._computation = Computation(lambda: optimizer, self._answers.for_optimizer(), asks=True)
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
-        now = CellCounts(**self._tracker.counts)
-        counted = {name: getattr(now, name) - getattr(self._before, name) for name in _COUNTED}
+        now = self._tracker.counts
+        counted = {name: now.get(name, 0) - getattr(self._before, name) for name in GenerationCounts.model_fields}
+        cells = GenerationCounts(**counted)
         if objectives is None:
-            return Figures(**counted)
+            return Figures(cells)
         best = self._ranking.best()
         known = objectives[~np.isnan(objectives)]
         return Figures(
-            **counted,
+            cells,
             best=None if best is None else best[0].objective,
             rating=None if best is None else best[0].rating,
             mean=float(known.mean()) if known.size else None,

@@ -14,8 +14,7 @@ from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
 from drivecal.campaigns.stages.stage import CampaignStage, Stage
 from drivecal.campaigns.stages.validation import ValidationStage
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -31,9 +30,7 @@ class StagedCampaign(Job):
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
         self._database = database
         self._problem = problem
-        self._view = View(
-            campaign.sequence, campaign.watermark or 0, problem.bench, checked_certificates=problem.checked_certificates
-        )
+        self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
         self._begun = False
         self._sequence = campaign.sequence
         names = [kind.name for kind in STAGES]

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage.evaluations import DONORS
 
 SECONDS_TO_JUDGE = 3.0
 """The pace is unknown while workers start."""
@@ -13,7 +12,7 @@ SHARE_TO_JUDGE = 0.01
 
 def worked(cells: Mapping[str, int]) -> int:
     """Returns how many of a stage's cells workers have answered, with or without a result."""
-    return sum(cells.get(outcome, 0) for outcome in (*DONORS, Outcome.FAILED))
+    return sum(cells.get(outcome, 0) for outcome in (Outcome.SIMULATED, Outcome.FAILED))
 
 
 class EtaEstimate:

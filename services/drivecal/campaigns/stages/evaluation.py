@@ -5,8 +5,9 @@ from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.problem import EvaluationProblem
 from drivecal.campaigns.stages.stage import Round, Stage
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import RequestedCell
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.reduction.assignment import Policy, RequestedCell
+from drivecal.reduction.assignment import Policy
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 

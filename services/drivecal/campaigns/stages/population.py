@@ -41,12 +41,6 @@ class PopulationAnswers:
                 self._cells[answer.individual][answer.scenario] = answer
         self.ranking.add(taken)
 
-    def rank_again(self, connection: Connection, campaign: int) -> Ranking:
-        """Returns a new ranking of all stored answers, some of which were withdrawn since they were taken in."""
-        self.ranking = Ranking(self._problem.weights, self._sign, self._goals)
-        self.ranking.add(self.read(connection, campaign, None))
-        return self.ranking
-
     def read(self, connection: Connection, campaign: int, iteration: int | None) -> list[CellScore]:
         """Returns the answered cells of one iteration, or of all, with the values that the goals need."""
         return list(results.answers(connection, campaign, StageName.CALIBRATION, iteration, valued=valued_by(self._goals)))

@@ -14,8 +14,7 @@ from drivecal.campaigns.stages.study import StudyStage
 from drivecal.campaigns.stages.validation import compared
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.evaluations import CellScore, Outcome
-from drivecal.reduction.assignment import RequestedCell
+from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.reduction.audit import clopper_pearson
 from drivecal.reduction.lots import draw
 from drivecal.reduction.prediction import ROUNDING

@@ -23,11 +23,10 @@ from drivecal.campaigns.stages.study import StudyStage
 from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
-from drivecal.domain.evaluations import CellScore
+from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -109,7 +108,7 @@ class RobustnessStage(StudyStage):
 
     def _requested(self) -> list[Examined]:
         """The sets of the stored round 0, to which the numbers of all cells refer; none before. A resumed study must not choose again: what
-        others simulate or withdraw in the meantime changes the choice."""
+        others simulate in the meantime changes the choice."""
         with self._database.read() as connection:
             sets = results.sets_at(connection, self._campaign.sequence, self.name, 0)
             document = studies.get(connection, self._campaign.sequence, self.name) or {"items": []}

@@ -12,13 +12,13 @@ from drivecal.campaigns.resolve.maps import analysis_to_document, basis_of, smal
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
 from drivecal.campaigns.stages.stage import CampaignStage, Round
-from drivecal.contracts.campaign import StageCellCounts
+from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import ParameterSet
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.assignment import RequestedCell
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.scenario import ScenarioInfluence
@@ -71,7 +71,7 @@ class Sensitivity(CampaignStage):
         """Adds the event of the stage's start or of the previous phase's end, once: in the transaction that follows it."""
         sequence, done = self._campaign.sequence, self._finished_phase
         if done is not None:
-            counts = StageCellCounts(**self._tracker.counts).model_dump(exclude={"proposed", "pending"})
+            counts = CellCounts(**self._tracker.counts).model_dump(exclude={"proposed", "pending"})
             events.add(connection, sequence, EventKind.PHASE, {"phase": done.number, "name": done.name, **counts})
             return
         events.add(

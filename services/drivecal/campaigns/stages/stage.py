@@ -19,15 +19,13 @@ from drivecal.campaigns.stages.eta import EtaEstimate, worked
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.execution.scheduling.dispatches import Completed
-from drivecal.execution.scheduling.in_flight import Work
-from drivecal.reduction.assignment import Policy, RequestedCell
+from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns, evaluations, events, results
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.evaluations import NewEvaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +177,6 @@ class Stage(Job):
         with self._database.transaction() as connection:
             work = self._tracker.record(connection, completed)
             self._save(connection)
-        self._tracker.raise_if_refuted()
         self._prepare()
         return work
 
@@ -206,7 +203,7 @@ class Stage(Job):
             self._save(connection)
         return work
 
-    def _form_lots(self, connection: Connection, asked: Round, planned: list[NewEvaluation]) -> list[NewEvaluation]:  # a hook
+    def _form_lots(self, connection: Connection, asked: Round, planned: list[RequestedCell]) -> list[RequestedCell]:  # a hook
         """Puts reused cells into lots, and replaces simulations by predictions in lots."""
         del connection, asked
         return planned

@@ -12,12 +12,11 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round
 from drivecal.campaigns.stages.study import StudyStage
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import CellScore
+from drivecal.domain.evaluations import CellScore, RequestedCell
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, billionths
 from drivecal.domain.scales import Scale
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.assignment import RequestedCell
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 

@@ -99,10 +99,9 @@ def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
 
 def _print(page: WorkerPage) -> None:
     now = datetime.now(UTC)
-    header = ["worker", "node", "state", "cells", "cells/s", "remembers", "simulates"]
+    header = ["worker", "node", "state", "cells", "cells/s", "simulates"]
     rows = [
-        [item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1), remembering(item), doing(item, now)]
-        for item in page.items
+        [item.id, item.node, item.state, item.cells, fixed(item.cells_per_second, 1), doing(item, now)] for item in page.items
     ]
     print_columns(header, rows)
     for line in remarks(page, now):
@@ -114,13 +113,6 @@ def doing(worker: WorkerAnswer, now: datetime) -> str | None:
     if worker.scenario is None or worker.since is None:
         return worker.scenario
     return f"{worker.scenario} for {duration(max(0.0, (now - worker.since) / timedelta(seconds=1)))}"
-
-
-def remembering(worker: WorkerAnswer) -> str | None:
-    """Returns a worker's memory for certificates."""
-    if worker.states is None or worker.state_mb is None or worker.state_mb_at_most is None:
-        return None
-    return f"{worker.states:,} states, {worker.state_mb:.0f} of {worker.state_mb_at_most:.0f} MB"
 
 
 def remarks(page: WorkerPage, now: datetime) -> list[str]:

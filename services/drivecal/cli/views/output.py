@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from drivecal.cli.application import tell
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults
 from drivecal.contracts.tables import Solution
@@ -212,14 +212,14 @@ def print_cells(runs: Sequence[tuple[str, CellCounts]]) -> None:
     print_columns(["", *(field.replace("_", " ") for field in fields), "saved"], rows)
 
 
-def _sum(cells: CellCounts | StageCellCounts) -> str:
+def _sum(cells: CellCounts) -> str:
     counts = by_outcome(cells).items()
     return " + ".join(f"{count:,} {name}" for name, count in counts if count or name == "simulated")
 
 
-def by_outcome(cells: CellCounts | StageCellCounts) -> dict[str, int]:
-    """Returns the requested cells by outcome, frequent ones first; outcomes that a stage does not know are 0."""
-    return {name: getattr(cells, name, 0) for name in OUTCOMES}
+def by_outcome(cells: CellCounts) -> dict[str, int]:
+    """Returns the requested cells by outcome, frequent ones first."""
+    return {name: getattr(cells, name) for name in OUTCOMES}
 
 
 def saved(cells: CellCounts) -> float:

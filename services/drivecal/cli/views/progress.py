@@ -14,7 +14,7 @@ from rich.table import Column
 from drivecal.cli.application import ExitCode, WaitTimedOutError, tell
 from drivecal.cli.views.output import OUTCOME_COLOURS, by_outcome, duration
 from drivecal.client.client import Client
-from drivecal.contracts.campaign import Campaign, CellCounts, StageCellCounts
+from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.contracts.events import CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
@@ -162,9 +162,9 @@ def stage_text(campaign: Campaign) -> str:
     return f"{campaign.stage} {campaign.iteration + 1}/{iterations}"
 
 
-def current_cells(campaign: Campaign) -> CellCounts | StageCellCounts:
+def current_cells(campaign: Campaign) -> CellCounts:
     """Returns the cells of the stage at which a campaign is."""
-    return campaign.by_stage().get(campaign.stage or "", campaign.cells)
+    return campaign.stages.get(campaign.stage or "", campaign.cells)
 
 
 def _plain(text: str, _colour: str = "") -> str:

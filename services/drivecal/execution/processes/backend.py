@@ -16,7 +16,7 @@ from typing import Any
 from drivecal.cluster.machine import cpus
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
+from drivecal.execution.processes.child import RemoteAnswer, RemoteCall
 from drivecal.execution.supervised import CallFailedError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 
@@ -96,7 +96,7 @@ class ProcessBackend(SupervisedBackend):
         ours, theirs = socket.socketpair()
         with theirs:
             descriptor = theirs.fileno()
-            arguments = [str(descriptor), worker.name, str(self._limits.certificates_mb or 0)]
+            arguments = [str(descriptor), worker.name]
             command = [sys.executable, "-m", "drivecal.execution.processes.child", *arguments]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[descriptor])  # noqa: S603  # our own module
         worker.handle = ConnectedProcess(process, Connection(ours.detach()), self._arrived)

@@ -1,21 +1,40 @@
-"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR NAME CERTIFICATES_MB`."""
+"""The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR NAME`."""
 
 import os
 import queue
 import signal
 import sys
 import threading
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import Any
 
 from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError
-from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.runtime.worker import Worker, describe
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteCall:
+    """A call of a method of `drivecal.runtime.worker.Worker`. Number 0 wants no answer."""
+
+    number: int
+    method: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteAnswer:
+    """The value of a call, or the description of its error."""
+
+    number: int
+    value: Any
+    error: str | None = None
 
 
 def main() -> int:
     """Serves calls until the other end of the connection is closed."""
-    descriptor, name, certificates_mb = int(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    descriptor, name = int(sys.argv[1]), sys.argv[2]
     os.set_inheritable(descriptor, False)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
@@ -23,7 +42,7 @@ def main() -> int:
     connection = Connection(descriptor)
     calls: queue.SimpleQueue[RemoteCall] = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(connection, calls), name="calls", daemon=True).start()
-    worker = Worker(name, certificates_mb=certificates_mb or None)
+    worker = Worker(name)
     while True:
         call = calls.get()
         answer = _answer(worker, call)

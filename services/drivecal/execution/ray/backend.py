@@ -60,9 +60,7 @@ class RayBackend(SupervisedBackend):
         self._cluster.close()
 
     def _launch(self, worker: WorkerProcess) -> None:
-        worker.handle = self._actor_class.options(**self._bound_to(worker.home)).remote(
-            worker.name, certificates_mb=self._limits.certificates_mb
-        )
+        worker.handle = self._actor_class.options(**self._bound_to(worker.home)).remote(worker.name)
         worker.warming = worker.handle.warm.remote(self._trial)
 
     def _send(self, worker: WorkerProcess, batch: Batch) -> Any:

@@ -1,8 +1,8 @@
-"""The setup that each worker has loaded, the setups that it knows, and the setup to take next. Pure.
+"""The setups that each worker has loaded, and the setup to take next. Pure.
 
-The more runs of a setup a worker has seen, the more cells it can certify. So a worker returns to the setups that it has run most of; it
-takes other setups only if it has none of its own to do. Setups in which nothing but failures came back take turns, so that a campaign
-without any result shows that soon in all its scenarios.
+Loading a setup takes time: a simulator starts, kernels are compiled, roads are read. So a worker stays with its setup, and returns to those
+that it has loaded before. Setups in which nothing but failures came back take turns, so that a campaign without any result shows that
+soon in all its scenarios.
 """
 
 from collections import Counter
@@ -11,22 +11,18 @@ from collections.abc import Collection, Mapping
 from drivecal.contracts.work import SetupKey
 
 MOST_KNOWN = 10_000
-"""Setups with remembered workers; a study of vehicle parameters uses hundreds, for some seconds each."""
-OWN_SHARE = 0.5
-"""A setup is a worker's own if the worker got at least this share of the cells of the worker that got most."""
+"""Setups with remembered workers or failures; a study of vehicle parameters uses hundreds, for some seconds each."""
 
 
 class SetupAffinity:
-    """Tracks the last setup of each worker, which is the loaded one, and the number of cells of each setup that each worker got."""
+    """Tracks the setups that each worker has loaded, of which the last one is current."""
 
     def __init__(self) -> None:
         self._last: dict[str, SetupKey] = {}
         self._workers: Counter[SetupKey] = Counter()
-        """Number of workers that have loaded a setup."""
-        self._cells: dict[SetupKey, Counter[str]] = {}
-        """Cells by worker."""
-        self._most: dict[SetupKey, int] = {}
-        """Cells of the worker that got most."""
+        """Number of workers at a setup."""
+        self._loaded: dict[SetupKey, set[str]] = {}
+        """Workers that have loaded a setup."""
         self._failed: dict[SetupKey, int] = {}
         """Failed cells of setups without a result."""
         self._fruitful: set[SetupKey] = set()
@@ -36,22 +32,20 @@ class SetupAffinity:
         """Forgets workers that are gone."""
         gone = self._last.keys() - set(ready)
         for worker in gone:
-            self._unload(worker)
-            for setup, cells in self._cells.items():
-                if cells.pop(worker, None) is not None:
-                    self._most[setup] = max(cells.values(), default=0)
+            self._leave(worker)
+        if gone:
+            for workers in self._loaded.values():
+                workers -= gone
 
-    def load(self, worker: str, setup: SetupKey, cells: int = 1) -> None:
+    def load(self, worker: str, setup: SetupKey) -> None:
         """Notes that a worker gets cells of a setup."""
-        self._unload(worker)
+        self._leave(worker)
         self._last[worker] = setup
         self._workers[setup] += 1
-        counted = self._cells.setdefault(setup, Counter())
-        counted[worker] += cells
-        self._most[setup] = max(self._most.get(setup, 0), counted[worker])
-        if len(self._cells) > MOST_KNOWN:
-            oldest = next(iter(self._cells))
-            del self._cells[oldest], self._most[oldest]
+        self._loaded.setdefault(setup, set()).add(worker)
+        if len(self._loaded) > MOST_KNOWN:
+            oldest = next(iter(self._loaded))
+            del self._loaded[oldest]
             self._failed.pop(oldest, None)
             self._fruitful.discard(oldest)
 
@@ -70,28 +64,20 @@ class SetupAffinity:
     def choose(self, worker: str, to_do: Mapping[SetupKey, float]) -> SetupKey | None:
         """Returns the setup to take next of those with seconds `to_do`; None without any.
 
-        Setups without a result come after those with fewer failures. Otherwise a worker stays with the loaded setup if it is its own, or
-        takes the setup with the most seconds per worker at it, among its own setups, or among all if it has no own setup to do. A setup
-        that no worker knows is everybody's own. If no worker is at a setup, one of several workers at another setup moves there, so that
-        no setup is left to the end and to a single worker.
+        Setups without a result come after those with fewer failures. Otherwise a worker stays at its setup, or takes the setup with the
+        most seconds per worker at it: among those that it has loaded and those that no worker has loaded, or among all if there are none.
+        If no worker is at a setup, one of several workers at another setup moves there, so that no setup is left to the end and to a
+        single worker.
         """
         least = min((self._failed.get(setup, 0) for setup in to_do), default=0)
         to_do = {setup: seconds for setup, seconds in to_do.items() if self._failed.get(setup, 0) == least}
-        own = [setup for setup in to_do if self._owns(worker, setup)]
-        able = own or to_do
         last = self._last.get(worker)
-        if last is not None and last in able and (self._workers[last] == 1 or all(self._workers[setup] for setup in to_do)):
+        if last in to_do and (self._workers[last] == 1 or all(self._workers[setup] for setup in to_do)):
             return last
-        return max(able, key=lambda setup: to_do[setup] / (self._workers[setup] or 1e-9), default=None)
+        near = [setup for setup in to_do if worker in (workers := self._loaded.get(setup, ())) or not workers]
+        return max(near or to_do, key=lambda setup: to_do[setup] / (self._workers[setup] or 1e-9), default=None)
 
-    def owners(self, setup: SetupKey) -> list[str]:
-        """Returns the workers whose own setup this is; none if no worker knows it."""
-        return [worker for worker in self._cells.get(setup, ()) if self._owns(worker, setup)]
-
-    def _owns(self, worker: str, setup: SetupKey) -> bool:
-        return self._cells.get(setup, Counter())[worker] >= OWN_SHARE * self._most.get(setup, 0)
-
-    def _unload(self, worker: str) -> None:
+    def _leave(self, worker: str) -> None:
         last = self._last.pop(worker, None)
         if last is not None:
             self._workers[last] -= 1

@@ -9,18 +9,16 @@ replacement of the only worker. A refusal of a setup says nothing about the cell
 """
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.contracts.work import Batch, BatchResult, CellResult, RecordedRun, SetupKey
+from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.affinity import SetupAffinity
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts, batch_size
-from drivecal.execution.scheduling.dispatches import Completed, Dispatch, Replacement
-from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, InFlightCells, Work
+from drivecal.execution.scheduling.in_flight import WITNESSES, Claim, Completed, Dispatch, InFlightCells, Replacement, Work
 from drivecal.execution.scheduling.queue import ClaimGroup, FairQueue, Line
 from drivecal.execution.scheduling.reservation import Reservation
-from drivecal.execution.scheduling.shared_runs import SharedRuns
 from drivecal.execution.scheduling.worker_health import WorkerHealth
 
 ATTEMPTS = 3
@@ -38,8 +36,6 @@ class _Sent:
     leaders: list[Claim]
     alone: bool
     charged: float = 0.0
-    known: tuple[RecordedRun, ...] = ()
-    """Runs of other workers."""
 
 
 class Scheduler:
@@ -53,12 +49,9 @@ class Scheduler:
         self._reservation = Reservation()
         self._worker_health = WorkerHealth()
         self._affinity = SetupAffinity()
-        self._shared_runs = SharedRuns(self._affinity)
         self._passed_over = 0
         """Batches sent to a worker while a suspect waited for its replacement."""
         self._sent: dict[int, _Sent] = {}
-        self._refuted: set[SetupKey] = set()
-        """Setups with a certificate that a simulation contradicted."""
         self._changed: dict[int, int] = {}
         """Breakdowns that are not reported yet."""
         self._batch_ids = itertools.count(1)
@@ -67,8 +60,7 @@ class Scheduler:
         """Queues cells of the campaign `tag`; each gets at least one attempt, whatever its earlier breakdowns.
 
         A cell identical to one in flight (setup, evaluator, and every bit of the parameters) is not sent and takes the other's answer,
-        unless either is `exclusive`, or a certificate gave the answer that the cell must not take. Raises ValueError if a cell is in
-        flight already.
+        unless either is `exclusive`. Raises ValueError if a cell is in flight already.
         """
         setup = work.setup.key
         self._costs.relate(setup, work.setup.kind)
@@ -87,13 +79,11 @@ class Scheduler:
             elif simulation.leader is None:
                 self._queue.join(claim)
 
-    def meet(self, ready: Sequence[str], nodes: Mapping[str, str] | None = None, now: float = 0.0) -> None:
-        """Notes which workers have started and live, and the time (s). `nodes`: the node of each; workers without one share no recorded
-        runs."""
+    def meet(self, ready: Sequence[str], now: float = 0.0) -> None:
+        """Notes which workers have started and live, and the time (s)."""
         self._reservation.meet(now)
         self._worker_health.meet(ready)
         self._affinity.meet(ready)
-        self._shared_runs.meet(nodes or {})
 
     def next_batch(self, worker: str, *, idle: bool) -> Dispatch | None:
         """Returns the batch for a free slot of a worker, or None. A suspect is sent alone and never behind a running batch; until then its
@@ -120,7 +110,9 @@ class Scheduler:
 
     def take_back(self, batch_id: int) -> None:
         """A dispatch was not sent after all: its cells return to the front of their queues, as if they had not been taken out."""
-        self._put_back(self._sent.pop(batch_id))
+        sent = self._sent.pop(batch_id)
+        self._charge(sent, 0.0)
+        self._to_queue(sent.leaders)
 
     def drop(self, batch_id: int, cells: Collection[int]) -> Dispatch | None:
         """Forgets some cells of a dispatch that was not sent yet: they are neither completed nor held. Identical cells that waited for them
@@ -182,11 +174,6 @@ class Scheduler:
             self._costs.observe(setup, len(sent.leaders), result.seconds)
             self._reservation.answered(sent.line, self._costs.seconds_per_cell(setup))
         completed = []
-        if setup in self._refuted:
-            self._put_back_certified(sent, answers)
-            answers = {number: replace(answer, probed=()) for number, answer in answers.items()}
-        else:
-            self._shared_runs.take(result.worker, setup, result.learned)
         for leader in sent.leaders:
             answer = answers.get(leader.cell.id) or _broken(
                 leader, Breakdown.ERROR, "the worker returned no result for this cell"
@@ -201,13 +188,6 @@ class Scheduler:
     def is_wanted(self, batch_id: int) -> bool:
         """Whether a campaign that asked for a batch at a worker still waits for it."""
         return any(not leader.withdrawn for leader in self._sent[batch_id].leaders)
-
-    def note_refutation(self, batch_id: int, result: BatchResult) -> None:
-        """Certifies no cell of the batch's setup from now on if a simulation contradicted a certificate. Call it for all batches that came
-        back together before `finished`: answers by the refuted certificates are then simulated instead."""
-        sent = self._sent.get(batch_id)
-        if sent is not None and any(answer.agrees is False for answer in result.results):
-            self._refuted.add(sent.leaders[0].simulation.key)
 
     def lost(
         self, batch_id: int, worker: str, breakdown: Breakdown, detail: str, seconds: float | None = None
@@ -301,8 +281,7 @@ class Scheduler:
         sent = _Sent(worker, group.line, self._queue.take(group, most), alone=group.avoid is not None)
         for leader in sent.leaders:
             leader.simulation.leader = leader
-        self._affinity.load(worker, group.setup, len(sent.leaders))
-        sent.known = self._shared_runs.give(worker, group.setup)
+        self._affinity.load(worker, group.setup)
         cells = len(self._in_flight.of(group.line.tag))
         self._reservation.sent(group.line, self._costs.seconds_per_cell(group.setup), cells)
         batch_id = next(self._batch_ids)
@@ -314,12 +293,7 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, self._policy.target_seconds if expected is None else expected)
-        cells = (leader.cell for leader in sent.leaders)
-        if first.key in self._refuted:
-            cells = (replace(cell, certify=False, check=False, probes=()) for cell in cells)
-        batch = Batch(first.setup, tuple(cells))
-        if any(cell.certify for cell in batch.cells) and self._shared_runs.readers(sent.worker, first.key):
-            batch = replace(batch, known=sent.known, share=self._shared_runs.room)
+        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
@@ -328,23 +302,13 @@ class Scheduler:
         self._queue.charge(sent.line, seconds - sent.charged)
         sent.charged = seconds
 
-    def _put_back(self, sent: _Sent) -> None:
-        """Returns cells to the queue as if they had not been sent."""
-        self._charge(sent, 0.0)
-        self._to_queue(sent.leaders)
-
     def _to_queue(self, leaders: Sequence[Claim]) -> None:
+        """Returns cells to the queue as if they had not been sent."""
         for leader in leaders:
             leader.simulation.leader = None
             if leader.withdrawn:
                 self._forget(leader)
         self._queue.put_back(leaders)
-
-    def _put_back_certified(self, sent: _Sent, answers: Mapping[int, CellResult]) -> None:
-        """Returns cells to the queue that a refuted certificate answered."""
-        certified = {number for number, answer in answers.items() if answer.is_certified}
-        self._to_queue([leader for leader in sent.leaders if leader.cell.id in certified])
-        sent.leaders = [leader for leader in sent.leaders if leader.cell.id not in certified]
 
     def _broke_down(self, leader: Claim, answer: CellResult, worker: str, *, alone: bool) -> list[Completed]:
         """Handles a cell without a result at a living worker."""
@@ -369,19 +333,14 @@ class Scheduler:
         return []
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
-        """Completes the claims to a simulation. After the answer of a certificate, those that have to be simulated wait on."""
+        """Completes the claims to a simulation."""
         simulation = leader.simulation
         completed = [Completed(leader.tag, worker, answer, attempts)]
         self._forget(leader)
         for follower in list(simulation.claims):
-            if answer.is_certified and not follower.cell.may_be_certified:
-                continue
             its = replace(answer, id=follower.cell.id)
             completed.append(Completed(follower.tag, worker, its, attempts, leader=leader.cell.id))
             self._forget(follower)
-        if simulation.claims:
-            simulation.leader = None
-            self._queue.put(simulation)
         return completed
 
     def _forget(self, claim: Claim) -> None:

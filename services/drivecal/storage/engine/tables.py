@@ -12,7 +12,6 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
-    false,
     text,
 )
 
@@ -117,10 +116,8 @@ generations = Table(
     metadata,
     Column("campaign_sequence", Identity, ForeignKey("campaigns.sequence"), primary_key=True),
     Column("iteration", Integer, primary_key=True),
-    *(Column(count, Integer, nullable=False) for count in ("proposed", "carried_over", "requested", "repeated", "reused")),
-    *(Column(count, Integer, nullable=False) for count in ("certified", "simulated", "failed", "audited", "alternatives")),
-    Column("predicted", Integer, nullable=False, server_default="0"),
-    Column("sampled", Integer, nullable=False, server_default="0"),
+    Column("cells", Document, nullable=False),
+    Column("alternatives", Integer, nullable=False),
     Column("best", Float),
     Column("rating", Float),
     Column("mean", Float),
@@ -262,26 +259,23 @@ evaluations = Table(
     Column("rating", Float),
     Column("run_id", Identity, ForeignKey("runs.id")),
     Column("reference", Identity),
-    Column("audited", Boolean, nullable=False),
+    Column("inspected", Boolean, nullable=False),  # simulated as a check of its reference, or of its prediction
     Column("agrees", Boolean),
     Column("failure", Text),
     Column("milliseconds", Float),
     Column("worker", Text),
     Column("attempts", Integer, nullable=False),
     Column("detail", Text),
-    Column("proven_by", Identity),  # no foreign key: workers remember and name cells that were pruned
-    Column("proof_agrees", Boolean),
     # Of cells that the predictor was asked about; `lot` of those that it was trusted with, and of those that references are to answer.
     Column("lot", Identity),
     Column("confidence", Float),
     Column("predicted_score", Score),
     Column("predicted_rating", Float),
-    Column("sampled", Boolean, nullable=False, server_default=false()),
     UniqueConstraint("campaign_sequence", "stage", "iteration", "individual", "scenario"),
     # The plan is in the two look-up indexes, or a class that answered thousands of cells would be read in full to find its donor.
     Index(None, "campaign_sequence", "scenario", "reference_key", "plan"),
     Index(None, "campaign_sequence", "scenario", "parameter_set_id", "plan"),
-    # The cells that a run answered, when it is withdrawn or removed; without it, each removed run reads all cells.
+    # The cells that a run answered, when it is removed; without it, each removed run reads all cells.
     _partial_index(None, "run_id", where="run_id IS NOT NULL"),
     _partial_index("ix_evaluations_pending", "campaign_sequence", "id", where="outcome IS NULL"),
     sqlite_autoincrement=True,

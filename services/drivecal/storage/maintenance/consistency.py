@@ -29,7 +29,7 @@ from sqlalchemy import (
 )
 
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome
+from drivecal.domain.evaluations import COPIES, Outcome
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.campaigns import by_stage, stage_counts
 from drivecal.storage.engine.schema import REVISION_TABLE
@@ -47,11 +47,10 @@ from drivecal.storage.engine.tables import (
     runs,
 )
 from drivecal.storage.engine.types import ORDER
-from drivecal.storage.evaluations import COPIES, DONORS
+from drivecal.storage.evaluations import AUDITED, SAMPLED
 from drivecal.storage.lots import LotVerdict
 from drivecal.storage.maintenance.backup import last_numbers, tables_of
 from drivecal.storage.references.runs import largest_id
-from drivecal.storage.references.withdrawal import WITHDRAWN
 
 Check = Callable[[Connection], Iterator[str]]
 STREAMED = 10_000
@@ -158,22 +157,18 @@ ROWS = 100
 def check_counters(connection: Connection) -> Iterator[str]:
     """The counters of each campaign are those of its cells, and add up."""
     counted: dict[tuple[int, int], dict[str, int]] = {}
-    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((evaluations.c.audited, 1), else_=0))
-    checked = func.sum(case((evaluations.c.proof_agrees.is_not(None), 1), else_=0))
-    sampled = func.sum(case((evaluations.c.sampled, 1), else_=0))
+    stage, audited = type_coerce(evaluations.c.stage, SmallInteger), func.sum(case((AUDITED, 1), else_=0))
+    sampled = func.sum(case((SAMPLED, 1), else_=0))
     columns = evaluations.c.campaign_sequence, stage, evaluations.c.outcome
-    by_outcome = select(*columns, func.count(), audited, checked, sampled).group_by(*columns)
-    for sequence, number, outcome, count, audits, checks, samples in connection.execute(by_outcome):
+    by_outcome = select(*columns, func.count(), audited, sampled).group_by(*columns)
+    for sequence, number, outcome, count, audits, samples in connection.execute(by_outcome):
         cells = counted.setdefault((sequence, number), {})
         cells[outcome or "pending"] = count
-        cells["checked"] = cells.get("checked", 0) + checks
-        if outcome in DONORS:
-            cells["sampled"] = cells.get("sampled", 0) + samples
         if outcome == Outcome.SIMULATED:
-            cells["audited"] = audits
-    carried = select(generations.c.campaign_sequence, func.sum(generations.c.carried_over))
-    for sequence, count in connection.execute(carried.group_by(generations.c.campaign_sequence)):
-        counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})["carried_over"] = count
+            cells["audited"], cells["sampled"] = audits, samples
+    for sequence, cells in connection.execute(select(generations.c.campaign_sequence, generations.c.cells)):
+        calibrated = counted.setdefault((sequence, ORDER[StageName.CALIBRATION]), {})
+        calibrated["carried_over"] = calibrated.get("carried_over", 0) + cells["carried_over"]
     query = select(campaigns.c.sequence, campaigns.c.id, by_stage()).where(_WHOLE).order_by(campaigns.c.sequence)
     for row in connection.execute(query):
         for stage_of in StageName:
@@ -207,21 +202,22 @@ def check_ended(connection: Connection) -> Iterator[str]:
 
 
 def check_answers(connection: Connection) -> Iterator[str]:
-    """Every answered cell has its run, of its own setup, or was withdrawn; every copy was answered by a result that may answer others."""
+    """Every answered cell has its run, of its own setup; every copy was answered by a result that may answer others."""
     cell, run, donor = evaluations.c, runs.alias("run"), evaluations.alias("donor")
     joined = evaluations.outerjoin(run, run.c.id == cell.run_id).outerjoin(donor, donor.c.id == cell.reference)
     same = and_(
         run.c.setup_id == cell.setup_id, or_(cell.outcome == Outcome.REUSED, run.c.parameter_set_id == cell.parameter_set_id)
     )
-    answered = cell.outcome.in_([*DONORS, *COPIES])
-    withdrawn = cell.run_id.is_(None) & (func.coalesce(cell.detail, "") == WITHDRAWN)
-    broken = answered & ~withdrawn & (run.c.id.is_(None) | ~same)
+    answered = cell.outcome.in_((Outcome.SIMULATED, *COPIES))
+    broken = answered & (run.c.id.is_(None) | ~same)
     yield from _cells(connection, joined, broken, "have no run of their own cell")
     scored = answered | (cell.outcome == Outcome.PREDICTED)
     yield from _cells(connection, joined, scored & (cell.score.is_(None) | cell.rating.is_(None)), "have no score")
     failed = (cell.outcome == Outcome.FAILED) & (cell.run_id.is_not(None) | cell.score.is_not(None))
     yield from _cells(connection, joined, failed, "failed and have a result all the same")
-    orphaned = cell.outcome.in_(COPIES) & (donor.c.id.is_(None) | donor.c.outcome.not_in(DONORS) | donor.c.outcome.is_(None))
+    orphaned = cell.outcome.in_(COPIES) & (
+        donor.c.id.is_(None) | (donor.c.outcome != Outcome.SIMULATED) | donor.c.outcome.is_(None)
+    )
     yield from _cells(connection, joined, orphaned, "are copies of cells that may not answer others")
 
 
@@ -230,7 +226,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     cell = evaluations.c
     joined = evaluations.outerjoin(lots, lots.c.id == cell.lot)
     released = lots.c.verdict.is_not_distinct_from(LotVerdict.RELEASED)
-    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.sampled | cell.run_id.is_not(None) | ~released)
+    unchecked = (cell.outcome == Outcome.PREDICTED) & (cell.inspected | cell.run_id.is_not(None) | ~released)
     yield from _cells(connection, joined, unchecked, "are predictions that no inspected lot released")
     uninspected = (cell.outcome == Outcome.REUSED) & cell.lot.is_not(None) & ~released
     yield from _cells(connection, joined, uninspected, "are reused, and their lots were not released")
@@ -238,7 +234,7 @@ def check_lots(connection: Connection) -> Iterator[str]:
     yield from _cells(connection, joined, other, "are copies in lots of another kind")
     members = (
         func.count(cell.id),
-        func.sum(case((cell.sampled | cell.audited, 1), else_=0)),
+        func.sum(case((cell.inspected, 1), else_=0)),
         # a reused answer whose reference has no result is simulated after the verdict
         func.sum(
             case((cell.outcome.is_(None) & ((lots.c.kind != Outcome.REUSED) | (cell.plan == Outcome.REUSED)), 1), else_=0)

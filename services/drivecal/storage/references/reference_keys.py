@@ -14,20 +14,21 @@ later one that it can. Which it can rate follows from what is stored up to a cam
 for everybody.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, func, select, type_coerce
+from sqlalchemy import Connection, Row, Select, SmallInteger, func, literal, select, tuple_, type_coerce
 
-from drivecal.domain.evaluations import Donor
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.database import Database
-from drivecal.storage.engine.tables import parameter_sets as parameter_sets_table
-from drivecal.storage.engine.tables import ratings, reference_indexes, reference_keys, runs
-from drivecal.storage.references import parameter_sets
+from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, reference_indexes, reference_keys, runs
+from drivecal.storage.references.parameter_sets import parse
 
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
 """Maps names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
@@ -137,8 +138,8 @@ def _rated(
 ) -> Sequence[Row[Any]]:
     """Returns the next `chunk` runs that the evaluator rated, by number: id, columns that keys copy, origin, parameter set."""
     query = (
-        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets_table.c.parameter_values)
-        .join(parameter_sets_table)
+        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets.c.parameter_values)
+        .join(parameter_sets)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .limit(chunk)
     )
@@ -188,7 +189,7 @@ def _since(connection: Connection, index: int) -> int:
 
 def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
     keys = [b""] * len(rows)
-    for names, positions, values in parameter_sets.parse([row.parameter_values for row in rows]):
+    for names, positions, values in parse([row.parameter_values for row in rows]):
         for position, key in zip(positions, key_function(names, values), strict=True):
             keys[position] = key
     return keys
@@ -225,3 +226,84 @@ def _insert(connection: Connection, rows: Sequence[tuple[Any, ...]]) -> None:
 
 
 _COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"
+
+
+Integers = npt.NDArray[np.int64]
+CHUNK = 20_000
+"""Sets per chunk: some 20 MB of memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceCandidates:
+    """Parameter sets that have a result in one setup, all of the same parameters.
+
+    `values` in billionths, shape (n, n_p), columns in the order asked for; `places`: what references are ordered by (campaign, stage,
+    iteration, individual), shape (n, 4); `evaluations`: the ids of those that simulated them, shape (n,).
+    """
+
+    values: Integers
+    places: Integers
+    evaluations: Integers
+
+
+def stored_sets(
+    connection: Connection, setup_id: int, evaluator: str, watermark: int, names: Sequence[str]
+) -> Iterator[ReferenceCandidates]:
+    """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
+    are of another function."""
+    origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
+    query = (
+        select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
+        .join(parameter_sets)
+        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
+        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+        .order_by(runs.c.id)
+    )
+    yield from _chunks(connection, query, names)
+
+
+def own_sets(
+    connection: Connection,
+    campaign_sequence: int,
+    scenario: str,
+    before: tuple[StageName, int, int],
+    names: Sequence[str],
+) -> Iterator[ReferenceCandidates]:
+    """The sets that the campaign itself has simulated in a scenario before a (stage, iteration, individual)."""
+    place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
+    # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
+    limit = tuple_(*(literal(value, column.type) for value, column in zip(before, place, strict=True)))
+    query = (
+        select(
+            evaluations.c.id,
+            evaluations.c.campaign_sequence,
+            type_coerce(evaluations.c.stage, SmallInteger),
+            evaluations.c.iteration,
+            evaluations.c.individual,
+            parameter_sets.c.parameter_values,
+        )
+        .join(parameter_sets)
+        .where(
+            evaluations.c.campaign_sequence == campaign_sequence,
+            evaluations.c.scenario == scenario,
+            evaluations.c.plan == Outcome.SIMULATED,
+            evaluations.c.outcome == Outcome.SIMULATED,
+            evaluations.c.run_id.is_not(None),
+            tuple_(*place) < limit,
+        )
+    )
+    yield from _chunks(connection, query, names)
+
+
+def _chunks(connection: Connection, query: Select[Any], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
+    streamed = connection.execute(query.execution_options(yield_per=CHUNK))
+    for rows in streamed.partitions():
+        yield from _parsed(rows, names)
+
+
+def _parsed(rows: Sequence[Row[Any]], names: Sequence[str]) -> Iterator[ReferenceCandidates]:
+    heads = np.array([row[:-1] for row in rows], dtype=np.int64)
+    for present, positions, values in parse([row[-1] for row in rows]):
+        if set(present) == set(names):
+            order = [present.index(name) for name in names]
+            yield ReferenceCandidates(values[:, order], heads[positions, 1:], heads[positions, 0])

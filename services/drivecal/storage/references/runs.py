@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, case, func, select
 
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import COPIED, Donor
 from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine.bulk import execute_rows, insert, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, parameter_sets, ratings, runs, setups
@@ -17,7 +17,6 @@ from drivecal.storage.engine.types import finite, now
 from drivecal.storage.references.metrics import Stored
 from drivecal.storage.references.metrics import pack as pack_metrics
 from drivecal.storage.references.metrics import reader as metrics_reader
-from drivecal.storage.references.withdrawal import is_copied
 
 RECENT_RUNS = 1_000
 """Newest runs of a setup whose mean predicts the cost of the next."""
@@ -38,7 +37,7 @@ class LaterRun:
 class NewRun:
     """A simulated result, rated by `evaluator` ("name version"), and the evaluation that it comes from.
 
-    `milliseconds`: CPU time of the run alone, without what certificates took; the evaluation's own `milliseconds` include it.
+    `milliseconds`: CPU time of the run alone, without a second one; the evaluation's own `milliseconds` include it.
     `wall_milliseconds`: wall-clock time on the worker, None for simulations that never wait.
     """
 
@@ -122,16 +121,6 @@ def look_up_exact(
     )
     ids = sorted(int(identifier) for identifier in parameter_set_ids)
     return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
-
-
-def proofs(connection: Connection, run_ids: Sequence[int]) -> dict[int, int]:
-    """Returns the evaluations that runs repeat by a certificate, without a simulation, by run id."""
-    query = (
-        select(runs.c.id, evaluations.c.proven_by)
-        .join(evaluations, evaluations.c.id == runs.c.evaluation_id)
-        .where(evaluations.c.outcome == Outcome.CERTIFIED, evaluations.c.proven_by.is_not(None))
-    )
-    return dict(rows_among(connection, query, runs.c.id, sorted(run_ids)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,21 +269,18 @@ def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, 
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
-    """Time for which one simulation without certificates occupies a worker, over the newest ones in each of these setups, which count
-    alike; None if there is none in one. Proved runs are not among them: they cost almost nothing."""
+    """Returns the time (ms) for which one simulation occupies a worker, over the newest ones in each of these setups, which count alike;
+    None if there is none in one."""
     means = []
     for (setup,) in rows_among(connection, select(setups.c.id), setups.c.fingerprint, fingerprints):
-        newest = select(occupying().label("milliseconds"), runs.c.evaluation_id).where(runs.c.setup_id == setup)
-        recent = newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS).subquery()
-        simulated = select(recent.c.milliseconds).join(evaluations, evaluations.c.id == recent.c.evaluation_id)
-        times = connection.scalars(simulated.where(evaluations.c.proven_by.is_(None))).all()
+        newest = select(occupying()).where(runs.c.setup_id == setup)
+        times = connection.scalars(newest.order_by(runs.c.id.desc()).limit(RECENT_RUNS)).all()
         means += [fmean(times)] if times else []
     return fmean(means) if fingerprints and len(means) == len(fingerprints) else None
 
 
 def simulated_later(connection: Connection, campaign_sequence: int, evaluator: str, cell: int | None = None) -> list[LaterRun]:
-    """Returns the runs by which `results.answers` corrects copied scores of a calibration, predicted and withdrawn ones included, or of one
-    `cell`, but for those of its own."""
+    """Returns the runs by which `results.answers` corrects copied scores of a calibration, or of one `cell`, but for those of its own."""
     table, run = evaluations.c, runs.c
     elsewhere = (run.campaign_sequence != campaign_sequence) | (run.stage != StageName.CALIBRATION)
     query = (
@@ -305,7 +291,7 @@ def simulated_later(connection: Connection, campaign_sequence: int, evaluator: s
         .where(
             table.campaign_sequence == campaign_sequence,
             table.stage == StageName.CALIBRATION,
-            is_copied(evaluations),
+            table.outcome.in_(COPIED),
             elsewhere,
         )
         .order_by(table.iteration, table.individual, table.scenario)

@@ -1,8 +1,8 @@
 """Deletion of campaigns that nothing refers to.
 
 A deleted campaign loses its tables, events and every cell that was repeated, reused, predicted, or has no result. What it simulated stays
-in the reference table, with the cells that made these runs. Its other simulated and certified cells stay as well, such as those that a
-simulation of another campaign answered: copies and certificates of other campaigns may name them. They need the campaign's row, which
+in the reference table, with the cells that made these runs. Its other simulated cells stay as well, such as those that a
+simulation of another campaign answered: copies of other campaigns may name them. They need the campaign's row, which
 stays, marked as deleted, and which no list and no look-up by id returns. Pruning removes them if nothing refers to them.
 
 The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import Connection, delete, exists, func, select, update
 
 from drivecal.domain.errors import ConflictError
+from drivecal.domain.evaluations import Outcome
 from drivecal.storage import admission
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -28,7 +29,6 @@ from drivecal.storage.engine.tables import (
     traces,
 )
 from drivecal.storage.engine.types import now
-from drivecal.storage.evaluations import DONORS
 from drivecal.storage.retention import removal
 
 SLICE = 20_000
@@ -128,7 +128,7 @@ def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:
     # "+ 0", or the database might go through all cells of the campaign for each slice
     mine = cell.id.between(numbers.start, numbers.stop - 1) & (cell.campaign_sequence + 0 == sequence)
     made_its_run = exists().where(runs.c.id == cell.run_id, runs.c.evaluation_id == cell.id)
-    may_answer = func.coalesce(cell.outcome.in_(DONORS), False)  # a withdrawn one has no run any more, and still its copies
+    may_answer = func.coalesce(cell.outcome == Outcome.SIMULATED, False)
     goes = mine & ~made_its_run & ~may_answer
     for table in (traces, leases):
         here = table.c.evaluation_id.between(numbers.start, numbers.stop - 1)

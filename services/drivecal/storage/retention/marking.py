@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from sqlalchemy import Column, Connection, Select, case, func, select, text
 
+from drivecal.domain.evaluations import COPIED
 from drivecal.storage.engine.tables import evaluations, parameter_sets, ratings, reference_keys, runs
-from drivecal.storage.references.withdrawal import is_copied
 
 Integers = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -53,7 +53,6 @@ class _Cells:
     campaign: Integers
     run: Integers
     reference: Integers
-    proof: Integers
     pair: Integers
     copied: Bools
 
@@ -80,27 +79,25 @@ class _Needs:
         """Marks the cells of other campaigns, with all that they refer to, and the best sets of the old ones."""
         own: list[Integers] = []
         table = evaluations.c
-        copied = case((is_copied(evaluations), 1), else_=0)
+        copied = case((table.outcome.in_(COPIED), 1), else_=0)
         query = select(
             *(table.id, table.campaign_sequence, table.setup_id, table.parameter_set_id),
-            *(func.coalesce(column, 0) for column in (table.run_id, table.reference, table.proven_by)),
+            *(func.coalesce(column, 0) for column in (table.run_id, table.reference)),
             copied,
         )
         kept_sets = {number: np.array(sorted(sets), dtype=np.int64) for number, sets in best.items()}
         for rows in _chunks(self._connection, query):
             mine = np.isin(rows[:, 1], self._old)
             others = rows[~mine]
-            self._need(others[:, 0], others[:, 4], others[:, 5], others[:, 6])
+            self._need(others[:, 0], others[:, 4], others[:, 5])
             self._copied_pairs.append(self._pairs(others[others[:, -1] == 1]))
             ours = rows[mine]
             own.append(ours)
             for number in np.unique(ours[:, 1]):
                 here = ours[ours[:, 1] == number]
                 self._cells[here[np.isin(here[:, 3], kept_sets.get(int(number), ())), 0]] = True
-        listed = np.concatenate(own) if own else np.zeros((0, 8), dtype=np.int64)
-        return _Cells(
-            listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], listed[:, 6], self._pairs(listed), listed[:, -1] == 1
-        )
+        listed = np.concatenate(own) if own else np.zeros((0, 7), dtype=np.int64)
+        return _Cells(listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], self._pairs(listed), listed[:, -1] == 1)
 
     def read_runs(self) -> None:
         """Reads which cell made each run, and in which setup."""
@@ -122,7 +119,7 @@ class _Needs:
         while marked != (marked := int(self._cells.sum() + self._runs.sum())):
             self._cells[self._origin[self._runs]] = True
             here = self._cells[cells.id]
-            self._need(cells.id[here], cells.run[here], cells.reference[here], cells.proof[here])
+            self._need(cells.id[here], cells.run[here], cells.reference[here])
             self._need_runs_of(cells.pair[here & cells.copied])
 
     def doomed(self, cells: _Cells) -> Doomed:
@@ -132,7 +129,7 @@ class _Needs:
         made = np.zeros(len(self._cells), dtype=np.int64)
         free = np.flatnonzero(~self._runs & (self._origin > 0))
         made[self._origin[free]] = free
-        targets = np.stack([cells.reference[goes], cells.proof[goes], self._origin[cells.run[goes]]])
+        targets = np.stack([cells.reference[goes], self._origin[cells.run[goes]]])
         targets[targets == ids] = 0
         levels: list[Integers] = []
         alive = np.ones(len(ids), dtype=np.bool_)
@@ -148,8 +145,8 @@ class _Needs:
         by_campaign = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
         return Doomed(tuple(levels), runs_of, gone, by_campaign, len(cells.id) - len(ids))
 
-    def _need(self, ids: Integers, run: Integers, reference: Integers, proof: Integers) -> None:
-        for numbers in (ids, reference, proof):
+    def _need(self, ids: Integers, run: Integers, reference: Integers) -> None:
+        for numbers in (ids, reference):
             self._cells[numbers] = True
         self._runs[run] = True
         self._cells[0] = self._runs[0] = False  # stands for no reference

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from drivecal.domain.roads import Floats
 from drivecal.highway.planner import plans
 from drivecal.highway.planner.planner import FrenetPlanner
+from drivecal.plugins.ports import Observation
 
 
 def costs_of(lateral: Floats, longitudinal: Floats, combined: Floats, w: Floats) -> Floats:
@@ -28,12 +29,12 @@ def cheapest(costs: Floats, infeasible: npt.NDArray[np.bool_]) -> int:
     return int(np.argmin(flat)) if flat.min() < np.inf else -1
 
 
-def decide(planner: FrenetPlanner, state: Floats, weights: Floats) -> tuple[int, npt.NDArray[np.bool_]]:
-    """Returns the candidate to drive in a state, and the cheaper candidates that are infeasible."""
-    planner._consider(state)
+def decide(planner: FrenetPlanner, observation: Observation, weights: Floats) -> tuple[int, npt.NDArray[np.bool_]]:
+    """Returns the candidate that `plan` is to take next, and the cheaper candidates that are infeasible."""
+    planner.features(observation)
     costs = costs_of(planner._lateral, planner._longitudinal, planner._combined, weights)
-    wanted, memory, start = planner._wanted_in(state), state[8:24].reshape(8, 2).copy(), np.empty(8)
-    plans.start_at(state[2:8], memory, state[1], start)
+    wanted, memory, start = planner._wanted(observation.time), planner._memory.copy(), np.empty(8)
+    plans.start_at(observation.ego, memory, observation.time - planner._planned_at, start)
     quintics, quartics = np.empty((8, plans.LATERAL_PLANS)), np.empty((7, plans.LONGITUDINAL_PLANS))
     ends = planner._lateral_ends[wanted], planner._longitudinal_ends
     plans.fit(planner._road, *ends, start, memory, quintics, quartics)

@@ -19,8 +19,6 @@ from tests.unit.highway.planner.situations import (
     LANE,
     MIDDLE,
     random_drive,
-    random_parameters,
-    random_scenario,
     seen,
     vehicle,
 )
@@ -66,21 +64,6 @@ def ideal_drive(
         acceleration_xy = (acceleration * forward - turn * left, acceleration * left + turn * forward)
         ego = list(to_frenet(line, (x, y), (speed * forward, speed * left), acceleration_xy, ego[0] + speed * PERIOD))
     return np.array(rows)
-
-
-@given(st.integers(0, 10_000))
-def test_a_repeated_plan_is_the_plan_bit_for_bit(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    scenario, parameters = random_scenario(random), random_parameters(random)
-    planner, repeating = planner_for(scenario, parameters), planner_for(scenario)
-    for observation in random_drive(random, scenario, plans=4):
-        trajectory = planner.plan(observation)
-        repeated = repeating.repeat(observation, planner.chosen)
-        assert repeated.tobytes() == trajectory.tobytes()
-        assert repeating.state.tobytes() == planner.state.tobytes()
-        assert repeating.chosen == planner.chosen
-        assert not repeating.infeasible.any()
-        assert repeating.features().tobytes() == planner.features().tobytes()
 
 
 @pytest.mark.parametrize("seed", range(tries(4, 12)))
@@ -143,8 +126,9 @@ def test_a_small_deviation_leaves_the_plan_as_it_is_and_a_large_one_starts_it_an
 def test_going_on_with_the_plan_before_is_among_the_candidates() -> None:
     planner = planner_for(KEEPING, [0.0, 0.0, 0.0, 0.0, 1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     before = planner.plan(seen(d=LANE + 0.6, d1=0.4))
+    features = planner.features(seen(time=0.2, s=106.0, d=LANE + 0.67))
     after = planner.plan(seen(time=0.2, s=106.0, d=LANE + 0.67))
-    assert planner.features().reshape(-1, planner.n_lateral, 12)[:, -1, P5].max() == 0.0
+    assert features.reshape(-1, planner.n_lateral, 12)[:, -1, P5].max() == 0.0
     assert planner.chosen % planner.n_lateral == planner.n_lateral - 1
     np.testing.assert_allclose(after[:-2, 2], before[2:, 2], atol=1e-9)
 
@@ -251,24 +235,19 @@ def test_a_lower_limit_is_reached_in_time_and_a_higher_one_not_used_too_early() 
     assert drive[-1, 2] > 27.0
 
 
-def test_a_candidate_that_cannot_be_driven_is_passed_over_and_reported() -> None:
+def test_a_candidate_that_cannot_be_driven_is_passed_over() -> None:
     planner = planner_for(KEEPING, NOTHING)
+    costs = planner.features(seen(s1=14.0)) @ weights(NOTHING)
     trajectory = planner.plan(seen(s1=14.0))
-    costs = planner.features() @ weights(NOTHING)
-    assert planner.infeasible.any(), "gaining 16 m/s in 2.5 s would be cheapest"
-    assert not planner.infeasible[planner.chosen]
-    assert costs[planner.infeasible].max() <= costs[planner.chosen] + 1e-9
-    assert costs[~planner.infeasible].min() >= costs[planner.chosen] - 1e-9
+    assert costs.min() < costs[planner.chosen], "gaining 16 m/s in 2.5 s would be cheapest"
     assert trajectory[:, 6].max() <= LARGEST_THRUST
-    planner.plan(seen(time=10.0))
-    assert not planner.infeasible.any(), "each plan starts with a clean list"
 
 
 def test_where_nothing_can_be_driven_the_cheapest_candidate_is() -> None:
     planner = planner_for(KEEPING)
+    costs = planner.features(seen(d=3 * LANE, d1=3.0)) @ weights(MIDDLE)
     assert np.isfinite(planner.plan(seen(d=3 * LANE, d1=3.0))).all()
-    assert planner.infeasible.all()
-    assert planner.chosen == np.argmin(planner.features() @ weights(MIDDLE))
+    assert planner.chosen == np.argmin(costs)
 
 
 def test_a_vehicle_at_a_standstill_gets_a_trajectory() -> None:
@@ -283,23 +262,3 @@ def test_the_speed_of_a_trajectory_is_that_of_its_path() -> None:
     steps = np.diff(trajectory[:, 1:3], axis=0)
     lengths = np.array([hypot(*step) for step in steps])
     np.testing.assert_allclose(lengths / 0.1, (trajectory[:-1, 5] + trajectory[1:, 5]) / 2, rtol=1e-4)
-
-
-@pytest.mark.parametrize("scenario", [KEEPING, CHANGING, BENDING], ids=lambda scenario: scenario.id)
-def test_what_was_planned_is_decided_again_from_the_state_alone(scenario: Scenario) -> None:
-    """Also for hard weights, with which the cheapest candidates cannot always be driven; and deciding disturbs no run."""
-    hasty = [-15.0, 0.0, 0.0, 0.0, 0.0, 1.0, 200.0, 2000.0, 10.0, 0.0, 200.0]
-    judge, refused = FrenetPlanner(scenario), 0
-    for seed in range(8):
-        driving, undisturbed = planner_for(scenario, hasty), planner_for(scenario, hasty)
-        for observation in random_drive(np.random.default_rng(seed), scenario, plans=4):
-            trajectory = driving.plan(observation)
-            planned = driving.state.copy(), driving.chosen, driving.infeasible.copy(), driving.features()
-            judge.decide(planned[0], MIDDLE)
-            assert judge.decide(planned[0], hasty) == judge.chosen == planned[1]
-            assert np.array_equal(judge.infeasible, planned[2])
-            assert np.array_equal(judge.features(), planned[3])
-            refused += int(planned[2].any())
-            driving.decide(planned[0], MIDDLE)
-            assert np.array_equal(undisturbed.plan(observation), trajectory)
-    assert refused

@@ -58,10 +58,10 @@ class ClosedLoop:
         x, y, heading = to_cartesian(reference_line(road), ego.s, ego.d)
         self._start = (x, y, heading + ego.heading, ego.speed)
 
-    def drive(self, parameters: Sequence[float], watch: Watcher | None = None, planner: Planner | None = None) -> Drive:
-        """Drives one run. `planner` replaces the loop's own. Raises SimulationError if SUMO fails."""
+    def drive(self, parameters: Sequence[float], watch: Watcher | None = None) -> Drive:
+        """Drives one run. Raises SimulationError if SUMO fails."""
         scenario, vehicle, simulation, move = self._scenario, self._vehicle, self._simulation, self._move
-        planner = planner or self._planner
+        planner = self._planner
         step, steps_per_plan = scenario.step, self._steps_per_plan
         frame, motion, dynamics, motions = self._frame, self._motion, self._dynamics, self._motions
         simulation.load(scenario)

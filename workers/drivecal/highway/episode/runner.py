@@ -11,7 +11,7 @@ from drivecal.highway.comfort.metrics import comfort_metrics
 from drivecal.highway.episode.loop import ClosedLoop, Drive
 from drivecal.highway.episode.trace import Recorder, Trace
 from drivecal.highway.traffic.simulation import simulation
-from drivecal.plugins.ports import DrivingFunction, Evaluator, Planner, Series, SeriesEvaluator, VehicleModel
+from drivecal.plugins.ports import DrivingFunction, Evaluator, Series, SeriesEvaluator, VehicleModel
 
 
 class EpisodeRunner:
@@ -25,20 +25,20 @@ class EpisodeRunner:
         self, scenario: Scenario, driving_function: DrivingFunction, vehicle: VehicleModel, evaluator: Evaluator
     ) -> None:
         """Creates a runner. `vehicle`: as from `Vehicle.create`; runners must not share it."""
+        self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
+        """Names of the driving function's parameters in the order of `run`."""
         self._scenario = scenario
         self._evaluator = evaluator
         self._series_evaluator = evaluator if isinstance(evaluator, SeriesEvaluator) else None  # isinstance takes microseconds
         self._vehicle = vehicle
-        self.planner = driving_function.create(scenario)
-        self._loop = ClosedLoop(scenario, self.planner, vehicle, simulation())
+        self._loop = ClosedLoop(scenario, driving_function.create(scenario), vehicle, simulation())
 
-    def run(self, parameters: Sequence[float], planner: Planner | None = None) -> RunResult:
+    def run(self, parameters: Sequence[float]) -> RunResult:
         """Runs one simulation with these parameter values, in the order of the driving function's parameters.
 
-        `planner` replaces the runner's own. Raises SimulationError if SUMO fails, which is not a result, unlike a `failure` of the driving
-        function.
+        Raises SimulationError if SUMO fails, which is not a result, unlike a `failure` of the driving function.
         """
-        return self._result(self._loop.drive(parameters, planner=planner))
+        return self._result(self._loop.drive(parameters))
 
     def trace(self, parameters: Sequence[float]) -> Trace:
         """Runs the same simulation and returns its time series, too."""

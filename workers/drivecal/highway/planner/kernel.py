@@ -1,7 +1,7 @@
 """The planner's compiled decisions: costs of candidates, and the choice among them.
 
-One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits, in planning and in re-evaluating
-a stored planning state. Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
+One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits.
+Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
 longitudinal index * n_lateral + lateral index. Arrays: see `plans`; `work`: see `scratch`.
 
 Features and weights are not negative, and rounding keeps order. So a cost whose features are not all computed yet is a bound: no candidate
@@ -43,7 +43,6 @@ from drivecal.highway.planner.scratch import (
     NEARS,
     OTHER,
     OTHERS,
-    REFUSED,
     SIDES,
     TOUCHING,
 )
@@ -116,7 +115,7 @@ def near_of(scales: Any, work: Any, block: int) -> Any:
 
 @inlined
 def costs_of(scales: Any, weights: Any, along: float, work: Any, block: int) -> Any:
-    """Returns J of a block along a longitudinal plan of cost `along`; as `deciding.walk` adds it up."""
+    """Returns J of a block along a longitudinal plan of cost `along`."""
     collision, clearance, leader, closing, follower = near_of(scales, work, block)
     return (
         (along + load(work, ASIDE + block * LANES))
@@ -220,9 +219,9 @@ def consider(
 @compiled
 def choose(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
-    elapsed: float, memory: Any, quintics: Any, quartics: Any, infeasible: Any, work: Any,
+    elapsed: float, memory: Any, quintics: Any, quartics: Any, work: Any,
 ) -> int:  # fmt: skip
-    """Returns the candidate to drive, -1 if no cost is a number. Writes the plans, and which cheaper candidates are infeasible.
+    """Returns the candidate to drive, -1 if no cost is a number. Writes the plans.
 
     The cheapest feasible candidate is driven, of equal ones the first; if none is feasible, the cheapest of all: braking and steering at
     the limit is the vehicle's affair then. A negative weight allows no bounds.
@@ -232,11 +231,10 @@ def choose(
     )  # fmt: skip
     for i in range(0, LATERAL_PLANS, LANES):
         store(work, ASIDE + i, aside_of(weights, work, i))
-    infeasible[:] = False
     is_bounded = True
     for weight in weights:
         is_bounded = is_bounded and weight >= 0.0
-    chosen, limit, cheapest, lowest, known, is_refused = -1, np.inf, -1, np.inf, 0, False
+    chosen, limit, cheapest, lowest, known = -1, np.inf, -1, np.inf, 0
     for j in range(LONGITUDINAL_PLANS):
         left, known = look(scales, weights, len(neighbours), j, limit if is_bounded else np.inf, known, work)
         along = along_of(weights, work, j)
@@ -264,45 +262,19 @@ def choose(
                     cheapest, lowest = candidate, cost
                 if is_feasible(road, scene, quintics, quartics, block * LANES + best, j):
                     chosen, limit = candidate, cost
-                else:
-                    infeasible[candidate], work[REFUSED + candidate], is_refused = True, cost, True
-    if is_refused and chosen >= 0:
-        for number in range(len(infeasible)):  # other candidates were checked while the cheapest feasible one was not known yet
-            cost = work[REFUSED + number]
-            infeasible[number] = infeasible[number] and (cost < limit or (cost == limit and number < chosen))
     return chosen if chosen >= 0 else cheapest
 
 
 @compiled
 def plan(
     road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
-    elapsed: float, memory: Any, infeasible: Any, trajectory: Any, state: Any, work: Any, known: int,
+    elapsed: float, memory: Any, trajectory: Any, work: Any,
 ) -> int:  # fmt: skip
-    """Makes a plan: writes infeasible candidates (n,), the trajectory, the new memory, and to `state`, shape (24 + 6 m,), all that
-    decided besides the weights. Returns the chosen candidate, -1 if no cost is a number.
-
-    `known`: the candidate if it is known to be chosen, else -1. A known choice is not made again: no feature is computed, and no
-    candidate is infeasible."""
-    state[0], state[1] = scene[0], elapsed
-    for index in range(6):
-        state[2 + index] = ego[index]
-    for index in range(16):
-        state[8 + index] = memory[index // 2, index % 2]
-    for m in range(len(neighbours)):
-        for index in range(6):
-            state[24 + 6 * m + index] = neighbours[m, index]
+    """Makes a plan: writes the trajectory and the new memory. Returns the chosen candidate, -1 if no cost is a number."""
     quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
-    chosen = known
-    if known < 0:
-        chosen = choose(
-            road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed,
-            memory, quintics, quartics, infeasible, work,
-        )  # fmt: skip
-    else:
-        start = np.empty(8)
-        start_at(ego, memory, elapsed, start)
-        fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
-        infeasible[:] = False
+    chosen = choose(
+        road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed, memory, quintics, quartics, work
+    )  # fmt: skip
     if chosen < 0:
         return -1
     i, j = place_of(chosen % LATERAL_PLANS, LATERAL_PLANS), place_of(chosen // LATERAL_PLANS, LONGITUDINAL_PLANS)
@@ -312,16 +284,3 @@ def plan(
     for index in range(7):
         memory[index, 1] = quartics[index, j]
     return chosen
-
-
-@compiled
-def decide(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, state: Any, infeasible: Any,
-    work: Any,
-) -> int:  # fmt: skip
-    """Returns the choice of `plan` in a `state` that it wrote; writes infeasible candidates."""
-    quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
-    return choose(
-        road, scene, scales, lateral_ends, longitudinal_ends, weights, state[2:8], state[24:].reshape(-1, 6), state[1],
-        state[8:24].reshape(8, 2), quintics, quartics, infeasible, work,
-    )  # fmt: skip

@@ -8,13 +8,10 @@ import numpy.typing as npt
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.certification.kernels import NONE, contenders
-from drivecal.highway.certification.nodes import Nodes
-from drivecal.highway.planner import deciding, kernel, neighbours, plans, terms
+from drivecal.highway.planner import kernel, neighbours, plans, terms
 from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.highway.planner.cost import scales, weights
 from drivecal.highway.planner.scratch import size_for
-from drivecal.highway.planner.spaces import HIGHWAY
 from drivecal.plugins.ports import Observation
 
 Floats = npt.NDArray[np.float64]
@@ -25,14 +22,6 @@ TRAJECTORY = 2.4
 """Length of the trajectory for the vehicle, s: the period and its controller's preview."""
 CURB = 0.1
 """Distance that every candidate keeps from the road's edges, m."""
-LOWEST = weights([float(parameter.lower) for parameter in HIGHWAY])
-HIGHEST = weights([float(parameter.upper) for parameter in HIGHWAY])
-"""Limits of the weights that a certificate covers, shape (12,): those of the parameters of Table 6."""
-LEADERS = 48
-"""Number of good candidates that decide, by comparison, whether another candidate could ever win."""
-MARGIN = 1e-6
-"""Margin of cost comparisons: a thousand times the rounding errors."""
-
 _COMBINED = {terms.LATERAL_ACCELERATION: 2, terms.HEADING: 4, terms.CLEARANCE: 7, terms.LEADER: 8, terms.CLOSING: 10}
 _COMBINED |= {terms.FOLLOWER: 11, terms.COLLISION: 0}
 _LATERAL = {terms.LATERAL_BASE: 0, terms.LATERAL_JERK: 1, terms.CENTRE: 3, terms.CONSISTENCY: 5}
@@ -44,12 +33,10 @@ class FrenetPlanner:
     """Chooses the candidate of lowest cost every 0.2 s (Werling et al. 2010).
 
     A plan starts on the previous plan while the vehicle follows it closely (`plans.LARGEST_DEVIATIONS`), which gives a smooth path; else
-    it starts at the vehicle. The features of the last plan stay readable: J = features @ weights.
+    it starts at the vehicle. `features` are readable: J = features @ weights.
     """
 
     period = PERIOD
-    grid = 1.0 / terms.FEATURE_GRID
-    n_values = len(deciding.TERM)
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError if the scenario's step does not divide the planning period."""
@@ -82,20 +69,11 @@ class FrenetPlanner:
         self._lateral = np.zeros((6, n_lateral))
         self._longitudinal = np.zeros((2, n_longitudinal))
         self._combined = np.zeros((7, n_longitudinal, n_lateral))
-        self._by_term = np.zeros((self.n_candidates, 12))
-        self.infeasible: npt.NDArray[np.bool_] = np.zeros(self.n_candidates, dtype=np.bool_)
-        """Candidates of the last plan that are cheaper than the chosen candidate but cannot be driven, shape (n_candidates,)."""
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros((8, 2))
-        self.state = np.zeros(24 + 6 * len(scenario.traffic))
-        """See `drivecal.plugins.ports.CertifiablePlanner`: as from `kernel.plan`."""
-        self._decided = self.state
-        """State of the last plan or decision."""
-        self._work = scratch_for(self.state)
+        self._work = scratch_for(len(scenario.traffic))
         self._weights = np.zeros(12)
-        self._asked: tuple[tuple[float, ...], Floats, bool] = ((), self._weights, False)
-        """The last parameters, their weights, and whether a certificate may cover them."""
         self._planned_at = 0.0
 
     def reset(self, parameters: Sequence[float]) -> None:
@@ -110,19 +88,9 @@ class FrenetPlanner:
 
         Raises ValueError if the observation holds numbers that are not finite.
         """
-        return self._plan(observation, -1)
-
-    def repeat(self, observation: Observation, chosen: int) -> Floats:
-        """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        return self._plan(observation, chosen)
-
-    def _plan(self, observation: Observation, known: int) -> Floats:
         trajectory = np.empty((self._rows, 7))
         wanted = self._wanted(observation.time)
-        if len(self.state) != 24 + observation.neighbours.size:
-            self.state = np.zeros(24 + observation.neighbours.size)
-        self._decided = self.state
-        self._make_room(self.state)
+        self._make_room(observation)
         self.chosen = kernel.plan(
             self._road,
             self._scenes[wanted],
@@ -134,28 +102,20 @@ class FrenetPlanner:
             observation.neighbours,
             observation.time - self._planned_at,
             self._memory,
-            self.infeasible,
             trajectory,
-            self.state,
             self._work,
-            known,
         )
         if self.chosen < 0:
             raise ValueError(f"no plan has a cost: the observation at {observation.time} s must hold finite numbers only")
         self._planned_at = observation.time
         return trajectory
 
-    def features(self, observation: Observation | None = None) -> Floats:
-        """Returns the features of all candidates of the last plan, or of a plan from this observation, shape (n_candidates, 12): base, then
-        the terms P1..P11. Plans nothing.
+    def features(self, observation: Observation) -> Floats:
+        """Returns the features of all candidates of a plan from this observation, shape (n_candidates, 12): base, then the terms P1..P11.
 
-        `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
+        Plans nothing. `plan` takes the candidate of lowest `features @ cost.weights(parameters)` that is feasible.
         """
-        if observation is None:
-            self._consider(self._decided)
-        else:
-            rows = [[self._scenes[self._wanted(observation.time)][0], observation.time - self._planned_at], observation.ego]
-            self._consider(np.concatenate([*rows, self._memory.ravel(), observation.neighbours.ravel()]))
+        self._consider(observation)
         n_longitudinal, n_lateral = self._combined.shape[1:]
         features = np.zeros((n_longitudinal, n_lateral, 12))
         for row, column in _LONGITUDINAL.items():
@@ -166,97 +126,38 @@ class FrenetPlanner:
             features[:, :, column] += self._combined[row]
         return features.reshape(-1, 12)
 
-    def decide(self, state: Floats, parameters: Sequence[float]) -> int:
-        """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        wanted = self._wanted_in(state)
-        self._decided = state
-        self._make_room(state)
-        self.chosen = kernel.decide(
-            self._road,
-            self._scenes[wanted],
-            self._scales,
-            self._lateral_ends[wanted],
-            self._longitudinal_ends,
-            self._weights_of(parameters)[0],
-            state,
-            self.infeasible,
-            self._work,
-        )
-        return self.chosen
-
-    def contenders(self, infeasible: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], Floats]:
-        """See `drivecal.plugins.ports.CertifiablePlanner`; with the parameters of the built-in spaces."""
-        self._consider(self._decided)
-        deciding.by_term(self._lateral, self._longitudinal, self._combined, self._by_term)
-        rivals = contenders(self._by_term, LOWEST, HIGHEST, infeasible, self.chosen, LEADERS, MARGIN)
-        values = np.empty((len(rivals), self.n_values))
-        deciding.values_of(self._lateral, self._longitudinal, self._combined, rivals, values)
-        return rivals, values
-
-    def walk(self, nodes: Nodes, parameters: Sequence[float], node: int) -> int:
-        """See `drivecal.plugins.ports.CertifiablePlanner`."""
-        weights_of, allowed = self._weights_of(parameters)
-        if not allowed:
-            return NONE
-        return deciding.walk(
-            weights_of,
-            node,
-            nodes.grid,
-            nodes.packed,
-            nodes.candidate,
-            nodes.row_start,
-            nodes.row_count,
-            nodes.beside_start,
-            nodes.beside_count,
-            nodes.places,
-            nodes.values,
-            nodes.first_child,
-            nodes.next_sibling,
-            nodes.decision,
-        )
-
-    def _consider(self, state: Floats) -> None:
-        """Computes the features of all candidates in a state."""
-        wanted = self._wanted_in(state)
-        self._make_room(state)
+    def _consider(self, observation: Observation) -> None:
+        """Computes the features of all candidates of a plan from this observation."""
+        wanted = self._wanted(observation.time)
+        self._make_room(observation)
         kernel.consider(
             self._road,
             self._scenes[wanted],
             self._scales,
             self._lateral_ends[wanted],
             self._longitudinal_ends,
-            state[2:8],
-            state[24:].reshape(-1, 6),
-            state[1],
-            state[8:24].reshape(8, 2),
+            observation.ego,
+            observation.neighbours,
+            observation.time - self._planned_at,
+            self._memory,
             self._work,
             self._lateral,
             self._longitudinal,
             self._combined,
         )
 
-    def _make_room(self, state: Floats) -> None:
-        """Lets the scratch memory hold the neighbours of a state."""
-        if len(self._work) < size_for((len(state) - 24) // 6):
-            self._work = scratch_for(state)
-
-    def _weights_of(self, parameters: Sequence[float]) -> tuple[Floats, bool]:
-        asked = tuple(parameters)
-        if asked != self._asked[0]:  # many questions about the same set follow each other
-            values = weights(parameters)
-            self._asked = asked, values, bool(((values >= LOWEST) & (values <= HIGHEST)).all())
-        return self._asked[1:]
+    def _make_room(self, observation: Observation) -> None:
+        """Lets the scratch memory hold the neighbours of an observation."""
+        if len(self._work) < size_for(len(observation.neighbours)):
+            self._work = scratch_for(len(observation.neighbours))
 
     def _wanted(self, time: float) -> int:
         """Returns 0 before the lane change, 1 after it."""
         return 1 if time >= self._change_after else 0
 
-    def _wanted_in(self, state: Floats) -> int:
-        return 0 if state[0] == self._scenes[0][0] else 1
 
-
-def scratch_for(state: Floats) -> Floats:
-    """Returns scratch memory for plans with as many neighbours as a state has."""
-    work = np.zeros(size_for((len(state) - 24) // 6))
+def scratch_for(others: int) -> Floats:
+    """Returns scratch memory for plans with this number of other vehicles."""
+    work = np.zeros(size_for(others))
     neighbours.prepare(work)
     return work

@@ -46,7 +46,6 @@ _SIZES = (
     BLOCKS * NEAR,
     3 * TIMES,
     LANES,
-    LONGITUDINAL_PLANS * LATERAL_PLANS,
 )
 (
     TIME,
@@ -65,14 +64,13 @@ _SIZES = (
     NEARS,
     MEETING,
     COSTS,
-    REFUSED,
     OTHERS,
 ) = accumulate(_SIZES, initial=0)
 """Times of the points; remaining share of a neighbour's lateral speed; motion of lateral plans, and their least and largest d by lane;
 features of lateral and of longitudinal plans; costs of lateral plans; longitudinal plans, and whether the road is straight along them;
 LATERAL_ACCELERATION on straight roads and along the row, HEADING; sums over the neighbours; a longitudinal plan's shortfall, share
-alongside and urgency with a neighbour; costs of a block; of
-infeasible candidates; neighbours."""
+alongside and urgency with a neighbour; costs of a block;
+neighbours."""
 
 
 def size_for(others: int) -> int:

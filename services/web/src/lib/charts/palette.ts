@@ -8,7 +8,6 @@ export const COLOURS: Record<Outcome | "pending" | "carried_over", string> = {
   repeated: "#56b4e9",
   reused: "#0072b2",
   predicted: "#cc79a7",
-  certified: "#009e73",
   simulated: "#e69f00",
   failed: "#d55e00",
 };

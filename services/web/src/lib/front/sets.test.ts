@@ -33,7 +33,7 @@ test("a trade-off is known to be of other sets once ranks name others", () => {
 });
 
 test("a set is as certain as its least certain answer", () => {
-  expect(kindOf({ a: "simulated", b: "certified", c: "reused" })).toBe("reused");
+  expect(kindOf({ a: "simulated", b: "repeated", c: "reused" })).toBe("reused");
   expect(kindOf({ a: "simulated", b: "confirmed" })).toBe("confirmed");
   expect(madeOfText({ a: "simulated", b: "reused", c: "simulated" })).toBe("1 copied, 2 simulated");
   expect(kindOf(undefined)).toBe("simulated");

@@ -62,13 +62,12 @@ function columnOf(name: string, values: readonly Value[]): Column {
 }
 
 /** How sets are answered, the least certain first. */
-export const ANSWERS = ["reused", "certified", "repeated", "stored", "confirmed", "simulated"] as const;
+export const ANSWERS = ["reused", "repeated", "stored", "confirmed", "simulated"] as const;
 export type Answer = (typeof ANSWERS)[number];
 
 /** What an answer of a set is, in a word and a sentence, and its colour. */
 export const ANSWER: Readonly<Record<Answer, { word: string; meaning: string; colour: string }>> = {
   reused: { word: "copied", meaning: "the score of a stored set that differs only where the influence map says that it does not matter", colour: COLOURS.reused },
-  certified: { word: "certified", meaning: "a stored run that this one provably repeats, bit for bit", colour: COLOURS.certified },
   repeated: { word: "repeated", meaning: "the stored result of this very set", colour: COLOURS.repeated },
   stored: { word: "stored", meaning: "a run of this very set by another campaign", colour: SERIES[7] ?? "" },
   confirmed: { word: "confirmed", meaning: "copied or predicted at first, then simulated", colour: COLOURS.predicted },

@@ -23,8 +23,6 @@ const ROWS = {
     failure: "other",
     milliseconds: "number",
     worker: "other",
-    proven_by: "number",
-    proof_agrees: "other",
     lot: "number",
     confidence: "number",
     sampled: "other",

@@ -18,10 +18,10 @@ export interface Listed<T> {
 }
 
 /** The cells of the search; of a campaign without one, those of all its stages together. */
-export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<CellCounts, "requested" | "simulated" | "repeated" | "reused" | "predicted" | "certified"> {
+export function countedCells(campaign: Pick<Known, "cells" | "stages">): Pick<CellCounts, "requested" | "simulated" | "repeated" | "reused" | "predicted"> {
   if (campaign.cells.proposed > 0) return campaign.cells;
   const sum = (name: keyof CellCounts): number => Object.values(campaign.stages).reduce((total, cells) => total + (cells[name] ?? 0), 0);
-  return { requested: sum("requested"), simulated: sum("simulated"), repeated: sum("repeated"), reused: sum("reused"), predicted: sum("predicted"), certified: sum("certified") };
+  return { requested: sum("requested"), simulated: sum("simulated"), repeated: sum("repeated"), reused: sum("reused"), predicted: sum("predicted") };
 }
 
 /** The share of requested cells that needed no simulation; null before the first. */

@@ -68,7 +68,7 @@ export function asked(campaign: Asked, setup: CampaignSetup | null): [string, st
     const lots = mode === "predicted" || mode === "both" ? `predictions within ${tolerance === undefined || tolerance === null ? "the score's tolerance (0 if it has steps)" : number(Number(tolerance))}, at most ${percent(Number(limit))} of them expected to be released and wrong` : "";
     const audits = reuses ? `${percent(Number(audit))} audited, ${Number(most) < 1 ? `at most ${percent(Number(most))} of the answers in lots expected to be released and wrong` : "no lots"}` : "";
     const confirmed = reuses && confirm ? `best set confirmed by simulation, at most ${String(confirm)} sets` : "";
-    rows.push(["Reduction", named(mode, [audits, lots, (spec.reduction as Settings)["narrow"] === true ? "influenced ranges alone searched" : "", spec.reduction["certified"] === false ? "provable repeats simulated" : "", list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit", "narrow", "certified"]), confirmed].filter(Boolean).join(", "))]);
+    rows.push(["Reduction", named(mode, [audits, lots, (spec.reduction as Settings)["narrow"] === true ? "influenced ranges alone searched" : "", list(spec.reduction, ["mode", "audit", "max_error", "confirm", "tolerance", "limit", "narrow", "certified"]), confirmed].filter(Boolean).join(", "))]);
   }
   for (const stage of studiesOf(campaign)) rows.push([stage === "robustness" ? "Robustness" : "Validation", settingsText(stage, spec[stage] ?? {})]);
   return rows.filter((row): row is [string, string] => row[1] !== null && row[1] !== "");

@@ -16,8 +16,8 @@ test.each(Object.entries(TERMS))("the page explains %s as the glossary does", (w
 });
 
 test("an outcome is explained by its meaning, and found at the cells of the glossary", () => {
-  expect(meaningOf("certified")).toBe("Answered by a stored run that this one provably repeats, bit for bit.");
-  expect([anchorOf("certified"), anchorOf("lot")]).toEqual(["cell", "lot"]);
+  expect(meaningOf("repeated")).toBe("Answered by the stored result of the same parameter set.");
+  expect([anchorOf("repeated"), anchorOf("lot")]).toEqual(["cell", "lot"]);
 });
 
 test("each term of some texts is marked once, where it is met first", () => {

@@ -2,9 +2,9 @@
 
 import type { CellCounts, Moving } from "../server/types";
 
-export type Outcome = "repeated" | "reused" | "predicted" | "certified" | "simulated" | "failed";
+export type Outcome = "repeated" | "reused" | "predicted" | "simulated" | "failed";
 
-export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "predicted", "certified", "simulated", "failed"];
+export const OUTCOMES: readonly Outcome[] = ["repeated", "reused", "predicted", "simulated", "failed"];
 
 export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   carried_over: "individuals that the optimizer left unchanged: not asked for again",
@@ -12,7 +12,6 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   repeated: "answered by the stored result of the same parameter set",
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
   predicted: "predicted from simulated answers; it counts once a random sample of the cells that were predicted with it was simulated; never a reference, never an optimum",
-  certified: "answered by a stored run that this one provably repeats, bit for bit",
   simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
