@@ -101,7 +101,7 @@ def table(nodes: Floats, spacing: float = SPACING) -> Floats:
 def project(line: Floats, points: Floats, near: Floats) -> tuple[Floats, Floats]:
     """Returns s and d (n,) of the points (n, 2) closest on a line, searched from s = `near` (n,).
 
-    NaN for a point without a foot point near there. The vectorised form of `domain.roads.project`.
+    NaN for a point without a foot point near there.
     """
     spacing, last = line[1, 0], len(line) - 1
     s = np.asarray(near, np.float64).copy()

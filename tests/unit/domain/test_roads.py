@@ -9,9 +9,10 @@ import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frenet import Motion, project, to_frenet
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import Motion, pose_on, project, reference_line, resampled, to_cartesian, to_frenet
+from drivecal.domain.roads import pose_on, reference_line, resampled, to_cartesian
 from drivecal.domain.scenarios import Road
 from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 

@@ -7,9 +7,9 @@ from math import cos, sin
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.frenet import project as project_one
 from tests.support.networks import REAL, entrance, real_corridor
 
-from drivecal.domain.roads import project as project_one
 from drivecal.domain.roads import to_cartesian
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.lines import nodes_of, project, smoothed, table

@@ -57,7 +57,7 @@ def point(line: Floats, s: float) -> tuple[float, float, float, float, float]:
 def foot(line: Floats, x: float, y: float, near: float) -> tuple[float, float, float, float, float, float, float]:
     """Returns s, d, and the line's heading, its cosine and sine, curvature and change of curvature (1/m²) at the foot point of (x, y).
 
-    Newton's iteration from s = `near`, as `drivecal.domain.roads.project`.
+    Newton's iteration from s = `near`.
     """
     s = near
     d = heading = curvature = bend = across = 0.0
@@ -80,7 +80,8 @@ def frenet_motion(
 ) -> tuple[float, float, float, float, float, float, float, float]:  # fmt: skip
     """Returns s, s', s'', d, d', d'' of a vehicle, its heading relative to the line (rad), and metres of its way per metre of s.
 
-    Formulas as in `drivecal.domain.roads.to_frenet`.
+    From r = r0(s) + d n with Frenet's formulas (Werling et al. 2010): v_t = s' (1 - κd), v_n = d',
+    a_t = s'' (1 - κd) - s' (κ' s' d + 2 κ d'), a_n = d'' + κ s'² (1 - κd), κ' by arc length.
 
     Args:
         line: reference line.

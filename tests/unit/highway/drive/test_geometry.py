@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.support.frenet import project
 
 from drivecal.bundles import highway_catalogue as catalogue
-from drivecal.domain.roads import project, to_cartesian
+from drivecal.domain.roads import to_cartesian
 from drivecal.highway.drive import geometry, measures
 from drivecal.highway.drive.geometry import NAMES, keeper_acceleration
 from drivecal.highway.drive.road import slopes

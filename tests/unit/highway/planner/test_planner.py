@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.effort import tries
+from tests.support.frenet import to_frenet
 from tests.unit.highway.planner.reference import ReferencePlanner
 from tests.unit.highway.planner.situations import (
     BENDING,
@@ -24,7 +25,7 @@ from tests.unit.highway.planner.situations import (
 )
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.roads import Floats, reference_line, to_frenet
+from drivecal.domain.roads import Floats, reference_line
 from drivecal.domain.scenarios import Scenario, SpeedKnot, Task
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import PERIOD, FrenetPlanner

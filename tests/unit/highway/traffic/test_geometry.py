@@ -9,8 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.frenet import to_frenet
 
-from drivecal.domain.roads import Floats, reference_line, to_cartesian, to_frenet
+from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.highway.geometry import hit, with_directions
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.traffic.geometry import along_at, locate, place, s_at

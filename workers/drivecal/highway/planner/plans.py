@@ -180,7 +180,7 @@ def motion_at(
 ) -> tuple[float, float, float, float, float, float, float]:
     """s, d, d', speed along the road, curvature of the path, speed, acceleration of candidate (i, j) at time t.
 
-    Frenet's formulas as in `domain.roads.to_frenet`, solved for velocity and acceleration.
+    Frenet's formulas as in `geometry.frenet_motion`, solved for velocity and acceleration.
     """
     d, d1, d2 = lateral_at(quintics, i, t)
     s, s1, s2, _ = longitudinal_at(quartics, j, t)
