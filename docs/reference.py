@@ -28,7 +28,7 @@ from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
-from drivecal.highway.planner.spaces import RANGES
+from drivecal.highway.planner.frenet import RANGES
 from drivecal.highway.scenarios.definitions import DEFINITIONS
 
 TARGET = Path(__file__).parent / "pages" / "reference"

@@ -25,6 +25,7 @@ from scipy.stats import qmc
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.comfort.reference import REFERENCE
+from drivecal.highway.episode import loop as loops
 from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
@@ -103,21 +104,26 @@ def record(runner: EpisodeRunner, parameters: Sequence[float]) -> Tape:
     """A run that leaves its tape."""
     tape, loop = Tape(), runner._loop
     planner, simulated = loop._planner, loop._simulation
-    plan, move, advance = planner.plan, loop._move, simulated.advance
+    plan, mover, advance = planner.plan, loops.mover, simulated.advance
 
     def planned(observation: Observation) -> Any:
         tape.seen.append(Observation(observation.time, observation.ego.copy(), observation.neighbours.copy()))
         return plan(observation)
 
-    def moved(line: Any, along: Any, frame: Any, trajectory: Any, since: float, index: int, *rest: Any) -> int:
-        tape.moved.append((trajectory, since, index))
-        return move(line, along, frame, trajectory, since, index, *rest)
+    def moving(*arguments: Any) -> loops.Move:
+        move = mover(*arguments)
+
+        def moved(trajectory: Any, since: float, index: int) -> int:
+            tape.moved.append((trajectory, since, index))
+            return move(trajectory, since, index)
+
+        return moved
 
     def advanced(index: int, pose: Any) -> bool:
         tape.advanced.append((index, simulated.ego.copy(), pose.copy()))
         return advance(index, pose)
 
-    with replaced(planner, "plan", planned), replaced(loop, "_move", moved), replaced(simulated, "advance", advanced):
+    with replaced(planner, "plan", planned), replaced(loops, "mover", moving), replaced(simulated, "advance", advanced):
         runner.run(parameters)
     return tape
 
@@ -148,10 +154,9 @@ def shares(runner: EpisodeRunner, parameters: Sequence[float]) -> dict[str, floa
             planner.plan(observation)
 
     def move() -> None:
-        line, along, ego, frame = simulated.line, simulated.along, simulated.ego, loop._frame
-        motion, dynamics = loop._motion, loop._dynamics
+        moved = loops.mover(vehicle, simulated, loop._frame, loop._motion, loop._dynamics)
         for trajectory, since, index in tape.moved:
-            loop._move(line, along, frame, trajectory, since, index, motion, dynamics, ego)
+            moved(trajectory, since, index)
 
     def advance() -> None:
         for index, ego, pose in tape.advanced:

@@ -36,8 +36,7 @@ def decide(planner: FrenetPlanner, observation: Observation, weights: Floats) ->
     wanted, memory, start = planner._wanted(observation.time), planner._memory.copy(), np.empty(8)
     plans.start_at(observation.ego, memory, observation.time - planner._planned_at, start)
     quintics, quartics = np.empty((8, plans.LATERAL_PLANS)), np.empty((7, plans.LONGITUDINAL_PLANS))
-    ends = planner._lateral_ends[wanted], planner._longitudinal_ends
-    plans.fit(planner._road, *ends, start, memory, quintics, quartics)
+    plans.fit(planner._road, planner._lateral_ends[wanted], start, memory, quintics, quartics)
     infeasible = np.zeros(costs.size, np.bool_)
     first = cheapest(costs, infeasible)
     candidate = first

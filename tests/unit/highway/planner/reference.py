@@ -16,7 +16,7 @@ from numpy.polynomial import Polynomial
 
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.planner import candidates, cost, plans, terms
+from drivecal.highway.planner import cost, plans, terms
 from drivecal.highway.planner.planner import CURB
 from drivecal.plugins.ports import Observation
 
@@ -61,7 +61,7 @@ class ReferencePlanner:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         self.line = reference_line(scenario.road)
-        self.desired = candidates.desired_speeds(scenario.task, self.line[:, 0])
+        self.desired = plans.desired_speeds(scenario.task, self.line[:, 0])
 
     def reset(self, parameters: Sequence[float]) -> None:
         p1, *others = parameters
@@ -102,7 +102,7 @@ class ReferencePlanner:
         lanes = (task.start_lane, task.target_lane)
         wanted, other = lanes if observation.time < task.lane_change_after else lanes[::-1]
         self.target = wanted * road.lane_width
-        ends = list(candidates.lateral_ends(road.lane_width, wanted, other).T)
+        ends = list(plans.lateral_ends(road.lane_width, wanted, other).T)
         self.goes_on_aside = self.before is not None and bool(self.rest_aside >= plans.SHORTEST_REST)
         self.goes_on_ahead = self.before is not None and bool(self.rest_ahead >= plans.SHORTEST_REST)
         if self.before is not None and self.goes_on_aside:
@@ -111,7 +111,7 @@ class ReferencePlanner:
         s, speed = self.start[:2]
         self.limit = self.desired_at(s)
         self.along = []
-        for difference, horizon in candidates.longitudinal_ends().T:
+        for difference, horizon in plans.LONGITUDINAL_ENDS.T:
             first_guess = min(self.limit, self.desired_at(s + speed * horizon))
             desired = min(self.limit, self.desired_at(s + 0.5 * (speed + first_guess) * horizon))
             end_speed = max(desired + difference, 0.0)

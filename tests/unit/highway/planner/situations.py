@@ -10,7 +10,7 @@ from tests.support.roads import road_of
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task
 from drivecal.highway.manoeuvres import Manoeuvre
-from drivecal.highway.planner.spaces import HIGHWAY
+from drivecal.highway.planner.frenet import HIGHWAY
 from drivecal.highway.scenarios.designs import CurvatureKnot
 from drivecal.plugins.ports import Observation
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from drivecal.domain.scenarios import SpeedKnot, Task
 from drivecal.highway.planner import plans
-from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
 from drivecal.highway.planner.cost import LATEST_DECELERATION
 from drivecal.highway.planner.lanes import LANES
-from drivecal.highway.planner.scratch import TIMES
+from drivecal.highway.planner.plans import LONGITUDINAL_ENDS, desired_speeds, lateral_ends
+from drivecal.highway.planner.terms import TIMES
 
 S = np.linspace(0.0, 500.0, 1001)
 
@@ -26,7 +26,7 @@ def speeds_along(*knots: tuple[float, float]) -> list[float]:
 def test_there_are_enough_candidates_and_the_first_ends_in_the_wanted_lane_at_the_desired_speed(
     wanted: int, other: int
 ) -> None:
-    lateral, longitudinal = lateral_ends(3.5, wanted, other), longitudinal_ends()
+    lateral, longitudinal = lateral_ends(3.5, wanted, other), LONGITUDINAL_ENDS
     assert lateral.shape[1] * longitudinal.shape[1] >= 150
     assert lateral[0, 0] == wanted * 3.5
     assert longitudinal[0, 0] == 0.0
@@ -74,7 +74,7 @@ def test_the_desired_speed_never_exceeds_the_task_nor_asks_for_hard_braking(knot
 
 def test_the_kernels_are_compiled_for_as_many_plans_as_there_are_in_whole_blocks() -> None:
     assert lateral_ends(3.75, 0, 1).shape == lateral_ends(3.75, 1, 1).shape == (2, plans.LATERAL_PLANS)
-    assert longitudinal_ends().shape == (2, plans.LONGITUDINAL_PLANS)
+    assert LONGITUDINAL_ENDS.shape == (2, plans.LONGITUDINAL_PLANS)
     assert plans.LATERAL_PLANS % LANES == 0
     assert plans.POINTS <= TIMES == -(-plans.POINTS // LANES) * LANES
     places = [plans.place_of(plan, plans.LATERAL_PLANS) for plan in range(plans.LATERAL_PLANS)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from functools import cache
 
 import numpy as np
@@ -23,15 +21,14 @@ from tests.unit.highway.planner.situations import (
     random_parameters,
     random_scenario,
     seen,
-    vehicle,
 )
 
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
 from drivecal.domain.scenarios import Scenario
 from drivecal.highway.planner.cost import weights
+from drivecal.highway.planner.frenet import HIGHWAY
 from drivecal.highway.planner.planner import FrenetPlanner
-from drivecal.highway.planner.spaces import HIGHWAY
 from drivecal.highway.planner.terms import FEATURE_GRID
 from drivecal.plugins.ports import Observation
 
@@ -207,28 +204,3 @@ def test_a_mirrored_situation_costs_the_same_on_the_other_side(seed: int, parame
     here = planner.features(observation).reshape(shape)
     there = planner.features(mirrored).reshape(shape)[:, partner]
     np.testing.assert_allclose(here, there, atol=1.01 * GRID, rtol=1e-9)
-
-
-def test_the_same_instant_gives_the_same_bits_in_another_process() -> None:
-    program = (
-        "import numpy as np\n"
-        "from drivecal.highway.planner.planner import FrenetPlanner\n"
-        "from tests.unit.highway.planner.situations import BENDING, MIDDLE, random_drive\n"
-        "planner = FrenetPlanner(BENDING)\n"
-        "planner.reset(MIDDLE)\n"
-        "for observation in random_drive(np.random.default_rng(7), BENDING, plans=5):\n"
-        "    features = planner.features(observation)\n"
-        "    trajectory = planner.plan(observation)\n"
-        "    print(planner.chosen, trajectory.tobytes().hex(), features.tobytes().hex())\n"
-    )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    other = FrenetPlanner(BENDING)
-    other.reset(random_parameters(np.random.default_rng(0)))
-    other.plan(seen(vehicle(130, 1, 22)))
-    other.reset(MIDDLE)
-    for line, observation in zip(
-        run.stdout.splitlines(), random_drive(np.random.default_rng(7), BENDING, plans=5), strict=True
-    ):
-        features = other.features(observation)
-        trajectory = other.plan(observation)
-        assert line == f"{other.chosen} {trajectory.tobytes().hex()} {features.tobytes().hex()}"

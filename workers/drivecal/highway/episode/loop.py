@@ -9,11 +9,74 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.episode.moving import OFF_ROAD, mover
-from drivecal.highway.traffic.geometry import place
+from drivecal.highway import geometry as shared
+from drivecal.highway.compilation import compiled_with
+from drivecal.highway.traffic import geometry
+from drivecal.highway.traffic.geometry import STEP, place
 from drivecal.highway.traffic.simulation import Simulation
-from drivecal.highway.vehicle.kernels import FOLLOWED
+from drivecal.highway.vehicle import equations, kernels
+from drivecal.highway.vehicle.kernels import FOLLOWED, TOO_SHORT, UNSTABLE, follow
+from drivecal.highway.vehicle.model import SingleTrackModel
 from drivecal.plugins.ports import Observation, Planner, VehicleModel
+
+OFF_ROAD = 3
+"""Result of a move, beside those of `kernels.follow`."""
+
+
+@compiled_with(equations, kernels, shared, geometry)
+def _move(
+    state: Floats, plant: Floats, controller: Floats, line: Floats, along: Floats, frame: Floats, trajectory: Floats, since: float,
+    index: int, motion: Floats, dynamics: Floats, ego: Floats,
+) -> int:  # fmt: skip
+    samples = len(dynamics) // (len(motion) - 1)
+    rows = dynamics[index * samples : (index + 1) * samples]
+    status = follow(state, plant, controller, trajectory, since, samples, rows)
+    on_road = place(line, along, frame, state, motion[index, 0], motion[index + 1], ego)
+    return OFF_ROAD if status == FOLLOWED and not on_road else status
+
+
+Move = Callable[[Floats, float, int], int]
+"""Moves the ego vehicle through a step: the trajectory, the seconds since its start, and the step's number.
+
+Returns FOLLOWED, UNSTABLE or OFF_ROAD. Raises ValueError if the trajectory is too short.
+"""
+
+
+def mover(vehicle: VehicleModel, simulation: Simulation, frame: Floats, motion: Floats, dynamics: Floats) -> Move:
+    """Returns the move of a vehicle, which writes the simulation's `ego` and the step's rows of `motion` and `dynamics`.
+
+    One compiled call for the built-in vehicles, because a call costs as much as the geometry; two for vehicles of plug-ins.
+
+    Args:
+        vehicle: the ego vehicle.
+        simulation: its road and its place in SUMO.
+        frame: as in `traffic.geometry`.
+        motion: as in `Drive`.
+        dynamics: as in `Drive`.
+    """
+    line, along, ego = simulation.line, simulation.along, simulation.ego
+    step = frame.item(STEP)
+    if isinstance(vehicle, SingleTrackModel) and type(vehicle).follow is SingleTrackModel.follow:
+        state, plant, controller = vehicle.arrays
+
+        def move(trajectory: Floats, since: float, index: int) -> int:
+            status: int = _move(
+                state, plant, controller, line, along, frame, trajectory, since, index, motion, dynamics, ego
+            )  # fmt: skip
+            if status == TOO_SHORT:
+                raise ValueError(f"the trajectory does not cover {since} s to {since + step} s after its start")
+            return status
+
+        return move
+    samples = len(dynamics) // (len(motion) - 1)
+
+    def move_by_port(trajectory: Floats, since: float, index: int) -> int:
+        stable = vehicle.follow(trajectory, since, step, dynamics[index * samples : (index + 1) * samples])
+        on_road = place(line, along, frame, vehicle.pose, motion.item(index, 0), motion[index + 1], ego)
+        return (FOLLOWED if on_road else OFF_ROAD) if stable else UNSTABLE
+
+    return move_by_port
+
 
 SAMPLE_TIME = 0.01
 """Sample time of the vehicle's dynamics (s)."""
@@ -41,7 +104,6 @@ class ClosedLoop:
     def __init__(self, scenario: Scenario, planner: Planner, vehicle: VehicleModel, simulation: Simulation) -> None:
         """Prepares the runs. Raises InvalidInputError if scenario step, planning period and the vehicle's sample time do not fit."""
         self._scenario, self._planner, self._vehicle, self._simulation = scenario, planner, vehicle, simulation
-        self._move = mover(vehicle)
         self._steps = round(scenario.duration / scenario.step)
         self._steps_per_plan = round(planner.period / scenario.step)
         samples = round(scenario.step / SAMPLE_TIME)
@@ -60,12 +122,13 @@ class ClosedLoop:
 
     def drive(self, parameters: Sequence[float], watch: Watcher | None = None) -> Drive:
         """Drives one run. Raises SimulationError if SUMO fails."""
-        scenario, vehicle, simulation, move = self._scenario, self._vehicle, self._simulation, self._move
+        scenario, vehicle, simulation = self._scenario, self._vehicle, self._simulation
         planner = self._planner
         step, steps_per_plan = scenario.step, self._steps_per_plan
         frame, motion, dynamics, motions = self._frame, self._motion, self._dynamics, self._motions
         simulation.load(scenario)
         line, along, ego, neighbours = simulation.line, simulation.along, simulation.ego, simulation.neighbours
+        move = mover(vehicle, simulation, frame, motion, dynamics)
         vehicle.start(*self._start)
         place(line, along, frame, vehicle.pose, scenario.ego.s, motions[0], ego)
         simulation.reset()  # puts `ego` to where SUMO starts it
@@ -80,7 +143,7 @@ class ClosedLoop:
                 observation.ego = motions[index]
                 planned = trajectory = planner.plan(observation)
                 since = 0.0
-            moved = move(line, along, frame, trajectory, since, index, motion, dynamics, ego)
+            moved = move(trajectory, since, index)
             since += step
             done = index + 1
             if moved != FOLLOWED:

@@ -64,8 +64,11 @@ def weights(parameters: Sequence[float]) -> Floats:
     return np.array([1.0, 10.0 ** (smoothing / 10.0), *linear])
 
 
-def scales() -> Floats:
-    """Returns the factors of raw quantities in the kernel, shape (18,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error,
-    [13] terminal offset, [14] acceleration, [15] collision, [16] change of the lateral, [17] of the longitudinal plan."""
-    base = [SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION, CHANGE_ASIDE, CHANGE_AHEAD]
-    return np.array([0.0, *(1.0 / term.typical for term in TERMS), *base])
+SCALES: Floats = np.array(
+    [
+        0.0, *(1.0 / term.typical for term in TERMS),
+        SPEED_ERROR, TERMINAL_OFFSET, ACCELERATION, COLLISION, CHANGE_ASIDE, CHANGE_AHEAD,
+    ]
+)  # fmt: skip
+"""Factors of raw quantities in the kernels, shape (18,): [0] unused, [1..11] 1 / typical of the terms, [12] speed error, [13] terminal
+offset, [14] acceleration, [15] collision, [16] change of the lateral, [17] of the longitudinal plan."""

@@ -1,8 +1,8 @@
 """The planner's compiled decisions: costs of candidates, and the choice among them.
 
-One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits.
-Lateral and longitudinal plans are sampled once each; a candidate is a pair of them, numbered
-longitudinal index * n_lateral + lateral index. Arrays: see `plans`; `work`: see `scratch`.
+One fixed order of summation, no fast-math, ties to the lowest index: equal input gives equal bits. Lateral and longitudinal plans are
+sampled once each; a candidate is a pair of them, numbered longitudinal index * n_lateral + lateral index. Arrays: see `plans`; `work`: see
+`terms`.
 
 Features and weights are not negative, and rounding keeps order. So a cost whose features are not all computed yet is a bound: no candidate
 above the cheapest feasible candidate so far is chosen, whatever its other features are. Blocks of eight candidates that are all above it
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from drivecal.highway.compilation import compiled_with
-from drivecal.highway.planner import lanes, neighbours, plans, scratch, terms
+from drivecal.highway.planner import cost, lanes, plans, terms
+from drivecal.highway.planner.cost import SCALES
 from drivecal.highway.planner.lanes import LANES, bits, load, lowest_bit, store
-from drivecal.highway.planner.neighbours import approach, foresee, look_beside
 from drivecal.highway.planner.plans import (
     LATERAL_PLANS,
     LONGITUDINAL_PLANS,
@@ -27,49 +27,50 @@ from drivecal.highway.planner.plans import (
     start_at,
     trace,
 )
-from drivecal.highway.planner.scratch import (
+from drivecal.highway.planner.terms import (
     AHEAD,
     ALONGSIDE,
+    ARRIVAL,
     ASIDE,
     BEHIND,
     BLOCKS,
+    BOUNDARY,
+    CENTRE,
     CLEAR,
+    CLEARANCE,
+    CLOSING,
+    COLLISION,
+    CONSISTENCY,
     COSTS,
+    FOLLOWER,
+    HEADING,
     HEADINGS,
     IS_SEEN,
     LATERAL,
+    LATERAL_ACCELERATION,
+    LATERAL_BASE,
+    LATERAL_JERK,
+    LEADER,
     LONGITUDINAL,
+    LONGITUDINAL_BASE,
+    LONGITUDINAL_JERK,
     NEAR,
     NEARS,
     OTHER,
     OTHERS,
     SIDES,
     TOUCHING,
-)
-from drivecal.highway.planner.terms import (
-    ARRIVAL,
-    BOUNDARY,
-    CENTRE,
-    CLEARANCE,
-    CLOSING,
-    COLLISION,
-    CONSISTENCY,
-    FOLLOWER,
-    HEADING,
-    LATERAL_ACCELERATION,
-    LATERAL_BASE,
-    LATERAL_JERK,
-    LEADER,
-    LONGITUDINAL_BASE,
-    LONGITUDINAL_JERK,
+    approach,
+    foresee,
     look_ahead,
     look_along,
     look_aside,
+    look_beside,
     on_grid,
 )
 
-compiled = compiled_with(lanes, neighbours, plans, scratch, terms, error_model="numpy")
-inlined = compiled_with(lanes, neighbours, plans, scratch, terms, error_model="numpy", forceinline=True)
+compiled = compiled_with(cost, lanes, plans, terms, error_model="numpy")
+inlined = compiled_with(cost, lanes, plans, terms, error_model="numpy", forceinline=True)
 
 ALL = (1 << LANES) - 1
 """Bits of all lanes."""
@@ -101,22 +102,22 @@ def along_of(weights: Any, work: Any, j: int) -> float:
 
 
 @inlined
-def near_of(scales: Any, work: Any, block: int) -> Any:
+def near_of(work: Any, block: int) -> Any:
     """Returns COLLISION, CLEARANCE, LEADER, CLOSING and FOLLOWER of a block, with the neighbours so far."""
     at = NEARS + block * NEAR
     return (
-        on_grid(load(work, at + TOUCHING), scales[15] / POINTS),
-        on_grid(load(work, at + CLEAR), scales[7] / POINTS),
-        on_grid(load(work, at + AHEAD), scales[8]),
-        on_grid(load(work, at + ALONGSIDE), scales[10] / POINTS),
-        on_grid(load(work, at + BEHIND), scales[11]),
+        on_grid(load(work, at + TOUCHING), SCALES[15] / POINTS),
+        on_grid(load(work, at + CLEAR), SCALES[7] / POINTS),
+        on_grid(load(work, at + AHEAD), SCALES[8]),
+        on_grid(load(work, at + ALONGSIDE), SCALES[10] / POINTS),
+        on_grid(load(work, at + BEHIND), SCALES[11]),
     )
 
 
 @inlined
-def costs_of(scales: Any, weights: Any, along: float, work: Any, block: int) -> Any:
+def costs_of(weights: Any, along: float, work: Any, block: int) -> Any:
     """Returns J of a block along a longitudinal plan of cost `along`."""
-    collision, clearance, leader, closing, follower = near_of(scales, work, block)
+    collision, clearance, leader, closing, follower = near_of(work, block)
     return (
         (along + load(work, ASIDE + block * LANES))
         + weights[0] * collision
@@ -131,20 +132,20 @@ def costs_of(scales: Any, weights: Any, along: float, work: Any, block: int) -> 
 
 @inlined
 def prepare(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, ego: Any, neighbours: Any, elapsed: float,
+    road: Any, scene: Any, lateral_ends: Any, ego: Any, neighbours: Any, elapsed: float,
     memory: Any, quintics: Any, quartics: Any, work: Any,
 ) -> None:  # fmt: skip
     """Writes the plans, their features, and the neighbours' motion."""
     start = np.empty(8)
     start_at(ego, memory, elapsed, start)
-    fit(road, lateral_ends, longitudinal_ends, start, memory, quintics, quartics)
-    look_aside(scene, scales, start, memory, elapsed, quintics, work)
-    look_ahead(road, scales, start, quartics, work)
+    fit(road, lateral_ends, start, memory, quintics, quartics)
+    look_aside(scene, start, memory, elapsed, quintics, work)
+    look_ahead(road, start, quartics, work)
     foresee(scene, start, neighbours, work)
 
 
 @inlined
-def look(scales: Any, weights: Any, others: int, j: int, limit: float, known: int, work: Any) -> tuple[int, int]:
+def look(weights: Any, others: int, j: int, limit: float, known: int, work: Any) -> tuple[int, int]:
     """Writes the features of the candidates along a longitudinal plan, block by block until all costs of a block are above the limit.
 
     `others`: number of neighbours. Returns the bits of the blocks below it, whose features are complete, and `known` as of `look_along`.
@@ -154,7 +155,7 @@ def look(scales: Any, weights: Any, others: int, j: int, limit: float, known: in
         costs = along + load(work, ASIDE + block * LANES)
         if bits(costs > limit) == ALL:
             continue
-        known = look_along(scales, work, j, block, known)
+        known = look_along(work, j, block, known)
         costs = costs + weights[2] * load(work, SIDES + block * LANES) + weights[4] * load(work, HEADINGS + block * LANES)
         if bits(costs > limit) == ALL:
             continue
@@ -172,20 +173,20 @@ def look(scales: Any, weights: Any, others: int, j: int, limit: float, known: in
         for block in range(BLOCKS):
             if left >> block & 1:
                 look_beside(work, m, block, points)
-                if bits(costs_of(scales, weights, along, work, block) > limit) == ALL:
+                if bits(costs_of(weights, along, work, block) > limit) == ALL:
                     left &= ~(1 << block)
     return left, known
 
 
 @compiled
 def consider(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, ego: Any, neighbours: Any, elapsed: float,
+    road: Any, scene: Any, lateral_ends: Any, ego: Any, neighbours: Any, elapsed: float,
     memory: Any, work: Any, lateral: Any, longitudinal: Any, combined: Any,
 ) -> None:  # fmt: skip
     """Writes the features of all candidates, and to `work`."""
     quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
     prepare(
-        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
+        road, scene, lateral_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
     )  # fmt: skip
     for i in range(LATERAL_PLANS):
         work[ASIDE + i] = 0.0
@@ -196,9 +197,9 @@ def consider(
         place = place_of(j, LONGITUDINAL_PLANS)
         for row in range(2):
             longitudinal[row, j] = work[LONGITUDINAL + row * LONGITUDINAL_PLANS + place]
-        _, known = look(scales, weights, len(neighbours), place, np.inf, known, work)
+        _, known = look(weights, len(neighbours), place, np.inf, known, work)
         for block in range(BLOCKS):
-            near, at = near_of(scales, work, block), NEARS + block * NEAR
+            near, at = near_of(work, block), NEARS + block * NEAR
             store(work, at + TOUCHING, near[0])
             store(work, at + CLEAR, near[1])
             store(work, at + AHEAD, near[2])
@@ -218,7 +219,7 @@ def consider(
 
 @compiled
 def choose(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
+    road: Any, scene: Any, lateral_ends: Any, weights: Any, ego: Any, neighbours: Any,
     elapsed: float, memory: Any, quintics: Any, quartics: Any, work: Any,
 ) -> int:  # fmt: skip
     """Returns the candidate to drive, -1 if no cost is a number. Writes the plans.
@@ -227,7 +228,7 @@ def choose(
     the limit is the vehicle's affair then. A negative weight allows no bounds.
     """
     prepare(
-        road, scene, scales, lateral_ends, longitudinal_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
+        road, scene, lateral_ends, ego, neighbours, elapsed, memory, quintics, quartics, work
     )  # fmt: skip
     for i in range(0, LATERAL_PLANS, LANES):
         store(work, ASIDE + i, aside_of(weights, work, i))
@@ -236,12 +237,12 @@ def choose(
         is_bounded = is_bounded and weight >= 0.0
     chosen, limit, cheapest, lowest, known = -1, np.inf, -1, np.inf, 0
     for j in range(LONGITUDINAL_PLANS):
-        left, known = look(scales, weights, len(neighbours), j, limit if is_bounded else np.inf, known, work)
+        left, known = look(weights, len(neighbours), j, limit if is_bounded else np.inf, known, work)
         along = along_of(weights, work, j)
         while left:
             block = lowest_bit(left)
             left &= left - 1
-            costs = costs_of(scales, weights, along, work, block)
+            costs = costs_of(weights, along, work, block)
             store(work, COSTS, costs)
             open_lanes = bits(costs <= limit)
             while open_lanes:
@@ -267,13 +268,13 @@ def choose(
 
 @compiled
 def plan(
-    road: Any, scene: Any, scales: Any, lateral_ends: Any, longitudinal_ends: Any, weights: Any, ego: Any, neighbours: Any,
+    road: Any, scene: Any, lateral_ends: Any, weights: Any, ego: Any, neighbours: Any,
     elapsed: float, memory: Any, trajectory: Any, work: Any,
 ) -> int:  # fmt: skip
     """Makes a plan: writes the trajectory and the new memory. Returns the chosen candidate, -1 if no cost is a number."""
     quintics, quartics = np.empty((8, LATERAL_PLANS)), np.empty((7, LONGITUDINAL_PLANS))
     chosen = choose(
-        road, scene, scales, lateral_ends, longitudinal_ends, weights, ego, neighbours, elapsed, memory, quintics, quartics, work
+        road, scene, lateral_ends, weights, ego, neighbours, elapsed, memory, quintics, quartics, work
     )  # fmt: skip
     if chosen < 0:
         return -1

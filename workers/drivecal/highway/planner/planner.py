@@ -8,10 +8,10 @@ import numpy.typing as npt
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.planner import kernel, neighbours, plans, terms
-from drivecal.highway.planner.candidates import desired_speeds, lateral_ends, longitudinal_ends
-from drivecal.highway.planner.cost import scales, weights
-from drivecal.highway.planner.scratch import size_for
+from drivecal.highway.planner import kernel, plans, terms
+from drivecal.highway.planner.cost import weights
+from drivecal.highway.planner.plans import LATERAL_PLANS, LONGITUDINAL_PLANS, desired_speeds, lateral_ends
+from drivecal.highway.planner.terms import size_for
 from drivecal.plugins.ports import Observation
 
 Floats = npt.NDArray[np.float64]
@@ -37,6 +37,7 @@ class FrenetPlanner:
     """
 
     period = PERIOD
+    n_lateral, n_candidates = LATERAL_PLANS, LATERAL_PLANS * LONGITUDINAL_PLANS
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises InvalidInputError if the scenario's step does not divide the planning period."""
@@ -60,15 +61,11 @@ class FrenetPlanner:
             self._scenes.append(np.array([*geometry, road.right_edge + space, road.left_edge - space, scenario.step]))
             self._lateral_ends.append(lateral_ends(road.lane_width, wanted, other))
         self._change_after = task.lane_change_after
-        self._longitudinal_ends = longitudinal_ends()
-        self._scales = scales()
         self._rows = round(TRAJECTORY / scenario.step) + 1
 
-        n_lateral, n_longitudinal = self._lateral_ends[0].shape[1], self._longitudinal_ends.shape[1]
-        self.n_lateral, self.n_candidates = n_lateral, n_lateral * n_longitudinal
-        self._lateral = np.zeros((6, n_lateral))
-        self._longitudinal = np.zeros((2, n_longitudinal))
-        self._combined = np.zeros((7, n_longitudinal, n_lateral))
+        self._lateral = np.zeros((6, LATERAL_PLANS))
+        self._longitudinal = np.zeros((2, LONGITUDINAL_PLANS))
+        self._combined = np.zeros((7, LONGITUDINAL_PLANS, LATERAL_PLANS))
         self.chosen = -1
         """The candidate of the last plan that is driven: index = longitudinal index * n_lateral + lateral index."""
         self._memory = np.zeros((8, 2))
@@ -94,9 +91,7 @@ class FrenetPlanner:
         self.chosen = kernel.plan(
             self._road,
             self._scenes[wanted],
-            self._scales,
             self._lateral_ends[wanted],
-            self._longitudinal_ends,
             self._weights,
             observation.ego,
             observation.neighbours,
@@ -133,9 +128,7 @@ class FrenetPlanner:
         kernel.consider(
             self._road,
             self._scenes[wanted],
-            self._scales,
             self._lateral_ends[wanted],
-            self._longitudinal_ends,
             observation.ego,
             observation.neighbours,
             observation.time - self._planned_at,
@@ -159,5 +152,5 @@ class FrenetPlanner:
 def scratch_for(others: int) -> Floats:
     """Returns scratch memory for plans with this number of other vehicles."""
     work = np.zeros(size_for(others))
-    neighbours.prepare(work)
+    terms.prepare(work)
     return work

@@ -5,8 +5,7 @@ road (n, 10): s, x, y, heading, curvature (as from `domain.roads.reference_line`
     heading, change of curvature and of desired speed per metre until the next row
 scene (8,): wanted lane's centre, lane width, last lane, half length and half width of the ego vehicle, lowest and highest allowed d,
     time step of the trajectory
-scales (18,): see `cost.scales`
-lateral_ends (2, n_lateral), longitudinal_ends (2, n_longitudinal): see `candidates`
+lateral_ends (2, n_lateral): as from `lateral_ends`
 ego (6,): s, s', s'', d, d', d''; start (8,): the same at the start of the plan, and the rest (s) of the previous lateral and
     longitudinal plan, 0 without a previous plan; neighbours (m, 6): see `ports.Observation`
 quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon; the
@@ -18,14 +17,86 @@ lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitu
 from math import atan2, cos, hypot, sin
 from typing import Any
 
-from drivecal.highway.compilation import compiled_with
+import numpy as np
+import numpy.typing as npt
 
-compiled = compiled_with(error_model="numpy")
-inlined = compiled_with(error_model="numpy", forceinline=True)
+from drivecal.domain.scenarios import Task
+from drivecal.highway.compilation import compiled_with
+from drivecal.highway.planner import cost
+from drivecal.highway.planner.cost import LATEST_DECELERATION
+
+Floats = npt.NDArray[np.float64]
+
+CENTRE_HORIZONS = (7.5, 6.5, 5.5, 4.7, 4.0, 3.2, 2.5)
+"""Horizons to the centre of the wanted lane, s: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
+OFFSETS = (0.2, -0.2, 0.5, -0.5)
+OFFSET_HORIZONS = (6.5, 4.5, 3.0)
+"""Offset from the centre of the wanted lane, m, and horizon, s."""
+KEEPING_OFFSETS = (0.9, -0.9)
+"""Evasive offsets if the task has no other lane, m."""
+PREPARING_OFFSET = 0.4
+"""Offset from the centre of the task's other lane, if it has any, towards the wanted lane, m."""
+FURTHER_HORIZONS = (5.5, 3.0)
+"""Horizons of both, s."""
+
+_LONGITUDINAL_ENDS = (
+    (7.5, 0.0),
+    (6.7, 0.0),
+    (6.0, 0.0),
+    (5.3, 0.0),
+    (4.4, 0.0),
+    (3.2, 0.0),
+    (7.5, -2.5),
+    (7.5, -5.0),
+    (4.5, 1.5),
+    (4.5, -4.0),
+    (2.5, -8.0),
+)
+"""(horizon in s, end speed relative to the desired speed in m/s): reach it calmly or quickly, go part of the way, overshoot to
+escape a follower, slow down behind a vehicle, brake hard (5 m/s²)."""
+LONGITUDINAL_ENDS: Floats = np.array(
+    [(offset, horizon) for horizon, offset in (*_LONGITUDINAL_ENDS, _LONGITUDINAL_ENDS[0])]
+).T.copy()
+"""Ends of the longitudinal plans, shape (2, 12): rows end speed relative to the desired speed (m/s) and horizon (s). The last column is a
+copy of the first for the rest of the previous plan, as in `lateral_ends`."""
+
+
+def lateral_ends(lane_width: float, wanted_lane: int, other_lane: int) -> Floats:
+    """Ends of the lateral plans, shape (2, 24): rows offset d (m) and horizon (s).
+
+    The last column is a copy of the first; the kernel replaces it by the rest of the previous plan, so that an unchanged plan is always
+    a candidate. `other_lane` is the task's other lane (equal to `wanted_lane` in lane keeping).
+    """
+    wanted, other = wanted_lane * lane_width, other_lane * lane_width
+    if other_lane == wanted_lane:
+        further = [wanted + offset for offset in KEEPING_OFFSETS]
+    else:
+        further = [other, other + (PREPARING_OFFSET if wanted > other else -PREPARING_OFFSET)]
+    ends = [(wanted, horizon) for horizon in CENTRE_HORIZONS]
+    ends += [(wanted + offset, horizon) for offset in OFFSETS for horizon in OFFSET_HORIZONS]
+    ends += [(offset, horizon) for offset in further for horizon in FURTHER_HORIZONS]
+    return np.ascontiguousarray(np.array([*ends, ends[0]]).T)
+
+
+def desired_speeds(task: Task, s: Floats) -> Floats:
+    """Returns the desired speed (m/s) at arc lengths `s` (uniform, shape (n,)): the task's, lowered ahead of a lower speed such that
+    `LATEST_DECELERATION` suffices. A higher speed begins at its knot. The first knot's speed also holds before it."""
+    knots = np.array([knot.s for knot in task.speeds])
+    speeds = np.array([knot.speed for knot in task.speeds])
+    in_force = np.maximum(np.searchsorted(knots, s, side="right") - 1, 0)
+    reachable = speeds[in_force] ** 2
+    ahead = 2.0 * LATEST_DECELERATION * (s[-1] - s)
+    # v²(s) <= v²(s') + 2 a (s' - s) for every s' ahead: a running minimum from the end of v² - 2 a (end - s).
+    squared: Floats = np.minimum.accumulate((reachable - ahead)[::-1])[::-1] + ahead
+    return np.sqrt(squared)
+
+
+compiled = compiled_with(cost, error_model="numpy")
+inlined = compiled_with(cost, error_model="numpy", forceinline=True)
 """Python's error model checks every division for zero, and a loop that may raise is not vectorised."""
 
 LATERAL_PLANS, LONGITUDINAL_PLANS = 24, 12
-"""Numbers of plans, see `candidates`."""
+"""Numbers of plans, see `lateral_ends` and `LONGITUDINAL_ENDS`."""
 POINTS = 30
 INTERVAL = 0.25
 """Seconds between the points at which candidates are judged, in the middle of thirty intervals: a horizon of 7.5 s."""
@@ -157,7 +228,7 @@ def place_of(plan: int, plans: int) -> int:
 
 
 @compiled
-def fit(road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, memory: Any, quintics: Any, quartics: Any) -> None:
+def fit(road: Any, lateral_ends: Any, start: Any, memory: Any, quintics: Any, quartics: Any) -> None:
     """Fits all plans from `start`. The last lateral and the last longitudinal plan continue the previous plan, and come first."""
     for i in range(LATERAL_PLANS):
         fit_quintic(quintics, place_of(i, LATERAL_PLANS), start[3], start[4], start[5], lateral_ends[0, i], lateral_ends[1, i])
@@ -165,10 +236,10 @@ def fit(road: Any, lateral_ends: Any, longitudinal_ends: Any, start: Any, memory
         fit_quintic(quintics, 0, start[3], start[4], start[5], memory[6, 0], start[6])
     _, _, limit = road_ahead(road, start[0])
     for j in range(LONGITUDINAL_PLANS):
-        horizon = longitudinal_ends[1, j]
+        horizon = LONGITUDINAL_ENDS[1, j]
         _, _, desired = road_ahead(road, start[0] + start[1] * horizon)
         _, _, desired = road_ahead(road, start[0] + 0.5 * (start[1] + min(limit, desired)) * horizon)
-        speed = max(min(limit, desired) + longitudinal_ends[0, j], 0.0)
+        speed = max(min(limit, desired) + LONGITUDINAL_ENDS[0, j], 0.0)
         fit_quartic(quartics, place_of(j, LONGITUDINAL_PLANS), start[0], start[1], start[2], speed, horizon)
     if start[7] > 0.0:
         fit_quartic(quartics, 0, start[0], start[1], start[2], memory[5, 1], start[7])
