@@ -22,7 +22,7 @@ from drivecal.api.dependencies import Limits
 from drivecal.api.results.document import account_of
 from drivecal.campaigns.cells.predicting import slice_size
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results import prediction
+from drivecal.campaigns.results import explanation as prediction
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.configuration.settings import load_settings

@@ -31,7 +31,7 @@ OPEN_ARCHIVES = 4
 """Archives of problems that may be received or sent at the same time, each whole in memory."""
 
 REPORTS = 2
-"""Reports that may be written at the same time, each by a process of its own."""
+"""Reports that may be written at the same time; one draws at a time."""
 
 COMPUTING = 8
 """Rankings, fronts and the like that are computed at the same time. Each further thread that computes delays all others by up to 5 ms at

@@ -25,7 +25,6 @@ from drivecal.report.fronts import front_blocks
 from drivecal.report.html import document
 from drivecal.report.robustness import robustness_blocks
 
-SETTINGS = ("optimizer", "reduction", "sensitivity", "robustness", "validation")
 SPECIFICATION = "campaign.json"
 MOST_CHARACTERS = 10_000
 """Settings of a specification on the page; the file has all."""
@@ -69,7 +68,7 @@ def page(findings: ReportData, drawn: Mapping[str, Figure], names: Sequence[str]
         "Robustness": _robustness(findings, figures("figure-12-robustness")),
         "Validation": _validation(findings, figures("figure-14-")),
         "Cost": sections.account_blocks(results.accounting),
-        "Versions and repetition": _repetition(findings, version),
+        "Repetition": _repetition(findings),
         "Files": [FileLinks(names)] if names else [],
     }
     subtitle = f"campaign {campaign.id}, {campaign.state}{_when(campaign)}; drivecal {version}"
@@ -134,13 +133,12 @@ def _sets(findings: ReportData) -> dict[str, Best | RobustnessRow | Baseline]:
 
 
 def _problem(findings: ReportData) -> list[Block]:
-    setup, spec = findings.results.setup, findings.results.campaign.spec
+    setup = findings.results.setup
     values = {name: each.parameters for name, each in _sets(findings).items()}
-    stages = [[name, sections.settings_text(spec[name])] for name in SETTINGS if name in spec]
     return [
         sections.scenarios_table(setup),
         sections.parameters_table(setup.parameters, values),
-        Table(["stage", "settings"], stages, "Settings", wrap=True),
+        Table(["", "settings"], list(setup.settings.items()), "Settings", wrap=True),
     ]
 
 
@@ -182,13 +180,13 @@ def _validation(findings: ReportData, drawings: Sequence[Block]) -> list[Block]:
     return blocks
 
 
-def _repetition(findings: ReportData, version: str) -> list[Block]:
-    """Returns versions, and the commands that repeat the campaign and drive its best and its recommended set alone."""
+def _repetition(findings: ReportData) -> list[Block]:
+    """Returns the commands that repeat the campaign and drive its best and its recommended set alone."""
     results, campaign = findings.results, findings.results.campaign
-    recommended, used = results.recommended, {"drivecal": version} | sections.used_versions(results.setup)
+    recommended = results.recommended
     commands = [f"drivecal submit {SPECIFICATION} --wait"]
     text = (
-        f"The file {SPECIFICATION} beside this page is the campaign's specification with all its defaults. With these versions and the "
+        f"The file {SPECIFICATION} beside this page is the campaign's specification with all its defaults. With the versions above and the "
         "same reference table it gives the same sets and scores; what the table holds by then is answered from it."
     )
     sensitivity: Any = campaign.spec.get("sensitivity")
@@ -202,11 +200,7 @@ def _repetition(findings: ReportData, version: str) -> list[Block]:
         driven = results.of_stage("robustness")[0].study.vehicle
         command = sections.evaluation_command(recommended.parameters, campaign.spec, scenarios, driven)
         commands.append(f"{command}    # the recommended set")
-    blocks: list[Block] = [
-        Table(["", "version"], list(used.items()), "Versions"),
-        Paragraph(text),
-        CommandLines("\n".join(commands)),
-    ]
+    blocks: list[Block] = [Paragraph(text), CommandLines("\n".join(commands))]
     lines = (f"  {json.dumps(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in campaign.spec.items())
     specification = "{\n" + ",\n".join(lines) + "\n}"
     return blocks if len(specification) > MOST_CHARACTERS else [*blocks, Heading("Specification"), CommandLines(specification)]

@@ -91,18 +91,15 @@ def _question(review: Review) -> list[Block]:
 
 
 def _facts(results: CampaignResults) -> dict[str, str]:
-    campaign, spec, scale = results.campaign, results.campaign.spec, results.campaign.scale
+    campaign, scale = results.campaign, results.campaign.scale
     ended = "" if campaign.ended_at is None else f", ended {campaign.ended_at:%Y-%m-%d %H:%M:%S} UTC"
     facts = {
         "name": campaign.name,
         "campaign": campaign.id,
         "state": f"{campaign.state}{ended}",
-        "problem": str(spec.get("problem", "")),
         "score": f"{scale.name}, {scale.direction}, {scale.lower:g} to {scale.upper:g}{unit_text(scale.unit)}",
         "tolerance": scale.amount(scale.tolerance),
-        **sections.used_versions(results.setup),
-        "optimizer": sections.settings_text(spec.get("optimizer")),
-        "reduction": sections.settings_text(spec.get("reduction")),
+        **results.setup.settings,
         "rerun of": campaign.rerun_of or "",
     }
     return {name: text for name, text in facts.items() if text}

@@ -13,8 +13,8 @@ from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Campaign, ErrorRate, Narrowed, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import ResultTrust
-from drivecal.contracts.setup import CampaignSetup, SearchedParameter
-from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
+from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
+from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, VehicleSpecification
 from drivecal.contracts.tables import InfluenceRow, OptimumRow, Solution, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale, plain, told, unit_text
 from drivecal.report.blocks import (
@@ -197,26 +197,42 @@ def _value(value: float | str | None) -> object:
 
 
 def settings_text(value: object) -> str:
-    """Returns a stage's settings in one line, without empty ones."""
+    """Returns settings in one line, without empty ones."""
+    if isinstance(value, list):
+        return "; ".join(map(settings_text, value))
     if not isinstance(value, dict):
-        return "none" if value is None else json.dumps(value)
+        return value if isinstance(value, str) else json.dumps(value)
     kept = {name: item for name, item in value.items() if item is not None and item not in ([], {})}
     return ", ".join(f"{name} {item if isinstance(item, str) else json.dumps(item)}" for name, item in kept.items())
 
 
-def used_versions(setup: CampaignSetup) -> dict[str, str]:
-    """Returns the versions that decide a run."""
-    fields = {
-        "driving_function": "driving function",
-        "vehicle": "vehicle",
-        "simulator": "simulator",
-        "files": "files of the problem",
-    }
+ASKED = {
+    "Held fixed": "fixed",
+    "Baseline": "baseline",
+    "Optimizer": "optimizer",
+    "Budget": "budget",
+    "Objectives": "objectives",
+    "Constraints": "constraints",
+    "Sensitivity": "sensitivity",
+    "Reduction": "reduction",
+    "Robustness": "robustness",
+    "Validation": "validation",
+}
+"""Fields of a specification by the words for them."""
+USED = {"Driving function": "driving_function", "Vehicle": "vehicle", "Simulator": "simulator", "Files": "files"}
+"""Fields of a scenario's setup by the words for them."""
+
+
+def settings_of(spec: Mapping[str, Any], scenarios: Sequence[ScenarioSetup], evaluator: str) -> dict[str, str]:
+    """Returns what was asked for in words: problem, versions in use, settings of the stages."""
     used = {
-        title: ", ".join(dict.fromkeys(value for scenario in setup.scenarios if (value := getattr(scenario, field))))
-        for field, title in fields.items()
+        title: ", ".join(dict.fromkeys(value for scenario in scenarios if (value := getattr(scenario, field))))
+        for title, field in USED.items()
     }
-    return {title: value for title, value in (used | {"evaluator": setup.evaluator}).items() if value}
+    problem = {"Problem": "" if spec.get("problem", HIGHWAY) == HIGHWAY else str(spec["problem"])}
+    stages = {title: settings_text(spec[field]) for title, field in ASKED.items() if spec.get(field)}
+    known = problem | used | {"Evaluator": evaluator} | stages
+    return {title: text for title, text in known.items() if text}
 
 
 def objective_words(campaign: Campaign) -> str:

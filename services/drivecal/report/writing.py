@@ -9,7 +9,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.report import PAGE
 from drivecal.report.blocks import Figure
 from drivecal.report.data import Report, ReportData
-from drivecal.report.figures import cells, front, optima_coordinates, population, robustness_degrees, validation
+from drivecal.report.figures import front, optima_coordinates, search, studies
 from drivecal.report.figures.drawing import Drawn, in_page, png, svg
 from drivecal.report.figures.spider import overview_figures, scenario_figure
 from drivecal.report.page import SPECIFICATION, page
@@ -42,17 +42,17 @@ def figures(findings: ReportData) -> Iterator[Drawn]:
     yield from _influence(findings)
     if findings.generations:
         baseline = results.campaign.baseline
-        yield population.drawn(findings.generations, None if baseline is None else baseline.objective)
+        yield search.population(findings.generations, None if baseline is None else baseline.objective)
     if any(generation.requested for generation in findings.generations):
-        yield cells.drawn(findings.generations)
+        yield search.cells(findings.generations)
     if findings.optima:
         values = None if results.recommended is None else results.recommended.parameters
         yield optima_coordinates.drawn(findings.optima, findings.solutions, results.setup.parameters, values)
     if results.front is not None and len(results.front.objectives) > 1 and findings.front:
         yield front.drawn(findings.front, results.front)
-    yield from robustness_degrees.drawn(results.of_stage("robustness"))
+    yield from studies.robustness(results.of_stage("robustness"))
     for study in results.of_stage("validation")[:1]:
-        yield from validation.drawn(study.validation, results.campaign.scale)
+        yield from studies.validation(study.validation, results.campaign.scale)
 
 
 def _influence(findings: ReportData) -> Iterator[Drawn]:

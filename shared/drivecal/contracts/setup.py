@@ -50,4 +50,6 @@ class CampaignSetup(Answer):
     parameters: list[SearchedParameter]
     scenarios: list[ScenarioSetup]
     server: str
+    settings: dict[str, str] = Field(default_factory=dict)
+    """What was asked for, in words, by what it concerns."""
     constraints: list[str] = Field(default_factory=list)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples, tries
 
-from drivecal.analysis.intervals import mean_interval
+from drivecal.analysis.validation import mean_interval
 from drivecal.reduction.audit import clopper_pearson
 
 VARIANTS = 30

@@ -20,7 +20,7 @@ from tests.support.command import command
 from tests.unit.calibration_data.test_chosen import BEST, Data
 
 from drivecal.cli.commands import evaluate, results
-from drivecal.cli.views.measurements import RecordedScenario, measurement
+from drivecal.cli.views.time_series import RecordedScenario, measurement
 from drivecal.contracts.campaign import Campaign, Page
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.tables import Solution

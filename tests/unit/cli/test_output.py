@@ -136,7 +136,7 @@ def test_a_degraded_state_is_not_said_twice_in_a_row(capsys: pytest.CaptureFixtu
     lines = Lines(lambda: next(clock))
     away = Campaign(id="0" * 32, name="mine", state="queued", degraded="nobody works")
     lines.show(away)
-    lines.tell("degraded: nobody works")
+    lines.tell("degraded: nobody works", "nobody works")
     lines.show(away)
     lines.show(away)
     assert capsys.readouterr().err.splitlines() == [

@@ -15,7 +15,7 @@ import pytest
 from pyarrow import parquet
 from tests.support.scripted import campaign, server
 
-from drivecal.cli.views.traces import save
+from drivecal.cli.views.time_series import save
 from drivecal.client import Client, DownloadedTable
 from drivecal.contracts.campaign import Campaign, CampaignPage
 from drivecal.contracts.evaluation import SeriesAnswer

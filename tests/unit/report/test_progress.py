@@ -12,9 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import StepPatch
 from tests.unit.report.rows import generation
 
-from drivecal.report.figures.cells import cells_figure
 from drivecal.report.figures.drawing import svg
-from drivecal.report.figures.population import population_figure
+from drivecal.report.figures.search import cells_figure, population_figure
 
 
 def line(figure: Figure, name: str) -> Line2D:

@@ -34,7 +34,7 @@ from drivecal.contracts.results import StudyResult
 from drivecal.domain.scales import COMFORT
 from drivecal.report import robustness, sections
 from drivecal.report.blocks import Table
-from drivecal.report.figures import optima_coordinates, robustness_degrees, validation
+from drivecal.report.figures import optima_coordinates, studies
 from drivecal.report.figures.drawing import KINDS, svg
 
 
@@ -90,7 +90,7 @@ def test_regions_tell_how_far_the_nearest_worse_set_is() -> None:
 
 
 def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> None:
-    figure = robustness_degrees.robustness_figure(ROBUST)
+    figure = studies.robustness_figure(ROBUST)
     found = bars(figure)
     assert sorted(found) == ["box.1.1", "box.1.2", "box.2.1", "box.2.2", "box.3.1"]
     assert found["box.1.2"].get_x() == pytest.approx(0.1)
@@ -103,7 +103,7 @@ def test_a_bar_ends_where_the_boxes_end_and_says_where_the_condition_broke() -> 
 
 def test_halved_boxes_are_drawn_in_the_order_of_their_widths() -> None:
     halved = robust(1, 1, [trial(2, True, 0), trial(8, False, 3), trial(5, True, 1), trial(6, False, 2)])
-    found = bars(robustness_degrees.robustness_figure([halved]))
+    found = bars(studies.robustness_figure([halved]))
     ends = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in found.values()]
     assert list(found) == ["box.1.2", "box.1.5", "box.1.6", "box.1.8"]
     assert all(end == pytest.approx(start) for (_, end), (start, _) in pairwise(ends))
@@ -152,13 +152,13 @@ def test_a_box_that_holds_says_what_its_vehicles_do_not_exclude(samples: int, sh
 
 
 def test_the_histogram_has_a_bar_for_each_deviation_and_hatches_what_is_wrong() -> None:
-    (drawn,) = validation.drawn(VALIDATED)
+    (drawn,) = studies.validation(VALIDATED)
     found = bars(drawn.figure)
     assert {name: bar.get_height() for name, bar in found.items()} == {"S1.0": 90, "S1.-1": 4, "S1.2": 5, "S1.-7": 1}
     assert {name for name, bar in found.items() if bar.get_hatch()} == {"S1.2", "S1.-7"}
     assert "90 of 100 unchanged, 6 wrong" in drawn.alt
     assert len(drawn.figure.axes) == 1, "where nothing was compared there is nothing to draw"
-    assert list(validation.drawn(VALIDATED[1:])) == []
+    assert list(studies.validation(VALIDATED[1:])) == []
 
 
 def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
@@ -173,8 +173,8 @@ def test_tables_1_and_2_and_the_histogram_in_numbers() -> None:
 
 
 def test_small_figures_have_room_for_their_labels() -> None:
-    histogram = validation.validation_figure(VALIDATED[:1])
-    bar = robustness_degrees.robustness_figure(ROBUST[:1])
+    histogram = studies.validation_figure(VALIDATED[:1])
+    bar = studies.robustness_figure(ROBUST[:1])
     for figure in (histogram, bar):
         FigureCanvasAgg(figure)
         figure.draw_without_rendering()
@@ -191,7 +191,7 @@ def test_a_region_of_a_single_value_cannot_be_reduced() -> None:
 def test_costs_without_steps_are_drawn_in_bars_with_edges_at_the_tolerance() -> None:
     known = validated("S1", {0: 90, -1: 4, 2: 5, 26: 1})
     costs = known.model_copy(update={"histogram_step": COST.bin, "different": 20})
-    (drawn,) = validation.drawn([costs], COST)
+    (drawn,) = studies.validation([costs], COST)
     found = bars(drawn.figure)
     assert {name: bar.get_x() + bar.get_width() / 2 for name, bar in found.items()} == pytest.approx(
         {"S1.0": 0, "S1.-1": -4, "S1.2": 8, "S1.26": 104}

@@ -30,6 +30,7 @@ from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import Parameter, Value
 from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.report.sections import settings_of
 from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -84,11 +85,13 @@ def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
     begun_with = resolved_spec(campaign)
     documents = setups.documents(connection, list(begun_with.setups.values()))
     words = meanings(connection, campaign.spec)
+    scenarios = [_scenario(name, begun_with, documents, words) for name in begun_with.weights]
     return CampaignSetup(
         evaluator=begun_with.evaluator,
         parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
-        scenarios=[_scenario(name, begun_with, documents, words) for name in begun_with.weights],
+        scenarios=scenarios,
         server=version("drivecal"),
+        settings=settings_of(campaign.spec, scenarios, begun_with.evaluator),
         constraints=[] if begun_with.goals is None else [bound_text(bound) for bound in begun_with.goals.bounds],
     )
 

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.analysis.intervals import mean_interval
-from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, design
+from drivecal.analysis.validation import Differences, ReducibleSpace, Region, ValidationDesign, design, mean_interval
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.stage import Round

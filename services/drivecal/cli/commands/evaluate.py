@@ -18,9 +18,9 @@ from drivecal.cli.application import (
     connect,
     tell,
 )
-from drivecal.cli.views import traces
-from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
+from drivecal.cli.views import time_series
 from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation
+from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
@@ -31,7 +31,7 @@ from drivecal.domain.errors import NotFoundError
 from drivecal.domain.scales import told
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
-TRACE_FILES = (*traces.SUFFIXES, traces.MEASUREMENT)
+TRACE_FILES = (*time_series.SUFFIXES, time_series.MEASUREMENT)
 """Endings of files for time series."""
 
 
@@ -77,7 +77,7 @@ def evaluate(
         specification["scenario"] = scenario
     if trace is not None and (scenario is None or trace.suffix not in TRACE_FILES):
         raise typer.BadParameter(f"--trace needs one --scenario and a file that ends in {', '.join(TRACE_FILES)}")
-    if trace is not None and trace.suffix == traces.MEASUREMENT:
+    if trace is not None and trace.suffix == time_series.MEASUREMENT:
         require_library()
     with connect(url) as client:
         queued = client.evaluate(specification)
@@ -85,10 +85,10 @@ def evaluate(
         evaluation = _ended(client, queued, timeout)
         if trace is not None:
             series = trace_of(client, evaluation.id, timeout)
-            if trace.suffix == traces.MEASUREMENT:
-                traces.save_measurement(trace, _measurement(client, evaluation, series, problem))
+            if trace.suffix == time_series.MEASUREMENT:
+                time_series.save_measurement(trace, _measurement(client, evaluation, series, problem))
             else:
-                traces.save(series, trace)
+                time_series.save(series, trace)
             tell(f"time series: {trace}")
     print_answer(evaluation, as_json, print_evaluation)
     raise typer.Exit(code_of_state(evaluation.state))

@@ -18,8 +18,8 @@ from drivecal.calibration_data.files import CalibrationFormat, labels_of
 from drivecal.cli.application import CampaignArgument, ExitCode, JsonOption, UrlOption, app, campaign_ids, connect, tell
 from drivecal.cli.commands.evaluate import trace_of, units_of
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.measurements import RecordedScenario, measurement, require_library, run_facts
 from drivecal.cli.views.output import dumped, print_answer, print_blocks, print_columns, print_json, print_solutions
+from drivecal.cli.views.time_series import RecordedScenario, measurement, require_library, run_facts
 from drivecal.client.client import Client
 from drivecal.client.documents import read_document
 from drivecal.client.transport import harmless_text

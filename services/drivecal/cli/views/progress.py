@@ -18,12 +18,11 @@ from drivecal.contracts.campaign import Campaign, CellCounts
 from drivecal.contracts.events import CampaignEvent
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import DrivecalError
-from drivecal.domain.events import event_text
+from drivecal.domain.events import EventKind
 
 SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
 """Kinds of events that the progress or the final state shows as well."""
-_DEGRADED = "degraded: "
 _STARTING = "waiting for workers: they are starting (compiling takes up to minutes, once per machine)"
 
 
@@ -44,8 +43,9 @@ class Bar:
             detail=_detail(campaign, _marked),
         )
 
-    def tell(self, text: str) -> None:
+    def tell(self, text: str, degraded: str | None = None) -> None:
         """Writes the line above the bar."""
+        del degraded
         self._progress.console.print(text, markup=False, highlight=False)
 
 
@@ -72,12 +72,11 @@ class Lines:
         typer.echo(f"{stage_text(campaign)}{done}  {_detail(shown)}".rstrip(), err=True)
         self._degraded = shown.degraded
 
-    def tell(self, text: str) -> None:
-        """Writes the line, unless the previous one reported the same."""
-        reason = text.removeprefix(_DEGRADED) if text.startswith(_DEGRADED) else None
-        if reason is None or reason != self._degraded:
+    def tell(self, text: str, degraded: str | None = None) -> None:
+        """Writes the line, unless it reports a `degraded` state that the previous one reported."""
+        if degraded is None or degraded != self._degraded:
             typer.echo(text, err=True)
-        self._degraded = reason
+        self._degraded = degraded
 
 
 @contextmanager
@@ -129,10 +128,9 @@ def show_until_ended(
 
         def show_event(event: CampaignEvent) -> None:
             nonlocal said
-            text = event.text or event_text(event.kind, event.data)  # an older server sends no text
-            if text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
-                report.tell(text)
-                said = text
+            if event.text != said and event.kind not in SHOWN:  # stream and dispatcher may both report the same trouble
+                report.tell(event.text, event.data.get("reason") if event.kind == EventKind.DEGRADED else None)
+                said = event.text
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
             report.show(campaign)
@@ -183,5 +181,5 @@ def _detail(campaign: Campaign, written: Callable[..., str] = _plain) -> str:
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:
-        parts.append(written(f"{_DEGRADED}{campaign.degraded}"))
+        parts.append(written(f"degraded: {campaign.degraded}"))
     return "  ".join(parts)

@@ -2,7 +2,7 @@
 
 import { count, number, percent } from "./format";
 import { condition } from "../charts/robust";
-import type { Campaign, Study, ValidationRow } from "../server/types";
+import type { Campaign, Study } from "../server/types";
 
 export type StudyStage = Study["stage"];
 

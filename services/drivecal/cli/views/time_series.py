@@ -1,18 +1,21 @@
-"""Time series as a measurement file of calibration tools, MF4 (ASAM MDF 4.1), by asammdf: the extra `mf4` installs it."""
+"""Time series as files: tables, and measurement files of calibration tools, MF4 (ASAM MDF 4.1), by asammdf (extra `mf4`)."""
 
+import csv
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib import import_module
-from itertools import pairwise
+from itertools import pairwise, zip_longest
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scales import told
 
 VERSION = "4.10"
@@ -133,3 +136,58 @@ def _comment(tag: str, text: str, facts: Mapping[str, str]) -> str:
 
 def _clean(text: str) -> str:
     return _UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
+MEASUREMENT = ".mf4"
+SUFFIXES = (".csv", ".parquet", ".json")
+
+
+def columns_of(trace: TraceAnswer | SeriesAnswer) -> dict[str, list[float]]:
+    """Returns columns with a value per step: time, ego vehicle, and neighbours with their names in front; of a bundle all of its series."""
+    if isinstance(trace, SeriesAnswer):
+        return dict(trace.series)
+    columns = {"time_s": trace.time_s, **trace.ego}
+    for vehicle, series in trace.neighbours.items():
+        columns |= {f"{vehicle}_{name}": values for name, values in series.items()}
+    return columns
+
+
+def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
+    """Writes a table with a row per step (.csv, .parquet), or everything with plans and metrics (.json).
+
+    Raises InvalidInputError if the file cannot be written.
+    """
+    columns = columns_of(trace)
+    if not columns:
+        raise InvalidInputError(Problem("--trace", "the run has no time series", "declare some under `series` in problem.yaml"))
+    try:
+        if file.suffix == ".json":
+            file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
+        elif file.suffix == ".parquet":
+            import pyarrow as pa  # not installed with the client alone
+            import pyarrow.parquet as pq
+
+            pq.write_table(pa.table(_filled(columns)), file)
+        else:
+            with file.open("w", newline="", encoding="utf-8") as out:
+                csv.writer(out).writerows([columns, *zip_longest(*columns.values())])
+    except OSError as error:
+        raise _unwritable(file, error) from error
+
+
+def save_measurement(file: Path, content: bytes) -> None:
+    """Writes a measurement file. Raises InvalidInputError if it cannot be written."""
+    try:
+        file.write_bytes(content)
+    except OSError as error:
+        raise _unwritable(file, error) from error
+
+
+def _unwritable(file: Path, error: OSError) -> InvalidInputError:
+    return InvalidInputError(Problem(str(file), f"it cannot be written: {error.strerror or error}", "give another file"))
+
+
+def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
+    """Returns columns of one length: a simulator's series may have different lengths."""
+    longest = max(map(len, columns.values()), default=0)
+    return {name: [*values, *[None] * (longest - len(values))] for name, values in columns.items()}
