@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.document import account_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.campaigns.stages.prediction_validation import check_predictions
 from drivecal.campaigns.stages.robustness import check_source
+from drivecal.campaigns.stages.validation import check_predictions
 from drivecal.cli.main import app
 from drivecal.contracts.accounting import Accounting
 from drivecal.contracts.specification import CampaignSpecification

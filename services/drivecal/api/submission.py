@@ -15,8 +15,8 @@ from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import specification_of
-from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
+from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.input_errors import validated

@@ -17,8 +17,7 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bundle_source import stored_bundles, with_tools
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
-from drivecal.campaigns.stages.campaign import StagedCampaign
-from drivecal.campaigns.stages.evaluation import SingleEvaluation
+from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign
 from drivecal.configuration import logs
 from drivecal.contracts.work import BundleRequest
 from drivecal.domain.campaigns import CampaignState, StageName

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.stage import EtaEstimate
 
 
 def test_the_first_cells_tell_nothing_about_the_time_left() -> None:

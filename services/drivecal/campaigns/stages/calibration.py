@@ -1,10 +1,17 @@
 """The calibration stage: asks the optimizer, plans the population, stores the answers and returns them to the optimizer, by iteration.
 
+The optimizer computes in a thread beside the dispatcher's loop, so that a slow one keeps no other campaign waiting. A computation depends
+only on stored rows and gives all that is stored of it, so that a process that dies repeats it with the same result.
+
 On request, later rounds confirm the best set (`confirmation`). Their cells belong to the stage and continue its iteration numbers, but
 belong to no generation.
 """
 
-from dataclasses import replace
+import threading
+import weakref
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,24 +19,25 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
+from drivecal.analysis.goals import EQUAL
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.campaigns.cells.inspection import check_reuse, form_lots_of_references, rejected_text
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.cells.predicting import LotPlanner, skipped_text, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.stages.best_set import BestSetStage
 from drivecal.campaigns.stages.population import PopulationAnswers
-from drivecal.campaigns.stages.proposing import Computation
-from drivecal.campaigns.stages.stage import Round
-from drivecal.contracts.campaign import CellCounts, ErrorRate, GenerationCounts, Released
+from drivecal.campaigns.stages.stage import Round, Stage
+from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, GenerationCounts, Released
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.domain.parameters import Indices
+from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.optimizers.repair import checked_proposal
-from drivecal.plugins.ports import Optimizer, Proposal
+from drivecal.optimizers.replayed import abandon_when
+from drivecal.plugins.ports import Floats, Optimizer, Proposal
 from drivecal.reduction.assignment import Policy
 from drivecal.reduction.narrowing import begun_area
 from drivecal.storage import campaigns, events, generations, results
@@ -38,8 +46,69 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.generations import Figures, StoredGeneration
 from drivecal.storage.references import parameter_sets
 
+PATIENCE_SECONDS = 0.1
+"""Time for which the first check of a computation waits: most proposals take milliseconds and need no further round of the dispatcher."""
 
-class Calibration(BestSetStage):
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """An optimizer after its computation. `proposal` and `state`: of its next population, None if it was not asked for one."""
+
+    optimizer: Optimizer
+    proposal: Proposal | None = None
+    state: dict[str, Any] | None = None
+
+
+class Computation:
+    """Creates or restores an optimizer, passes it answers and asks for its next population, in a thread of its own.
+
+    When the last reference to this object is gone, nothing waits for the result: see `optimizers.replayed.stop_if_abandoned`.
+    """
+
+    def __init__(self, obtain: Callable[[], Optimizer], answers: tuple[Floats, Floats] | None, *, asks: bool) -> None:
+        """`obtain` and what it refers to must not refer to this object. `answers`: to pass on first; see `Optimizer.tell`."""
+        self._patience = PATIENCE_SECONDS
+        self._outcome: Future[Computed] = Future()
+        abandoned = threading.Event()
+        weakref.finalize(self, abandoned.set)
+        arguments = (self._outcome, abandoned, obtain, answers, asks)
+        # A daemon: a process that ends waits for no optimizer.
+        threading.Thread(target=_compute, args=arguments, name="optimizer", daemon=True).start()
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the result is there; only the first check waits for it, `PATIENCE_SECONDS` at most."""
+        wait([self._outcome], self._patience)
+        self._patience = 0.0
+        return self._outcome.done()
+
+    def result(self) -> Computed:
+        """Returns the result; raises what the optimizer raised. Waits for it unless it `is_done`."""
+        return self._outcome.result()
+
+
+def _compute(
+    outcome: Future[Computed],
+    abandoned: threading.Event,
+    obtain: Callable[[], Optimizer],
+    answers: tuple[Floats, Floats] | None,
+    asks: bool,  # noqa: FBT001  # a thread's arguments are positional
+) -> None:
+    abandon_when(abandoned.is_set)
+    try:
+        optimizer = obtain()
+        if answers is not None:
+            optimizer.tell(*answers)
+        if asks:
+            proposal = optimizer.ask()
+            outcome.set_result(Computed(optimizer, proposal, optimizer.state()))
+        else:
+            outcome.set_result(Computed(optimizer))
+    except BaseException as error:  # noqa: BLE001  # `result` raises it in the dispatcher's thread
+        outcome.set_exception(error)
+
+
+class Calibration(Stage):
     """The search of a campaign: a round is a generation of the optimizer, and after the last generation a set to confirm."""
 
     name = StageName.CALIBRATION
@@ -48,8 +117,11 @@ class Calibration(BestSetStage):
     def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
         if problem.optimization is None:
             raise ValueError("the campaign has no calibration stage")
-        super().__init__(database, campaign, problem, view, PopulationAnswers(problem, problem.optimization.population))
-        self._optimization = problem.optimization
+        super().__init__(database, campaign, view)
+        self._problem, self._optimization = problem, problem.optimization
+        self._answers = PopulationAnswers(problem, problem.optimization.population)
+        self._ranking = self._answers.ranking
+        self._best, self._baseline = campaign.best, campaign.baseline
         self._error_rate: dict[str, ErrorRate] = dict(campaign.error_rate)
         self._area = problem.search_area(view.influence_map)
         if campaign.narrowed is not None:
@@ -80,11 +152,6 @@ class Calibration(BestSetStage):
         self._confirming: Confirming | None = None
         """Withdrawn answers that the ranking knows of."""
         self._confirmation = campaign.confirmation
-
-    @staticmethod
-    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
-        del campaign
-        return problem.optimization is not None
 
     @property
     def _at_most(self) -> int:
@@ -327,6 +394,46 @@ class Calibration(BestSetStage):
         if self._iteration + 1 < self._optimization.iterations:
             optimizer = self._optimizer
             self._computation = Computation(lambda: optimizer, self._answers.for_optimizer(), asks=True)
+
+    def _describe_best(self, connection: Connection) -> None:
+        best = self._ranking.best()
+        if best is not None:
+            solution, alternatives = best
+            parameters = parameter_sets.load(connection, [solution.parameter_set])[solution.parameter_set]
+            before = self._best
+            self._best = Best(
+                objective=solution.objective,
+                parameters=parameters.floats,
+                scores=dict(solution.scores),
+                alternatives=alternatives,
+                violation=solution.shares_violated,
+            )
+            gain = 0.0 if before is None else solution.sign * (self._best.objective - before.objective)
+            goals = self._problem.goals  # the first set that keeps all constraints may be worse than the last that does not
+            if before is None or gain > EQUAL or (goals is not None and goals.bounds and gain < -EQUAL):
+                self._tell_best(connection, solution)
+        unknown = self._baseline is None or self._baseline.objective is None
+        self._remember_baseline(connection)
+        if unknown and self._baseline is not None and self._baseline.objective is not None:
+            events.add(connection, self._campaign.sequence, EventKind.BASELINE, self._baseline.model_dump())
+
+    def _tell_best(self, connection: Connection, solution: EvaluatedSet) -> None:
+        best = {} if self._best is None else self._best.model_dump()
+        events.add(connection, self._campaign.sequence, EventKind.BEST, best | {"iteration": solution.iteration})
+
+    def _remember_baseline(self, connection: Connection) -> None:
+        baseline: ParameterSet | None = self._problem.baseline
+        if baseline is None:
+            return
+        (number,) = parameter_sets.ensure(connection, [baseline])
+        solution: EvaluatedSet | None = self._ranking.get(number)
+        none_yet: dict[str, float | None] = dict.fromkeys(self._problem.scenarios)
+        self._baseline = Baseline(
+            objective=None if solution is None else solution.objective,
+            parameters=baseline.floats,
+            scores=none_yet if solution is None else dict(solution.scores),
+            violation=0.0 if solution is None else solution.shares_violated,
+        )
 
     def _figures(self, objectives: np.ndarray[tuple[int], np.dtype[np.float64]] | None = None) -> Figures:
         now = self._tracker.counts

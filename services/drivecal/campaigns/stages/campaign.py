@@ -1,27 +1,78 @@
-"""A whole campaign: its stages in sequence, each resumed from the database."""
+"""A whole campaign, its stages in sequence, each resumed from the database; and a single evaluation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import note_of, rate_stored_runs
 from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.maps import check_basis, stored_map, warnings_of
-from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem
 from drivecal.campaigns.stages.calibration import Calibration
-from drivecal.campaigns.stages.prediction_validation import PredictionValidation
 from drivecal.campaigns.stages.robustness import RobustnessStage
 from drivecal.campaigns.stages.sensitivity import Sensitivity
-from drivecal.campaigns.stages.stage import CampaignStage, Stage
-from drivecal.campaigns.stages.validation import ValidationStage
+from drivecal.campaigns.stages.stage import Round, Stage
+from drivecal.campaigns.stages.validation import PredictionValidation, ValidationStage
+from drivecal.domain.campaigns import StageName
+from drivecal.domain.evaluations import RequestedCell
 from drivecal.execution.scheduling.in_flight import Completed, Work
+from drivecal.reduction.assignment import Policy
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
 
-STAGES: tuple[type[CampaignStage], ...] = (Sensitivity, Calibration, RobustnessStage, ValidationStage, PredictionValidation)
-"""In running order. A campaign wants at most one of several stages with the same name."""
+
+class SingleEvaluation(Stage):
+    """A parameter set in one or more scenarios. Answers come from equal parameter sets or a simulation, never by reuse; with time series,
+    always from a new simulation."""
+
+    name = StageName.CALIBRATION
+    ends_early = False
+
+    def __init__(self, database: Database, campaign: StoredCampaign, problem: EvaluationProblem, view: View) -> None:
+        super().__init__(database, campaign, view)
+        self._problem = problem
+        self._asked = False
+
+    @property
+    def _at_most(self) -> int:
+        return len(self._problem.bench.scenarios)
+
+    def _resume(self) -> list[Work]:
+        if not self._view.traced:
+            rate_stored_runs(self._database, self._view, only=self._problem.parameter_set)
+        return []
+
+    def _ask(self) -> Round | None:
+        if self._asked:
+            return None
+        self._asked = True
+        bench, parameters = self._problem.bench, self._problem.parameter_set
+        cells = [RequestedCell(0, scenario, parameters) for scenario in bench.scenarios]
+        return Round(0, [(bench, cells)], Policy("off" if self._view.traced else "exact"))
+
+    def _tell(self, asked: Round) -> None:
+        """Does nothing: the rows hold the answers."""
+
+
+StageKind = type[Sensitivity] | type[Calibration] | type[RobustnessStage] | type[ValidationStage] | type[PredictionValidation]
+Wanted = Callable[[StoredCampaign, CalibrationProblem], bool]
+
+
+def _wants_validation(problem: CalibrationProblem, *, of_predictions: bool) -> bool:
+    wanted = problem.specification.validation
+    return wanted is not None and (wanted.of is not None) == of_predictions
+
+
+STAGES: tuple[tuple[StageKind, Wanted], ...] = (
+    (Sensitivity, lambda campaign, problem: campaign.influence_map_id is None and problem.analysis() is not None),
+    (Calibration, lambda _, problem: problem.optimization is not None),
+    (RobustnessStage, lambda _, problem: problem.specification.robustness is not None),
+    (ValidationStage, lambda _, problem: _wants_validation(problem, of_predictions=False)),
+    (PredictionValidation, lambda _, problem: _wants_validation(problem, of_predictions=True)),
+)
+"""In running order, each with whether a campaign wants it and does not have its outcome already."""
 
 
 class StagedCampaign(Job):
@@ -33,7 +84,7 @@ class StagedCampaign(Job):
         self._view = View(campaign.sequence, campaign.watermark or 0, problem.bench)
         self._begun = False
         self._sequence = campaign.sequence
-        names = [kind.name for kind in STAGES]
+        names = [kind.name for kind, _ in STAGES]
         self._ahead = list(STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :])
         self.stage = campaign.stage
         """The current stage; None before the first."""
@@ -75,8 +126,8 @@ class StagedCampaign(Job):
     def _next(self, campaign: StoredCampaign) -> Stage | None:
         """Returns the next stage that the campaign wants; None when all are over."""
         while self._ahead:
-            kind, *self._ahead = self._ahead
-            if kind.is_wanted(campaign, self._problem):
+            (kind, is_wanted), *self._ahead = self._ahead
+            if is_wanted(campaign, self._problem):
                 view = self._with_map(campaign) if kind.uses_map else self._view
                 self.stage = kind.name
                 return kind(self._database, campaign, self._problem, view)

@@ -18,8 +18,7 @@ from drivecal.campaigns.resolve.bench import Bench, driving
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
-from drivecal.campaigns.stages.stage import Round
-from drivecal.campaigns.stages.study import StudyStage
+from drivecal.campaigns.stages.stage import Round, StudyStage, exact_policy
 from drivecal.contracts.specification import RobustnessSpecification
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
@@ -166,11 +165,6 @@ class RobustnessStage(StudyStage):
         others = [solution for solution in standing.ranking() if solution.parameter_set not in members]
         return front[:MOST_BEST], others[:MOST_WORSE]
 
-    @staticmethod
-    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
-        del campaign
-        return problem.specification.robustness is not None
-
     @property
     def _at_most(self) -> int:
         boxes = self._settings.steps + self._settings.refinements
@@ -184,7 +178,7 @@ class RobustnessStage(StudyStage):
                 for index, examined in enumerate(self._examined)
                 for scenario in scenarios
             ]
-            return Round(0, [(bench, cells)], self._exact) if cells else None
+            return Round(0, [(bench, cells)], exact_policy(self._problem)) if cells else None
         box = self._study.ask()
         if box is None:
             return None
@@ -200,7 +194,7 @@ class RobustnessStage(StudyStage):
                 ]
         for values, cells in by_vehicle.items():
             asked.append((replace(bench, vehicle_parameters={**bench.vehicle_parameters, **dict(values)}), cells))
-        return Round(box.number, asked, self._exact)
+        return Round(box.number, asked, exact_policy(self._problem))
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
         columns = {scenario: column for column, scenario in enumerate(self._problem.scenarios)}

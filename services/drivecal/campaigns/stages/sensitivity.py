@@ -11,7 +11,7 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.maps import analysis_to_document, basis_of, smallest_s_rel, stored_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document
-from drivecal.campaigns.stages.stage import CampaignStage, Round
+from drivecal.campaigns.stages.stage import Round, Stage, exact_policy
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import RequestedCell
@@ -30,7 +30,7 @@ from drivecal.storage.references import influence_maps
 KEYS_AT_ONCE = 10_000
 
 
-class Sensitivity(CampaignStage):
+class Sensitivity(Stage):
     """The analysis of a campaign; each phase is a round, and its intervals are several if they are chosen sequentially.
 
     Runs are answered by equal parameter sets or simulated, never reused: reuse needs the map that they produce.
@@ -42,15 +42,12 @@ class Sensitivity(CampaignStage):
         analysis = problem.analysis()
         if analysis is None:
             raise ValueError("the campaign has no sensitivity stage")
-        super().__init__(database, campaign, problem, view)
+        super().__init__(database, campaign, view)
+        self._problem = problem
         self._analysis: SensitivityAnalysis = analysis
         self._expected = problem.expected_runs()
         self._phase: Phase | None = None
         self._finished_phase: Phase | None = None
-
-    @staticmethod
-    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
-        return campaign.influence_map_id is None and problem.analysis() is not None
 
     @property
     def _at_most(self) -> int:
@@ -61,7 +58,7 @@ class Sensitivity(CampaignStage):
         self._phase = self._analysis.ask()
         if self._phase is None:
             return None
-        return Round(self._phase.number, [(self._problem.bench, self._wanted(self._phase))], self._exact)
+        return Round(self._phase.number, [(self._problem.bench, self._wanted(self._phase))], exact_policy(self._problem))
 
     def _announce(self, connection: Connection, asked: Round) -> None:
         del asked

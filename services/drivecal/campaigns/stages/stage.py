@@ -2,9 +2,9 @@
 
 import time
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from sqlalchemy import Connection
 
@@ -15,17 +15,46 @@ from drivecal.campaigns.job import Job
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.results.failures import broken_down
-from drivecal.campaigns.stages.eta import EtaEstimate, worked
 from drivecal.contracts.campaign import Progress
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
-from drivecal.domain.evaluations import Outcome, RequestedCell
+from drivecal.domain.evaluations import CellScore, Outcome, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.reduction.assignment import Policy
-from drivecal.storage import campaigns, evaluations, events, results
+from drivecal.storage import campaigns, evaluations, events, results, studies
 from drivecal.storage.campaigns import Snapshot, StoredCampaign
 from drivecal.storage.engine.database import Database
+
+SECONDS_TO_JUDGE = 3.0
+"""The pace is unknown while workers start."""
+SHARE_TO_JUDGE = 0.01
+
+
+def worked(cells: Mapping[str, int]) -> int:
+    """Returns how many of a stage's cells workers have answered, with or without a result."""
+    return sum(cells.get(outcome, 0) for outcome in (Outcome.SIMULATED, Outcome.FAILED))
+
+
+class EtaEstimate:
+    """Estimates a stage's remaining time, since this process resumed it with `done` cells, `worked` of them by workers; `clock` returns
+    seconds."""
+
+    def __init__(self, clock: Callable[[], float], done: int, worked: int) -> None:
+        self._clock = clock
+        self._started, self._done_before, self._worked_before = clock(), done, worked
+
+    def progress(self, done: int, total: int, worked: int) -> Progress:
+        """`done` of `total` cells, with the remaining time once there is enough data: copies alone say nothing while workers start."""
+        seconds, gained = self._clock() - self._started, done - self._done_before
+        judged = gained > 0 and seconds >= SECONDS_TO_JUDGE and gained >= SHARE_TO_JUDGE * (total - self._done_before)
+        judged = judged and worked > self._worked_before
+        return Progress(done=done, total=total, eta_seconds=seconds / gained * (total - done) if judged else None)
+
+
+ALL_FAILED = 30
+"""First simulations of a stage, by iteration, individual and scenario, that end it if all have failed and no other cell has a result. Where
+nine of ten cells break down, at most one stage in 23 ends so, however fast failures and however slow results are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +68,19 @@ class Round:
 
 
 class Stage(Job):
-    """A stage of a campaign: `work` returns cells to simulate, `record` takes their results, until the stage is `finished`.
+    """A stage of a campaign: `work` returns cells to simulate, `record` takes their results, until the stage is `finished`. It ends early
+    if nothing in it has a result.
 
     The database holds all state after every call, so a new object continues exactly as this object would. By default it requests the
     finished rounds again and receives their stored answers.
     """
 
     name: ClassVar[StageName]
+    uses_map: ClassVar[bool] = False
+    """Whether its view needs the campaign's influence map."""
+
+    ends_early: ClassVar[bool] = True
+    """Whether it fails if its first cells give no result."""
 
     def __init__(self, database: Database, campaign: StoredCampaign, view: View) -> None:
         counts = campaign.counts(self.name)
@@ -146,7 +181,11 @@ class Stage(Job):
         return self._eta.progress(requested, max(self._at_most, proposed), worked(self._tracker.counts))
 
     def work(self) -> list[Work]:
-        """Returns what to simulate next; empty while answers are awaited, while it computes (`goes_on`), and when it is `finished`."""
+        """Returns what to simulate next; empty while answers are awaited, while it computes (`goes_on`), and when it is `finished`.
+
+        Raises NoResultError if everything so far has failed, also in an earlier process.
+        """
+        self._refuse_failures()
         self.goes_on = not self._resumed and not self._is_ready()
         if self.goes_on:
             return []
@@ -173,11 +212,15 @@ class Stage(Job):
         return []
 
     def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Stores results, in one transaction with the counters that they change; returns what to simulate in their place."""
+        """Stores results, in one transaction with the counters that they change; returns what to simulate in their place.
+
+        Raises NoResultError if everything so far has failed.
+        """
         with self._database.transaction() as connection:
             work = self._tracker.record(connection, completed)
             self._save(connection)
         self._prepare()
+        self._refuse_failures()
         return work
 
     def _request(self, asked: Round) -> list[Work]:
@@ -211,36 +254,9 @@ class Stage(Job):
     def _save(self, connection: Connection) -> None:
         campaigns.save_progress(connection, self._campaign.sequence, self._snapshot(connection))
 
-
-ALL_FAILED = 30
-"""First simulations of a stage, by iteration, individual and scenario, that end it if all have failed and no other cell has a result. Where
-nine of ten cells break down, at most one stage in 23 ends so, however fast failures and however slow results are."""
-
-
-class CampaignStage(Stage):
-    """A stage that a campaign may want. It ends early if nothing in it has a result."""
-
-    uses_map: ClassVar[bool] = False
-    """Whether its view needs the campaign's influence map."""
-
-    def __init__(self, database: Database, campaign: StoredCampaign, problem: CalibrationProblem, view: View) -> None:
-        super().__init__(database, campaign, view)
-        self._problem = problem
-
-    def work(self) -> list[Work]:
-        """Returns what to simulate next. Raises NoResultError if everything so far has failed, also in an earlier process."""
-        self._refuse_failures()
-        return super().work()
-
-    def record(self, completed: Sequence[Completed]) -> list[Work]:
-        """Stores results; returns what to simulate in their place. Raises NoResultError if everything so far has failed."""
-        work = super().record(completed)
-        self._refuse_failures()
-        return work
-
     def _refuse_failures(self) -> None:
         counts = campaigns.stage_counts({self.name: self._tracker.counts}, self.name)
-        if counts.failed < ALL_FAILED or counts.failed != counts.requested:
+        if not self.ends_early or counts.failed < ALL_FAILED or counts.failed != counts.requested:
             return
         with self._database.read() as connection:
             first = evaluations.first_simulated(connection, self._campaign.sequence, self.name, ALL_FAILED)
@@ -256,12 +272,50 @@ class CampaignStage(Stage):
         listed = "; ".join(f"{cause.cells:,} x {cause.cause}: {cause.detail or 'no message'}" for cause in causes[:3])
         return f": {listed}" if listed else ""
 
-    @staticmethod
-    @abstractmethod
-    def is_wanted(campaign: StoredCampaign, problem: CalibrationProblem) -> bool:
-        """Whether the campaign wants the stage and does not have its outcome already."""
 
-    @property
-    def _exact(self) -> Policy:
-        """Answers by equal parameter sets only; by no stored result if the campaign reuses nothing."""
-        return Policy("off" if self._problem.specification.reduction.mode == "off" else "exact")
+def exact_policy(problem: CalibrationProblem) -> Policy:
+    """Returns the policy of stages that reuse nothing: answers by equal sets, or by no stored result if the campaign wants none."""
+    return Policy("off" if problem.specification.reduction.mode == "off" else "exact")
+
+
+class StudyStage(Stage):
+    """A study of a campaign. Its cells are answered by equal parameter sets or simulated, never reused. `valued`: computes the values of
+    a run that its answers need besides the score."""
+
+    def __init__(
+        self,
+        database: Database,
+        campaign: StoredCampaign,
+        problem: CalibrationProblem,
+        view: View,
+        valued: results.Valued | None = None,
+    ) -> None:
+        super().__init__(database, campaign, replace(view, influence_map=None, influence_map_sequence=None))
+        self._problem, self._valued = problem, valued
+
+    @abstractmethod
+    def _take(self, number: int, answers: Sequence[CellScore]) -> None:
+        """Takes the answers of a round."""
+
+    @abstractmethod
+    def _outcome(self) -> dict[str, Any]:
+        """Returns the outcome of the study so far, JSON-ready."""
+
+    def _tell(self, asked: Round) -> None:
+        with self._database.read() as connection:
+            answers = list(results.answers(connection, self._campaign.sequence, self.name, asked.number, valued=self._valued))
+        self._take(asked.number, answers)
+
+    def _announce(self, connection: Connection, asked: Round) -> None:
+        if asked.number == 0:
+            begun = {"stage": self.name, "cells": self._at_most}
+            events.add(connection, self._campaign.sequence, EventKind.STAGE, begun)
+
+    def _store(self, connection: Connection, asked: Round) -> None:
+        del asked
+        studies.save(connection, self._campaign.sequence, self.name, self._outcome())
+
+    def _conclude(self) -> None:
+        with self._database.transaction() as connection:
+            studies.save(connection, self._campaign.sequence, self.name, {**self._outcome(), "complete": True})
+            self._save(connection)
