@@ -1,8 +1,8 @@
 """Comparisons: ordinary campaigns with a common tag, made from one file, and the analysis of what they found.
 
 The campaigns of a comparison are isolated: they see no results of others, so that neither their order nor earlier results change what
-they find or count. Cells that several of them request, or that were simulated before, are still simulated once: this saves work, but
-does not show in the counts.
+they find or count. Cells that several of them request, or that were simulated before, are still simulated once, but for a few whose result
+is not stored yet: this saves work, and does not show in the counts.
 """
 
 import re
