@@ -1,7 +1,7 @@
 """Jobs: the work that the dispatcher does for a campaign's row."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 from drivecal.domain.campaigns import StageName
 from drivecal.execution.scheduling.in_flight import Completed, Work
@@ -23,10 +23,3 @@ class Job(ABC):
     @abstractmethod
     def record(self, completed: Sequence[Completed]) -> list[Work]:
         """Stores results; returns what to simulate in their place."""
-
-    def take_unwanted(self) -> Collection[int]:
-        """Returns the ids of cells whose results are no longer wanted, and forgets them."""
-        return ()
-
-    def sum_up(self) -> None:  # noqa: B027  # a hook
-        """Stores sums that are due later, before the job is paused or cancelled."""

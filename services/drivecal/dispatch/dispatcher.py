@@ -354,15 +354,10 @@ class Dispatcher:
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:
             self._pool.submit(*work, tag=active.tag, priority=active.priority)
-        unwanted = () if active.job is None else active.job.take_unwanted()
-        if unwanted:
-            self._pool.withdraw(active.tag, unwanted)
 
     def _finish_stopping(self, active: Active) -> None:
         if self._pool.held(active.tag) or active.unwritten:
             return
-        if active.job is not None:
-            active.job.sum_up()
         if active.stopping is CampaignState.CANCELLED:
             self._end(active, CampaignState.CANCELLED)
             return

@@ -125,11 +125,9 @@ class WorkPool:
         completed, self._completed = self._completed, []
         return completed
 
-    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
-        """Drops the cells of `tag`, or only `cells` of them, that are not at a worker. Returns how many are; `poll` still returns these
-        unless their worker dies. The tag is free when `held(tag)` is 0."""
-        if cells is not None:
-            return self._scheduler.withdraw(tag, cells)
+    def withdraw(self, tag: str) -> int:
+        """Drops the cells of `tag` that are not at a worker. Returns how many are; `poll` still returns these unless their worker dies. The
+        tag is free when `held(tag)` is 0."""
         self._questions.forget(tag)
         running = self._scheduler.withdraw(tag)
         self._forget_disputes()

@@ -205,18 +205,17 @@ class Scheduler:
         self._worker_health.failed(worker, detail)
         return [done for answer in answers for done in self._broke_down(*answer, worker, alone=sent.alone)]
 
-    def withdraw(self, tag: str, cells: Collection[int] | None = None) -> int:
-        """Drops the cells of `tag`, or only `cells` of them, that are at no worker. Returns how many are: these complete unless lost."""
+    def withdraw(self, tag: str) -> int:
+        """Drops the cells of `tag` that are at no worker. Returns how many are: these complete unless lost."""
         running = 0
-        for claim in [claim for claim in self._in_flight.of(tag) if cells is None or claim.cell.id in cells]:
+        for claim in list(self._in_flight.of(tag)):
             if claim.simulation.leader is claim:
                 claim.withdrawn = True
                 running += 1
             else:
                 self._forget(claim)
-        if cells is None:
-            self._queue.forget(tag)
-            self._reservation.forget(tag)
+        self._queue.forget(tag)
+        self._reservation.forget(tag)
         return running
 
     def keep(self, tag: str, cells: Collection[int]) -> set[int]:
