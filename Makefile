@@ -19,12 +19,12 @@ $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (6 to 13 minutes)
+test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES)
 
-test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (20 to 30 minutes)
+test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(COMPILE_KERNELS)
 	@$(WHOLE_FILES) -m slow
@@ -34,7 +34,7 @@ test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `mak
 	@$(COMPILE_KERNELS)
 	@failed=0; export DRIVECAL_LONG=1; \
 	$(BIN)/pytest tests/faults -m faults --numprocesses 2 --dist load || failed=1; \
-	$(WHOLE_FILES) -m "slow or not slow" --ignore tests/faults --ignore tests/browser || failed=1; \
+	$(WHOLE_FILES) -m "slow or faults or not slow" --ignore tests/faults --ignore tests/browser || failed=1; \
 	exit $$failed
 
 test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster of docker-compose.yml on a Docker engine (minutes)

@@ -79,6 +79,8 @@ SUITES = ("compose", "faults", "browser", "integration", "contract", "golden", "
 
 MARKERS = ("slow", "faults", "compose", "packages")
 """Markers of tests that run only with `-m`: they take long, or need a Docker engine or a package index."""
+PARTIAL = ("slow", "faults")
+"""Markers that may name the cases that they leave out."""
 
 
 class WholeFiles(LoadFileScheduling):  # type: ignore[misc]  # xdist ships no types
@@ -108,7 +110,7 @@ def refuse_misspelt_cases(config: pytest.Config, items: list[pytest.Item]) -> No
     for item in items:
         test = item.nodeid.partition("[")[0]
         for mark in item.own_markers:
-            for name in mark.args if mark.name == "slow" else ():
+            for name in mark.args if mark.name in PARTIAL else ():
                 held[test, name] = held.get((test, name), False) or holds(pytest.mark.slow(name).mark, item)
     if misspelt := [f"{test} has no case {name!r}" for (test, name), is_held in held.items() if not is_held]:
         raise pytest.UsageError("; ".join(misspelt))
@@ -119,7 +121,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Deselects tests of unrequested `MARKERS`. Puts long files first, so that no process is left alone with one at the end."""
     refuse_misspelt_cases(config, items)
     for item in items:
-        item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "slow" or holds(mark, item)]
+        item.own_markers[:] = [mark for mark in item.own_markers if mark.name not in PARTIAL or holds(mark, item)]
     unwanted = [marker for marker in MARKERS if marker not in config.option.markexpr]
     deselected = [item for item in items if any(map(item.get_closest_marker, unwanted))]
     if deselected:

@@ -1,4 +1,4 @@
-"""What the compose files promise: limits, health, no privileges, nothing published but the API, and images from the lock."""
+"""Tests of what the compose files promise: limits, health, no privileges, nothing published but the API, and images from the lock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documentation shows can be typed: commands exist with their options, files are valid, Python compiles."""
+"""Tests of what the documentation shows can be typed: commands exist with their options, files are valid, Python compiles."""
 
 from __future__ import annotations
 

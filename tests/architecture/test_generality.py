@@ -1,4 +1,4 @@
-"""What is general knows no comfort score from 0 to 7, no points and no manoeuvre: those belong to the built-in problem."""
+"""Tests of what is general knows no comfort score from 0 to 7, no points and no manoeuvre: those belong to the built-in problem."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each layer of the installation can do: client and command line alone, one machine without Ray, a cluster."""
+"""Tests of what each layer of the installation can do: client and command line alone, one machine without Ray, a cluster."""
 
 from __future__ import annotations
 

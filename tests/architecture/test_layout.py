@@ -101,7 +101,7 @@ def protocols() -> list[set[str]]:
 
 
 def is_described_elsewhere(node: ast.Module | ast.ClassDef, name: str) -> bool:
-    """Whether a method overrides or implements one that another class, a protocol or a library documents."""
+    """Returns whether a method overrides or implements one that another class, a protocol or a library documents."""
     if not isinstance(node, ast.ClassDef) or name in HOOKS:
         return name in HOOKS
     implements = any(name in protocol and protocol <= methods_of(node) for protocol in protocols())
@@ -128,7 +128,7 @@ def test_undocumented_things_would_be_found() -> None:
 
 
 def test_a_folder_can_be_overlooked() -> None:
-    """At most 16 modules beside the `__init__.py`, which says what the folder is for and exports its names."""
+    """At most 16 modules next to the `__init__.py`, which says what the folder is for and exports its names."""
     numbers = {shown(folder): len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) for folder in FOLDERS}
     assert {name: number for name, number in numbers.items() if number > MOST_MODULES} == {}
 

@@ -44,7 +44,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
 
 def test_batches_beside_a_small_campaign_are_as_short_as_promised() -> None:
     assert "0.1 s with up to six workers, 0.13 s with eight, 0.5 s with 32" in PROMISES
-    cost = 0.001  # of a cell: so many that no other limit counts
+    cost = 0.001  # of a cell: small enough that no other limit counts
     policy = BatchPolicy(largest=10_000)
     for workers, seconds in ((1, 0.1), (6, 0.1), (8, 0.13), (32, 0.5)):
         assert round(batch_size(policy, cost, 1e6, workers, beside_small=True) * cost, 2) == seconds

@@ -33,11 +33,11 @@ def space() -> tuple[Parameter, ...]:
 
 def decoded(indices: Mapping[str, int]) -> list[float]:
     """The parameters' values at grid indices."""
-    return [float(one.value(int(indices[one.name]))) for one in space()]
+    return [float(parameter.value(int(indices[parameter.name]))) for parameter in space()]
 
 
 def scenarios_of(trial: int, cells_per_trial: int) -> Sequence[str]:
-    """What a trial simulates: all scenarios, or each in its turn."""
+    """Returns what a trial simulates: all scenarios, or each in its turn."""
     return SCENARIOS if cells_per_trial == len(SCENARIOS) else (SCENARIOS[trial % len(SCENARIOS)],)
 
 
@@ -49,4 +49,4 @@ def objective(trial: int, parameters: Sequence[float], cells_per_trial: int) -> 
 
 def warm_up() -> None:
     """Loads and compiles everything in this process."""
-    objective(0, decoded({one.name: one.n_values // 2 for one in space()}), len(SCENARIOS))
+    objective(0, decoded({parameter.name: parameter.n_values // 2 for parameter in space()}), len(SCENARIOS))

@@ -54,7 +54,7 @@ COUNTED = (
 
 
 def grow(database: Database, cells: int, problems: int, progress: Callable[[str], None]) -> None:
-    """Fills an empty database with about so many cells; every second group has the first setups, the others take turns with those of
+    """Fills an empty database with about this many cells; every second group has the first setups, the others take turns with those of
     `problems` variants."""
     for number in range(problems):
         store(database, MANIFEST | {"problem": f"heater-{number}"})

@@ -61,7 +61,7 @@ class Memory(threading.Thread):
 
 
 def processor_seconds() -> dict[str, float]:
-    """What this process's descendants have used of the processor so far, by role."""
+    """Returns what this process's descendants have used of the processor so far, by role."""
     used: dict[str, float] = {}
     for process in psutil.Process().children(recursive=True):
         try:
@@ -130,7 +130,7 @@ def _beside_others(cells: list[tuple[str, list[float]]], start: Any, costs: Any)
 
 
 def cost_beside_others(cells: list[tuple[str, list[float]]], processes: int) -> float:
-    """Seconds per cell where so many processes simulate at a time."""
+    """Seconds per cell where this many processes simulate at a time."""
     context = get_context("spawn")
     start, costs = context.Barrier(processes), context.Queue()
     started = [context.Process(target=_beside_others, args=(cells, start, costs)) for _ in range(processes)]

@@ -1,4 +1,4 @@
-"""What one evaluation costs, beside SUMO alone stepping the same scenarios: `python tests/benchmarks/run.py evaluation`.
+"""Benchmark of what one evaluation costs, next to SUMO alone stepping the same scenarios: `python tests/benchmarks/run.py evaluation`.
 
 SUMO alone: the scenario's network as it is and the same vehicles, the ego vehicle driven by SUMO as any other and the others told to keep
 their lanes, only simulation steps. drivecal forbids lane changes in the network, which leaves out SUMO's model of them (decision 052); the
@@ -91,7 +91,7 @@ def seconds_of(work: Callable[[], object], prepare: Callable[[], object] = lambd
 
 @dataclass(slots=True)
 class Tape:
-    """What the parts of the closed loop were asked for in one run, in order."""
+    """Describes what the parts of the closed loop were asked for in one run, in order."""
 
     seen: list[Observation] = field(default_factory=list)
     moved: list[tuple[Any, float, int]] = field(default_factory=list)

@@ -1,6 +1,6 @@
-"""Do small campaigns end in time beside a huge one? `python tests/benchmarks/run.py overload [--runs 10]`.
+"""Do small campaigns end in time next to a huge one? `python tests/benchmarks/run.py overload [--runs 10]`.
 
-On a real server with two workers, without Ray, small campaigns of 10 generations and 148 cells of 10 ms run alone, then beside a
+On a real server with two workers, without Ray, small campaigns of 10 generations and 148 cells of 10 ms run alone, then next to a
 campaign of a million such cells, one after the other and all at once. Then a campaign of 30 generations runs alone, and beside one of cells
 that take 600 s, which comes while it runs. Nothing is reused.
 Printed: seconds of each from its submission to its end, and the ratio to the median alone.
@@ -45,7 +45,7 @@ def evaluate(parameters, data):
 """
 MANIFEST: dict[str, Any] = {
     "problem": "quick",
-    "parameters": {f"x{number}": {"lower": 0, "upper": 1} for number in range(1, 7)},  # so many that no set comes twice
+    "parameters": {f"x{number}": {"lower": 0, "upper": 1} for number in range(1, 7)},  # enough that no set comes twice
     "simulator": {"kind": "python", "file": "cell.py", "timeout": 60, "memory_mb": 300, "deterministic": True},
     "scenarios": {"one": {}, "two": {}},
     "measures": {"y": "1"},

@@ -125,7 +125,7 @@ def carried_out(url: str, size: int) -> StoredCampaign:
 
 
 def with_front(url: str, sets: int) -> StoredCampaign:
-    """A campaign of so many sets in a new database, which lie on a quarter of a circle, so that none dominates another."""
+    """A campaign of this many sets in a new database, which lie on a quarter of a circle, so that none dominates another."""
 
     def on_circle(_: str, cell: Cell) -> CellResult:
         angle = random.Random(str(cell.parameters)).random() * math.pi / 2
@@ -185,9 +185,9 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
     found["tab_megabytes"] = largest_tab()
 
     others = [browser.new_page() for _ in range(PAGES - 1)]
-    for one in others:
-        one.goto(f"{address}/evaluations")
-        expect(one.get_by_role("grid")).to_be_visible(timeout=120_000)
+    for other in others:
+        other.goto(f"{address}/evaluations")
+        expect(other.get_by_role("grid")).to_be_visible(timeout=120_000)
     found["server_megabytes_for_each_page"] = max(0.0, api.megabytes - before) / PAGES
     for one in (page, *others):
         one.close()
@@ -309,8 +309,8 @@ def drawn_over(page: Page, place: Locator, *, upright: bool) -> float:
 
 def largest_tab() -> float:
     """Memory of the browser's largest tab, MB, without what it shares with others."""
-    tabs = [one for one in psutil.Process().children(recursive=True) if "--type=renderer" in one.cmdline()]
-    return max((float(one.memory_full_info().uss) for one in tabs), default=0.0) / 2**20
+    tabs = [process for process in psutil.Process().children(recursive=True) if "--type=renderer" in process.cmdline()]
+    return max((float(tab.memory_full_info().uss) for tab in tabs), default=0.0) / 2**20
 
 
 def show(figures: dict[str, dict[str, float]]) -> None:

@@ -1,4 +1,4 @@
-"""What a user would take instead: `python tests/benchmarks/run.py peers`.
+"""Benchmark of what a user would take instead: `python tests/benchmarks/run.py peers`.
 
 The same search space and the same real evaluations on the same machine, one peer after the other: drivecal (reduction off, every result
 durable), Optuna with a database (SQLite, two processes), Optuna with a journal file (two processes), Ray Tune, and pymoo's genetic
@@ -82,7 +82,7 @@ def _optuna_worker(kind: str, folder: str, trials: int, cells_per_trial: int, se
     import optuna
 
     def evaluate(trial: optuna.Trial) -> float:
-        indices = {one.name: trial.suggest_int(one.name, 0, one.n_values - 1) for one in space()}
+        indices = {parameter.name: trial.suggest_int(parameter.name, 0, parameter.n_values - 1) for parameter in space()}
         return objective(trial.number, decoded(indices), cells_per_trial)
 
     warm_up()
@@ -143,7 +143,7 @@ def ray_tune(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
         def load_checkpoint(self, _checkpoint: dict[str, Any] | None) -> None:
             pass
 
-    domains: dict[str, Any] = {one.name: tune.randint(0, one.n_values) for one in space()}
+    domains: dict[str, Any] = {parameter.name: tune.randint(0, parameter.n_values) for parameter in space()}
     domains["number"] = tune.grid_search(list(range(trials)))
     with tempfile.TemporaryDirectory() as folder:
         ray.init(address="local", num_cpus=CORES, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
@@ -173,11 +173,13 @@ def pymoo_pool(trials: int, cells_per_trial: int) -> tuple[float, Cells]:
     from pymoo.optimize import minimize
 
     done: list[tuple[int, list[float]]] = []
-    names = [one.name for one in space()]
+    names = [parameter.name for parameter in space()]
 
     class Calibration(Problem):  # type: ignore[misc]  # pymoo ships no types
         def __init__(self) -> None:
-            super().__init__(n_var=len(names), n_obj=1, xl=0, xu=np.array([one.n_values - 1 for one in space()]), vtype=int)
+            super().__init__(
+                n_var=len(names), n_obj=1, xl=0, xu=np.array([parameter.n_values - 1 for parameter in space()]), vtype=int
+            )
 
         def _evaluate(self, rows: Any, out: dict[str, Any], *_: Any, **__: Any) -> None:
             chosen = [(len(done) + place, decoded(dict(zip(names, row, strict=True)))) for place, row in enumerate(rows)]
@@ -238,7 +240,7 @@ def show(rows: Sequence[Measured]) -> None:
 
 
 def good_enough(rows: Sequence[Measured]) -> bool:
-    """Whether drivecal is as efficient as promised, beside the peers that were measured."""
+    """Returns whether drivecal is as efficient as promised, next to the peers that were measured."""
     ours = next((row.efficiency for row in rows if row.peer == "drivecal"), 0.0)
     pool = max((row.efficiency for row in rows if row.peer != "drivecal" and not row.stores), default=0.0)
     stores = max(

@@ -7,7 +7,7 @@ by seed, with 95 % t-intervals.
 
 A seed takes 15 to 20 minutes on two cores. Every finished campaign adds a line to `docs/pages/results/data/reuse.jsonl`, with the machine,
 the versions and the commit of the code, so that seeds of several days add up: campaigns of the same code and machine are not made again.
-`--commit` counts those of other commits too. Runs and optima do not depend on the machine: `--counts` prints these alone, beside campaigns
+`--commit` counts those of other commits too. Runs and optima do not depend on the machine: `--counts` prints these alone, next to campaigns
 of any machine and under any load.
 """
 
@@ -59,7 +59,7 @@ MARGIN = 1 / 12
 
 @dataclass(frozen=True, slots=True)
 class Circumstances:
-    """What a campaign was measured with. Lines of earlier releases say nothing of it."""
+    """Describes what a campaign was measured with. Lines of earlier releases say nothing of it."""
 
     commit: str = ""
     """Last commit of the code, with a plus sign if files differ from it."""

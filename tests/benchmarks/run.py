@@ -1,4 +1,4 @@
-"""Runs the benchmarks beside this file, all or those named: `python tests/benchmarks/run.py [NAME ...] [OPTION ...]`.
+"""Runs the benchmarks next to this file, all or those named: `python tests/benchmarks/run.py [NAME ...] [OPTION ...]`.
 
 Options are those of the benchmark: `run.py years --help`. Each is a program of its own, in a process of its own (a process holds one
 simulation, and memory figures shall not add up): it prints a table, writes its figures to `.drivecal/bench/NAME.json` and ends with 0

@@ -148,7 +148,7 @@ def carry_out(database: Database, submitted: Sequence[StoredCampaign], workers: 
         step += 1
         if step % 20 == 0 or not workers._ends:
             with database.read() as connection:
-                found = [campaigns.get(connection, one.id) for one in submitted]
+                found = [campaigns.get(connection, campaign.id) for campaign in submitted]
             if all(one.state.ended for one in found):
                 break
     if any(one.state != "succeeded" for one in found):
@@ -157,7 +157,7 @@ def carry_out(database: Database, submitted: Sequence[StoredCampaign], workers: 
 
 
 def cluster(backend: str, count: int) -> dict[str, Any]:
-    """Whether `count` workers are kept busy, by one campaign of the paper's size and by four at a time; two iterations each."""
+    """Returns whether `count` workers are kept busy, by one campaign of the paper's size and by four at a time; two iterations each."""
     rows: dict[str, Any] = {}
     for name, campaigns_at_once in (("one campaign", 1), (TOGETHER, 4)):
         with new(backend) as database:

@@ -116,7 +116,7 @@ class Analysed:
     seconds: float
 
     def influence(self, scenario: str, parameter: Parameter) -> Influence:
-        """What it says about one pair."""
+        """Returns what it says about one pair."""
         return self.found[scenario].parameters[parameter.name].influence
 
 
@@ -217,7 +217,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def table(analysed: Sequence[Analysed]) -> list[str]:
-    """What each analysis found, one line per pair."""
+    """Returns what each analysis found, one line per pair."""
     rows = [f"{'':9}" + "".join(f"{one.name:>16}" for one in analysed)]
     for scenario, parameter in product(SCENARIOS, SPACE.searched):
         found = "".join(f"{shown(one.influence(scenario, parameter)):>16}" for one in analysed)
@@ -235,9 +235,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     figures = measure(options)
     print("\n".join(figures["table"]))
-    for one in figures["comparisons"]:
-        print(f"\n{' and '.join(one['of'])} agree on {one['share']:.1%} of the pairs")
-        print("\n".join(f"    {difference}" for difference in one["differences"]))
+    for comparison in figures["comparisons"]:
+        print(f"\n{' and '.join(comparison['of'])} agree on {comparison['share']:.1%} of the pairs")
+        print("\n".join(f"    {difference}" for difference in comparison["differences"]))
     print("\nruns      as designed  deciding")
     for name, runs in figures["runs"].items():
         print(f"{name:8} {runs:12,} {figures['deciding_runs'][name]:9,}")

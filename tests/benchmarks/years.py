@@ -1,7 +1,7 @@
 """How does a database of years work? `python tests/benchmarks/run.py years [--cells 20000 200000] [--backends sqlite postgresql]`.
 
 Fills databases with groups of four campaigns and a study of the built-in problem, half of the groups with the same setups, and stores
-500 problems beside them (`_years_rows.py`; 10,000,000 cells are 16,000 campaigns). Measures what users and operators do: questions over
+500 problems next to them (`_years_rows.py`; 10,000,000 cells are 16,000 campaigns). Measures what users and operators do: questions over
 HTTP, look-ups of 6,000 cells, start of the API, check, backup and pruning. A question's time is the shortest of some repeats.
 What concerns one campaign or a page must not grow with the database: from the first size to the last it may grow by a factor of
 MOST_GROWTH. Work on the whole database has a limit for each million cells (`PER_MILLION`). Writes `.drivecal/bench/years.json`.

@@ -46,7 +46,7 @@ def barriers(page: Page, *, contrast_alone: bool = False) -> list[tuple[str, lis
 
 
 def too_wide(page: Page) -> list[tuple[str, list[str]]]:
-    """Whether anything does not fit into the page's width."""
+    """Returns whether anything does not fit into the page's width."""
     fits = page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
     return [] if fits else [("wider than the page", [page.url])]
 
@@ -81,7 +81,7 @@ def browser() -> Iterator[Browser]:
 
 @dataclass
 class Seen:
-    """What a test's pages complain about, and whom they ask."""
+    """Describes what a test's pages complain about, and whom they ask."""
 
     complaints: list[str] = field(default_factory=list)
     strangers: list[str] = field(default_factory=list)
@@ -153,7 +153,7 @@ def opening(browser: Browser, kept: Kept) -> Iterator[Opening]:
             leave(kept.page, kept.origin)
     for context in contexts:
         context.close()
-    assert [one for one in kept.seen.complaints if not any(part in one for part in excused)] == []
+    assert [complaint for complaint in kept.seen.complaints if not any(part in complaint for part in excused)] == []
     assert kept.seen.strangers == []
 
 

@@ -1,4 +1,4 @@
-"""The front of a campaign on the page: two sets beside each other, weights and their winner, what is kept and exported."""
+"""The front of a campaign on the page: two sets next to each other, weights and their winner, what is kept and exported."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def touched(browser: Browser) -> Iterator[Page]:
 
 
 def on_screen(place: Locator) -> bool:
-    """Whether a part of the page lies within the screen's width."""
+    """Returns whether a part of the page lies within the screen's width."""
     box = place.bounding_box()
     assert box is not None
     return box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
@@ -58,7 +58,7 @@ def middle(place: Locator) -> tuple[float, float]:
 
 
 def drag(fingers: CDPSession, x: float, y: float, by: float) -> None:
-    """Draws a finger down by so many pixels and rests it there: after a fling, the browser takes the next tap as one that stops it."""
+    """Draws a finger down by this many pixels and rests it there: after a fling, the browser takes the next tap as one that stops it."""
     fingers.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
     for step in range(1, 11):
         fingers.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": [{"x": x, "y": y + by * step / 10}]})

@@ -1,4 +1,4 @@
-"""The page beside a server of its own: followed live, asked for a token, gone and back."""
+"""The page next to a server of its own: followed live, asked for a token, gone and back."""
 
 from __future__ import annotations
 

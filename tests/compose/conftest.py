@@ -1,4 +1,4 @@
-"""What the suite needs: the compose file on whatever Docker engine there is."""
+"""Parts of tests: what the suite needs: the compose file on whatever Docker engine there is."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="session")
 def embedded(tmp_path_factory: pytest.TempPathFactory) -> Found:
-    """What the campaign finds with `drivecal serve`, where nothing happens to it."""
+    """Returns what the campaign finds with `drivecal serve`, where nothing happens to it."""
     return found_embedded(tmp_path_factory.mktemp("embedded"))

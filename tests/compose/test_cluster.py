@@ -41,7 +41,9 @@ def test_nothing_of_ours_runs_as_root_or_can_write_to_its_image(cluster: Cluster
 
 def test_four_nodes_are_there_each_with_a_worker(cluster: Cluster) -> None:
     cluster.until(lambda: len(cluster.ready_nodes()) == 4, "four nodes with a worker")
-    assert {worker["node"] for worker in cluster.workers()} == {one[:12] for one in cluster.containers("ray-worker")}
+    assert {worker["node"] for worker in cluster.workers()} == {
+        container[:12] for container in cluster.containers("ray-worker")
+    }
 
 
 def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_finds_embedded(
@@ -54,7 +56,9 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
     cluster.run("docker", "exec", victim, "python", "-c", KILL)
     campaign.gets_on()
     cluster.run("docker", "kill", other)
-    took = cluster.until(lambda: other[:12] not in {one["node"] for one in cluster.workers()}, "a lost node to be noticed")
+    took = cluster.until(
+        lambda: other[:12] not in {worker["node"] for worker in cluster.workers()}, "a lost node to be noticed"
+    )
     print(f"a lost node was noticed within {took:.1f} s", flush=True)
     assert took < NOTICED_SECONDS
     campaign.gets_on()
@@ -88,7 +92,7 @@ def test_a_campaign_survives_whatever_is_done_to_the_cluster_and_finds_what_it_f
 
 
 def database_bytes(cluster: Cluster) -> int:
-    """What the database takes on the disk, its write-ahead log not counted."""
+    """Returns what the database takes on the disk, its write-ahead log not counted."""
     query = "SELECT pg_database_size('drivecal')"
     return int(cluster.compose("exec", "-T", "db", "psql", "-U", "drivecal", "-Atc", query))
 
@@ -108,7 +112,7 @@ def restore(cluster: Cluster, file: Path) -> None:
 
 
 def read(file: Path, path: str) -> Any:
-    """What a server on a backup answers."""
+    """Returns what a server on a backup answers."""
     with serving(f"sqlite:///{file}") as copy:
         running: RunningApi = copy
         return running.http.get(path).raise_for_status().json()
@@ -134,4 +138,8 @@ def test_what_the_images_weigh(cluster: Cluster) -> None:
 
 
 def all_containers(cluster: Cluster) -> list[str]:
-    return [one for service in ("db", "api", "dispatcher", "ray-head", "ray-worker") for one in cluster.containers(service)]
+    return [
+        container
+        for service in ("db", "api", "dispatcher", "ray-head", "ray-worker")
+        for container in cluster.containers(service)
+    ]

@@ -1,4 +1,4 @@
-"""Problems that attack whatever they reach, on the nodes of the cluster beside a campaign that works."""
+"""Problems that attack whatever they reach, on the nodes of the cluster next to a campaign that works."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ print(json.dumps({"commands": commands, "files": files, "used_mb": used}))
 
 
 def look(cluster: Cluster, node: str) -> dict[str, Any]:
-    """What is on a node."""
+    """Returns what is on a node."""
     found: dict[str, Any] = json.loads(cluster.run("docker", "exec", node, "python", "-S", "-c", LOOK))
     return found
 

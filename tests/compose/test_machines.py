@@ -1,4 +1,4 @@
-"""Four machines, containers standing for them: one has the head, three join it by address and token; beside another cluster."""
+"""Four machines, containers standing for them: one has the head, three join it by address and token; next to another cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NETWORK = f"{PROJECT_NAME}-machines"
 @pytest.fixture
 def head(cluster: Cluster, tmp_path: Path) -> Iterator[Cluster]:
     """The first machine: database, API, dispatcher, head and a node, as in `how-to/cluster.md` for several. Its images are
-    those of `cluster`, which goes on beside it."""
+    those of `cluster`, which goes on next to it."""
     files = (FILE, "deploy/docker-compose.machines.yml")
     settings = {"DRIVECAL_NETWORK": NETWORK, "DRIVECAL_NODES": "1"}
     running = Cluster(tmp_path, f"{PROJECT_NAME}-head", files, settings)
@@ -50,8 +50,8 @@ def test_machines_join_and_leave_in_a_campaign_and_nothing_changes(
     campaign.gets_on()
 
     def cells() -> dict[str, int]:
-        """That each node has simulated since it joined."""
-        return {one["node"]: one["cells"] for one in head.workers()}
+        """Checks that each node has simulated since it joined."""
+        return {worker["node"]: worker["cells"] for worker in head.workers()}
 
     for machine in machines:
         machine.join()
@@ -81,5 +81,5 @@ def test_machines_join_and_leave_in_a_campaign_and_nothing_changes(
     campaign.assert_found(embedded, tmp_path / "drivecal.db")
 
     assert cluster.is_ready()
-    assert not {one["node"] for one in cluster.workers()} & four
+    assert not {worker["node"] for worker in cluster.workers()} & four
     assert cluster.http.get(campaign.path).status_code == 404

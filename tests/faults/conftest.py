@@ -1,4 +1,4 @@
-"""What the fault suite needs: databases that can be killed, and what the campaigns find without any fault."""
+"""Parts of tests: what the fault suite needs: databases that can be killed, and what the campaigns find without any fault."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def postgres() -> Iterator[KillablePostgres]:
 
 @pytest.fixture(scope="session")
 def without_faults(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
-    """What the campaigns find, by name, where nothing happens to them. Both databases have to give just this."""
+    """Returns what the campaigns find, by name, where nothing happens to them. Both databases have to give just this."""
     return undisturbed(tmp_path_factory.mktemp("without-faults"))
 
 

@@ -16,11 +16,11 @@ DOWN_SECONDS = 90.0
 
 
 def _degraded(server: Coordinator) -> str | None:
-    """What the first campaign that runs says of itself."""
+    """Returns what the first campaign that runs says of itself."""
     answer = server.answers("/api/v1/campaigns?state=running")
     if answer is None or answer.status_code != httpx.codes.OK:
         return None
-    return next((str(one["degraded"]) for one in answer.json()["items"] if one["degraded"]), None)
+    return next((str(item["degraded"]) for item in answer.json()["items"] if item["degraded"]), None)
 
 
 @pytest.mark.faults

@@ -90,7 +90,9 @@ def test_a_dispatcher_that_sleeps_while_another_takes_over_does_nothing_more(
     first.start_ready()
     accepted = submit(first.url)
     draw_alike(first.database, accepted)
-    life = Life(first, sum(len(one.tables["evaluations"]) for one in without_faults.values()), note=noted(first.database_url))
+    life = Life(
+        first, sum(len(fault.tables["evaluations"]) for fault in without_faults.values()), note=noted(first.database_url)
+    )
     life.note.accepted = len(accepted.campaigns)
     life.wait_for(Moment(0.3, 0.0), accepted)
     with coordinator(tmp_path / "second", first.database_url) as second:

@@ -46,7 +46,7 @@ def test_what_others_do_costs_no_patience() -> None:
         family = [psutil.Process(one.pid) for one in burners]
         begin = time.monotonic()
         ours, theirs = Patience(60.0, lambda: family), Patience(60.0, list)
-        until(lambda: min(sum(one.cpu_times()[:2]) for one in family) > 0.4, "that they burn")
+        until(lambda: min(sum(process.cpu_times()[:2]) for process in family) > 0.4, "that they burn")
         spent = theirs.spent(), ours.spent(), time.monotonic() - begin
         assert sorted(spent) == list(spent), spent
         assert spent[1] - spent[0] > 0.2, spent
@@ -73,7 +73,7 @@ def test_whatever_a_campaign_found_differently_is_named() -> None:
 
 def test_a_seed_says_when_the_faults_happen() -> None:
     assert moments(5, 20) == moments(5, 20) != moments(6, 20)
-    shares = [one.share for one in moments(5, 200)]
+    shares = [moment.share for moment in moments(5, 200)]
     assert None in shares
     known = [share for share in shares if share is not None]
     assert known == sorted(known)

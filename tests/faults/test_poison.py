@@ -30,7 +30,7 @@ CAUSES = {POISON.SEGFAULT: Breakdown.CRASH, POISON.HANG: Breakdown.HANG, POISON.
 ALL_AT_ONCE = BatchPolicy(target_seconds=600, shortest_seconds=600, largest=POISON.DOSES)
 SHORTEST_DEADLINE_SECONDS = 10.0
 PATIENCE_FACTOR = 20.0
-"""A cell hangs that takes so many times longer than the first one, which loads what the others find loaded."""
+"""A cell hangs that takes this many times longer than the first one, which loads what the others find loaded."""
 
 
 @pytest.fixture

@@ -61,7 +61,7 @@ def _murderer(server: Coordinator, seed: int) -> Iterator[list[int]]:
 
 
 def _is_hit_twice(server: Coordinator) -> bool:
-    """Whether a cell without an answer has broken down as often as it may."""
+    """Returns whether a cell without an answer has broken down as often as it may."""
     with server.database.read() as connection:
         return (connection.scalar(select(func.max(leases.c.attempts))) or 0) >= ATTEMPTS - 1
 

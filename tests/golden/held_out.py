@@ -34,7 +34,7 @@ UNITS = {
 
 def write(recordings: Sequence[Recording]) -> None:
     """From the end of the quiet second on."""
-    rows = {name: np.array([getattr(one, name)[BEGIN : BEGIN + STEPS + 1] for one in recordings]) for name in UNITS}
+    rows = {name: np.array([getattr(recording, name)[BEGIN : BEGIN + STEPS + 1] for recording in recordings]) for name in UNITS}
     counts = {name: np.rint(values / UNITS[name]).astype(np.int64) for name, values in rows.items()}
     before = np.zeros((len(recordings), 2), dtype=np.int64)
     packed = {name: np.diff(one, n=2, axis=1, prepend=before).astype(np.int32) for name, one in counts.items()}

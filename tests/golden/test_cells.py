@@ -1,4 +1,4 @@
-"""What a handful of cells gave, to the last digit: numerics shall not change without anybody noticing.
+"""Tests of what a handful of cells gave, to the last digit: numerics shall not change without anybody noticing.
 
 Stored results are found again by fingerprint, so whoever changes what a run gives must change a version: `FRENET.version` follows its
 sources, `SINGLE_TRACK.version`, `REFERENCE.version` and `drivecal.plugins.setups.CLOSED_LOOP` (traffic, episode and metrics) are
@@ -36,7 +36,7 @@ METRICS = ("peak_lateral_jerk_mps3", "peak_longitudinal_acceleration_mps2", "off
 
 
 def versions() -> dict[str, str]:
-    """What the results are promised for."""
+    """Returns what the results are promised for."""
     digests = {name: scenario.digest for name, scenario in HIGHWAY.scenarios.items()}
     plugins = {"driving function": FRENET.version, "vehicle": SINGLE_TRACK.version, "evaluator": REFERENCE.version}
     return plugins | {"simulator": simulator()} | digests

@@ -1,4 +1,4 @@
-"""What the optimizers propose for fixed seeds. A change here changes every campaign that is repeated: it needs a reason."""
+"""Tests of what the optimizers propose for fixed seeds. A change here changes every campaign that is repeated: it needs a reason."""
 
 from __future__ import annotations
 

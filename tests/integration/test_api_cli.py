@@ -153,7 +153,7 @@ def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> Non
     def answer() -> None:
         for _ in range(200):
             with api.database.read() as connection:
-                waiting = [one.id for one in campaigns.active(connection) if one.kind == "evaluation"]
+                waiting = [campaign.id for campaign in campaigns.active(connection) if campaign.kind == "evaluation"]
             for identifier in waiting:
                 carry_out_evaluation(api.database, identifier)
             if waiting:
@@ -161,8 +161,8 @@ def test_an_evaluation_is_waited_for_and_shown(run: Run, api: RunningApi) -> Non
             time.sleep(0.05)
 
     with api.database.transaction() as connection:
-        for one in campaigns.active(connection):
-            campaigns.end(connection, one.sequence, CampaignState.CANCELLED)
+        for campaign in campaigns.active(connection):
+            campaigns.end(connection, campaign.sequence, CampaignState.CANCELLED)
     thread = threading.Thread(target=answer)
     thread.start()
     result = run("evaluate", *SETS, "--scenario", "S2")

@@ -85,7 +85,7 @@ def refused(response: httpx.Response) -> dict[str, Any]:
 
 
 def usual_work(api: ApiProcess) -> None:
-    """What every server does in its first minutes: everything is loaded after it."""
+    """Returns what every server does in its first minutes: everything is loaded after it."""
 
     def ask(_: int) -> None:
         api.http.post("/api/v1/campaigns", json={"sensitivity": None, "optimizer": {"population": 10, "iterations": 2}})

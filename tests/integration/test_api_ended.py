@@ -1,4 +1,4 @@
-"""What an ended campaign found stays readable, whatever is installed by then."""
+"""Tests of what an ended campaign found stays readable, whatever is installed by then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does not belong into a request never gives a server error, never stores half of something, and is refused in words."""
+"""Tests of what does not belong into a request never gives a server error, never stores half of something, and is refused in words."""
 
 from __future__ import annotations
 

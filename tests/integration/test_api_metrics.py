@@ -59,16 +59,16 @@ def metrics(api: RunningApi) -> dict[str, Metric]:
     assert response.status_code == 200
     assert response.headers["content-type"].startswith("application/openmetrics-text; version=1.0.0")
     families = openmetrics.text_string_to_metric_families(response.text)  # type: ignore[no-untyped-call]  # it has no types
-    return {one.name: one for one in families}
+    return {family.name: family for family in families}
 
 
 def samples(metric: Metric) -> dict[tuple[str, ...], float]:
     """By the values of their labels, in the order of the labels' names."""
-    return {tuple(value for _, value in sorted(one.labels.items())): one.value for one in metric.samples}
+    return {tuple(value for _, value in sorted(sample.labels.items())): sample.value for sample in metric.samples}
 
 
 def value(found: dict[str, Metric], name: str, **labels: str) -> float:
-    (one,) = (one for one in found[name].samples if one.labels == labels)
+    (one,) = (sample for sample in found[name].samples if sample.labels == labels)
     return one.value
 
 
@@ -106,10 +106,10 @@ def test_the_sums_are_those_of_all_campaigns(api: RunningApi) -> None:
         {"proposed": 10, "pending": 0, "requested": 10, "simulated": 10},
     ]
     with api.database.transaction() as connection:
-        for one in cells:
+        for cell in cells:
             stored = campaigns.insert(connection, name="x", spec={})
             values = {"simulating_seconds": 2.5, "state": "running"}
-            campaigns.save_counts(connection, stored.sequence, {StageName.CALIBRATION: CellCounts(**one)})
+            campaigns.save_counts(connection, stored.sequence, {StageName.CALIBRATION: CellCounts(**cell)})
             connection.execute(update(table).where(table.c.sequence == stored.sequence).values(values))
         campaigns.end(connection, stored.sequence, CampaignState.FAILED)
     found = metrics(api)
@@ -138,7 +138,7 @@ def test_the_dispatchers_measures_come_through(api: RunningApi) -> None:
     assert value(found, "drivecal_breakdowns", kind="crash") == 2
     assert value(found, "drivecal_breakdowns", kind="hang") == 0
     assert value(found, "drivecal_late_results") == 1
-    lookup = {(one.name, one.labels.get("le")): one.value for one in found["drivecal_lookup_seconds"].samples}
+    lookup = {(sample.name, sample.labels.get("le")): sample.value for sample in found["drivecal_lookup_seconds"].samples}
     buckets = [lookup["drivecal_lookup_seconds_bucket", le] for le in (*map(str, BOUNDS), "+Inf")]
     assert buckets == sorted(buckets)
     assert lookup["drivecal_lookup_seconds_bucket", "0.005"] == 1
@@ -177,7 +177,7 @@ def test_every_metric_is_in_the_documentation(api: RunningApi) -> None:
     busy(api)
     page = (Path(__file__).parents[2] / "docs" / "pages" / "how-to" / "monitoring.md").read_text()
     documented = set(re.findall(r"^\| `(drivecal_[a-z_]+)", page, re.MULTILINE))
-    shown = {re.sub(r"_(bucket|sum|count)$", "", one.name) for metric in metrics(api).values() for one in metric.samples}
+    shown = {re.sub(r"_(bucket|sum|count)$", "", sample.name) for metric in metrics(api).values() for sample in metric.samples}
     assert {name for name in shown if name.startswith("drivecal_")} == documented
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -49,17 +48,6 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
         yield Ended(api, campaign, list(csv.DictReader(io.StringIO(exported))))
 
 
-def test_counts_by_outcome_are_those_of_the_exported_cells(ended: Ended) -> None:
-    cells, outcomes = ended.campaign.cells, Counter(row["outcome"] for row in ended.rows)
-    assert {outcome: getattr(cells, outcome) for outcome in Outcome} == {outcome: outcomes[outcome] for outcome in Outcome}
-    assert cells.requested == sum(outcomes.values())
-    assert cells.predicted > 0
-    assert cells.sampled == sum(row["sampled"] == "true" for row in ended.rows)
-    assert sum(lots.predicted for lots in ended.campaign.released.values()) == cells.predicted
-    predicted = [row for row in ended.rows if row["outcome"] == Outcome.PREDICTED]
-    assert all(row["lot"] and 0 <= float(row["confidence"]) <= 1 for row in predicted)
-
-
 def later_of(ended: Ended) -> list[dict[str, Any]]:
     verdicts = ended.api.http.get(ended.campaign.links["results"]).json()["trust"]["verdicts"]
     return [each for each in verdicts if each["code"].startswith("later")]
@@ -88,19 +76,6 @@ def test_no_ranked_set_has_a_predicted_score(ended: Ended) -> None:
     solutions = ended.api.http.get(ended.campaign.links["solutions"], params={"limit": 1000}).json()["items"]
     assert solutions
     assert not {(str(solution["iteration"]), str(solution["individual"])) for solution in solutions} & predicted
-
-
-def test_the_cost_of_a_validation_is_what_it_simulates_at_most(ended: Ended) -> None:
-    released = [each.predicted for each in ended.campaign.released.values()]
-    for samples in (3, 10**6):
-        study = {
-            "parameters": SPACE,
-            "catalogue": ["S1", "S2"],
-            "optimizer": None,
-            "validation": {"of": ended.campaign.id, "samples": samples},
-        }
-        expected = ended.api.http.post("/api/v1/campaigns?validate_only=true", json=study).raise_for_status().json()
-        assert expected["validation"] == sum(min(samples, count) for count in released) > 0
 
 
 def test_a_better_set_that_a_study_shows_later_is_told_with_the_origin_of_its_scores(ended: Ended) -> None:

@@ -1,4 +1,4 @@
-"""What reuse did, over HTTP, on both databases: explanations, accounts, narrowed spaces, contradictions, reruns."""
+"""Tests of what reuse did, over HTTP, on both databases: explanations, accounts, narrowed spaces, contradictions, reruns."""
 
 from __future__ import annotations
 
@@ -93,11 +93,11 @@ def test_the_account_adds_up(ended: Ended) -> None:
     assert (found.sensitivity.requested, found.sensitivity.simulated) == (analysis["requested"], analysis["simulated"])
     seconds = 0.007  # of every simulation
     assert found.sensitivity.seconds == pytest.approx(analysis["simulated"] * seconds)
-    confirmed = sum(one.confirmed for one in found.scenarios)
+    confirmed = sum(scenario.confirmed for scenario in found.scenarios)
     assert found.saved_seconds == pytest.approx((found.answered_without_simulation - confirmed) * seconds)
     assert found.net_seconds == pytest.approx(found.saved_seconds - found.sensitivity.seconds)
     assert found.simulated_seconds + found.sensitivity.seconds == pytest.approx(ended.first["seconds"]["simulating"])
-    assert [one.scenario for one in found.scenarios] == ["S1", "S2"]
+    assert [scenario.scenario for scenario in found.scenarios] == ["S1", "S2"]
     assert found.map is not None
     assert found.map.paid_here
     assert found.break_even is not None

@@ -1,4 +1,4 @@
-"""What the OpenAPI document promises holds for requests that schemathesis derives from it, good ones and bad ones."""
+"""Tests of what the OpenAPI document promises holds for requests that schemathesis derives from it, good ones and bad ones."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def schema() -> BaseSchema:
 
 @dataclass(frozen=True)
 class Known:
-    """What is in the database."""
+    """Describes what is in the database."""
 
     campaign: str
     evaluation: str

@@ -1,4 +1,4 @@
-"""What a web page, another user, a cloned repository and a crowd of connections try against a server as a user starts it."""
+"""Tests of what a web page, another user, a cloned repository and a crowd of connections try against a server as a user starts it."""
 
 from __future__ import annotations
 

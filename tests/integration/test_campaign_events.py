@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, nothing_matters, post_map, run, submit
+from tests.support.runs import WITH_ANALYSIS, dispatcher, get, influenced, run
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
@@ -55,22 +55,6 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
     assert ended.baseline is not None
     assert by_kind["baseline"] == [ended.baseline.model_dump()]
     assert len(kinds) <= 30
-
-
-def test_rejected_lots_of_references_are_told_once_by_scenario(database: Database) -> None:
-    campaign = submit(database, stored_map=post_map(database, nothing_matters()), reduction={"audit": 0.0, "max_error": 0.02})
-    ended = run(database, campaign)
-    rejected = [data for kind, data in told(database, campaign) if kind == "lot_rejected"]
-    assert {one["scenario"] for one in rejected} == {name for name, rate in ended.error_rate.items() if rate.rejected}
-    assert len(rejected) == len({one["scenario"] for one in rejected}) > 0
-    assert all(0 < one["wrong"] <= one["audited"] for one in rejected)
-
-
-def test_notes_are_told_once(database: Database) -> None:
-    campaign = submit(database, weights={"S2": 0})
-    ended = run(database, campaign)
-    assert ended.notes
-    assert [data["text"] for kind, data in told(database, campaign) if kind == "note"] == list(ended.notes)
 
 
 def test_the_revision_changes_with_whatever_happens(database: Database) -> None:

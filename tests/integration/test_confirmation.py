@@ -19,7 +19,7 @@ from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import evaluations, events, generations, results
+from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -95,33 +95,10 @@ def test_the_best_set_is_simulated_and_the_ranking_made_anew(
     assert (known.state, known.objective, known.believed) == ("confirmed", campaign.best.objective, plain.best.objective)
     assert told(database, campaign, "note")[-1] == confirmation_verdict(known).text
     with database.read() as connection:
-        best = [one.data for one in events.since(connection, campaign.sequence, 0, 1_000) if one.kind == "best"]
+        best = [event.data for event in events.since(connection, campaign.sequence, 0, 1_000) if event.kind == "best"]
     assert plain.best.objective in {one["objective"] for one in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert (plain.notes, plain.confirmation) == ((), None)
-
-
-def test_what_confirms_is_counted_and_told_apart_from_the_search(
-    confirmed: tuple[Database, StoredCampaign, StoredCampaign],
-) -> None:
-    database, campaign, plain = confirmed
-    rows = rows_of(database, campaign)
-    added = [row for row in rows if row.iteration >= ITERATIONS]
-    places = {(row.iteration, row.individual): row.parameter_set_id for row in added}
-    assert list(places) == [(ITERATIONS + number, 0) for number in range(len(places))], "one set after the other"
-    assert len(set(places.values())) == len(places) > 1, "each once"
-    assert {row.outcome for row in added} == {Outcome.SIMULATED}
-    assert not any(row.audited or row.reference for row in added)
-    assert campaign.cells.requested - plain.cells.requested == len(added) == campaign.cells.simulated - plain.cells.simulated
-    assert (campaign.cells.reused, campaign.cells.audited) == (plain.cells.reused, plain.cells.audited)
-    audits = [{name: rate.audited for name, rate in one.error_rate.items()} for one in (campaign, plain)]
-    assert audits[0] == audits[1]
-    assert all(audits[0].values())
-    assert campaign.progress.done == campaign.cells.requested <= campaign.progress.total
-    with database.read() as connection:
-        counted = evaluations.confirmed(connection, campaign.sequence, ITERATIONS)
-    assert counted == {name: {Outcome.REUSED: sum(row.scenario == name for row in added)} for name in MATTERS}
-    assert [one for one in verify(database, full=True) if one.problems] == []
 
 
 def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_reference(
@@ -159,7 +136,7 @@ def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: D
     assert Outcome.FAILED in {row.outcome for row in tried}
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
     assert "failed" in failing.notes[-1]
-    assert [one for one in verify(database, full=True) if one.problems] == []
+    assert [check for check in verify(database, full=True) if check.problems] == []
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: 
     assert db("check", "--database-url", url).exit_code == 0
     whole = json.loads(db("check", "--full", "--database-url", url, "--json").stdout)
     assert whole["whole"]
-    assert {"tables", "storage", "counters", "reference keys"} <= {one["name"] for one in whole["checks"]}
+    assert {"tables", "storage", "counters", "reference keys"} <= {check["name"] for check in whole["checks"]}
     with database.transaction() as connection:
         connection.execute(text("DELETE FROM ratings WHERE run_id = 1"))
     broken = db("check", "--database-url", url)
@@ -86,5 +86,5 @@ def test_what_is_broken_is_told_and_is_the_exit_status(database: Database, url: 
     assert "restore a backup" in broken.stderr
     report = json.loads(db("check", "--database-url", url, "--json").stdout)
     assert not report["whole"]
-    [found] = [one for one in report["checks"] if one["problems"]]
+    [found] = [check for check in report["checks"] if check["problems"]]
     assert found["name"] == "references"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, PARAMETERS, PYTHON, driven, motorway
 from tests.support.networks import entrance
-from tests.support.scenario_files import FILES, ROUTES, absolute, change_of_lane, change_of_speed, event, when_time, with_events
+from tests.support.scenario_files import FILES, ROUTES
 from tests.support.scenario_files import motorway as opendrive
 
 from drivecal.plugins.simulators import RunOutcome
@@ -90,49 +90,10 @@ def test_a_car_that_overtakes_cuts_in_ahead_and_brakes_afterwards(folder: Path) 
     assert braking == pytest.approx(13.1, abs=0.3)  # a second after the change is done
 
 
-@pytest.mark.slow
-def test_a_parameter_of_the_file_moves_the_cut_in(folder: Path) -> None:
-    for gap in (15, 40):
-        outcome = result(folder, {"openscenario": "scenarios/slower_cut_in.xosc", "duration": 12.0, "parameters": {"gap": gap}})
-        gaps = series(outcome, "gap_m")
-        first = gaps[np.argmax(gaps < 1000)]
-        assert gap - 8 * 3.3 < first < gap  # it comes in while the ego vehicle closes in by 8 m/s
-
-
-@pytest.mark.slow
-def test_a_leader_leaves_before_an_obstacle(folder: Path) -> None:
-    outcome = result(folder, {"openscenario": "scenarios/cut_out.xosc"})
-    assert outcome.failure == "collision"  # a controller that does nothing meets the box
-    assert series(outcome, "leader_speed_mps")[0] == 25.0
-    assert series(outcome, "leader_speed_mps")[-1] == 0.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("priority", "enters"), [("overwrite", False), ("parallel", True)])
-def test_a_change_of_lanes_stops_where_another_event_ends_it(folder: Path, priority: str, enters: bool) -> None:
-    change = change_of_lane('<RelativeTargetLane entityRef="Ego" value="0"/>', 4)
-    brake = f"<LongitudinalAction>{change_of_speed(absolute(27), 'linear', 'rate', 4)}</LongitudinalAction>"
-    late = event("late", brake, when_time(2)).replace('"overwrite"', f'"{priority}"')
-    (folder / "scenarios" / f"{priority}.xosc").write_bytes(with_events(event("in", change, when_time(1)), late))
-    outcome = result(folder, {"openscenario": f"scenarios/{priority}.xosc", "duration": 7.0})
-    assert bool(series(outcome, "gap_m").min() < 1000) == enters
-
-
 def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
     outcome = result(folder, MERGE, "follow.py")
     assert outcome.failure is None
     assert series(outcome, "gap_m").min() < 1000 or series(outcome, "rear_gap_m").min() < 1000
-
-
-@pytest.mark.slow
-def test_traffic_of_an_hour_of_the_day_is_around_the_ego_vehicle_from_the_start(folder: Path) -> None:
-    outcome = result(folder, PEAK, "follow.py")
-    assert outcome.failure is None
-    assert series(outcome, "time_s")[0] == 0.0
-    assert outcome.measures["duration_s"] == pytest.approx(12.0)
-    assert min(series(outcome, name)[0] for name in ("gap_m", "rear_gap_m")) < 300.0
-    alone = result(folder, PEAK | {"warm_up": 0}, "follow.py")
-    assert series(alone, "gap_m").min() == series(alone, "rear_gap_m").min() == 1000.0
 
 
 @pytest.mark.slow("routes", "warm-up")

@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import select
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.effort import tries
@@ -18,10 +18,8 @@ from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import runs
-from drivecal.storage.retention import removal
 
 TRUE_MAP = {scenario: {name: {"influential": False}} for scenario, name in IGNORED.items()}
 """Says exactly what the formula ignores."""
@@ -59,30 +57,6 @@ def test_what_a_later_campaign_may_need_is_prepared_once_and_only_after_a_while_
     for _ in range(100):
         working.step()
     assert states == [CampaignState.SUCCEEDED]
-
-
-def test_keys_that_are_out_of_use_go_in_slices_while_the_dispatcher_works(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(removal, "KEYS", 2)
-    copied = {"evaluation_id": 1, "score": 1.0, "rating": 1.0}
-    with database.transaction() as connection:
-        index = {"influence_map_sequence": 7, "setup_id": 1, "evaluator": "e", "run_id": 9}
-        inserted = tables.reference_indexes.insert().values(index).returning(tables.reference_indexes.c.id)
-        number = connection.execute(inserted).scalar_one()
-        for run in range(9):
-            row = {"index_id": number, "key": b"%d" % run, "run_id": run}
-            connection.execute(tables.reference_keys.insert().values(row | copied))
-        removal.retire_maps(connection, [7])
-    working = dispatcher(database)
-    for _ in range(10):
-        working.step()
-    with database.read() as connection:
-        left = [
-            connection.execute(select(func.count()).select_from(table)).scalar_one()
-            for table in (tables.reference_keys, tables.reference_indexes)
-        ]
-    assert left == [0, 0]
 
 
 def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Database) -> None:

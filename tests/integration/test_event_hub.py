@@ -27,7 +27,7 @@ def _little_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streams, "PAGE", 2)
 
 
-@pytest.mark.slow("1", "2")
+@pytest.mark.faults("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_breaks_off(
     database: Database, seed: int
@@ -58,7 +58,7 @@ def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_
             patience, parser = draw.randrange(1, 20), EventParser()
             stream = hub.stream(sequence, identifier, found[-1] if found else 0)
             async for chunk in stream:
-                found += [int(one.id) for one in parser.feed(chunk) if one.id is not None]
+                found += [int(event.id) for event in parser.feed(chunk) if event.id is not None]
                 await asyncio.sleep(draw.choice([0, 0, 0.005, 0.03]))
                 patience -= 1
                 if not patience and not done.is_set():
@@ -77,7 +77,7 @@ def test_every_reader_gets_every_event_once_and_in_order_wherever_it_begins_and_
 
     read = asyncio.run(all_of_them())
     with database.read() as connection:
-        written = [one.id for one in events.since(connection, sequence, 0, 10**6)]
+        written = [event.id for event in events.since(connection, sequence, 0, 10**6)]
     assert len(written) > 60
     assert read == [written] * 8
 
@@ -94,7 +94,7 @@ def test_forgetting_old_events_skips_what_is_gone_and_loses_nothing_else(databas
     async def read() -> list[str | None]:
         parser = EventParser()
         async with EventHub(database).running() as hub, asyncio.timeout(20):
-            return [one.id async for chunk in hub.stream(stored.sequence, stored.id, 3) for one in parser.feed(chunk)]
+            return [event.id async for chunk in hub.stream(stored.sequence, stored.id, 3) for event in parser.feed(chunk)]
 
     assert [one for one in asyncio.run(read()) if one is not None] == [str(newest)]
 
@@ -120,8 +120,8 @@ def test_a_database_that_does_not_answer_is_told_and_so_is_its_return(
         parser, found = EventParser(), list[str]()
         async with EventHub(database).running() as hub, asyncio.timeout(20):
             async for chunk in hub.stream(stored.sequence, stored.id, 0):
-                for one in parser.feed(chunk):
-                    found.append(f"{one.event} {reason in one.data}")
+                for event in parser.feed(chunk):
+                    found.append(f"{event.event} {reason in event.data}")
                 if found[-1:] == ["progress False"] and not away:
                     away = True
                 elif found[-1:] == ["degraded True"]:

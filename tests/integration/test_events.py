@@ -76,7 +76,7 @@ def opened(
         assert response.status_code == 200
         assert response.headers["content-type"].startswith("text/event-stream")
         parser = EventParser()
-        yield (one for chunk in response.iter_bytes() for one in parser.feed(chunk))
+        yield (event for chunk in response.iter_bytes() for event in parser.feed(chunk))
 
 
 def stored_only(found: Iterator[ServerSentEvent]) -> list[str]:
@@ -224,5 +224,5 @@ def test_streams_end_in_peace_when_the_server_stops(tmp_path: Path) -> None:
         thread = threading.Thread(target=lambda: listener.append(list(stream)))
         thread.start()
     thread.join(20)
-    assert [one.event for one in listener[0]] == ["running", "progress"], "an end, not an error"
+    assert [message.event for message in listener[0]] == ["running", "progress"], "an end, not an error"
     reading.__exit__(None, None, None)

@@ -62,7 +62,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def printed(code: str, installed: Path) -> Any:
-    """What a program prints as JSON, with the packages on its path."""
+    """Returns what a program prints as JSON, with the packages on its path."""
     environment = os.environ | {"PYTHONPATH": str(installed)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -14,13 +14,12 @@ from tests.support.runs import finish
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.stages.stage import ALL_FAILED
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.work import BatchResult, Cell, CellResult
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.execution.backend import Finished, Lost, Slot
 from drivecal.execution.pool import StoredLeases, WorkPool
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.storage import campaigns, events, results
@@ -74,25 +73,6 @@ def submit(database: Database, **changes: Any) -> StoredCampaign:
     return submit_checked(database, SPEC | changes)
 
 
-@dataclass
-class SlowResults(ComputedBackend):
-    """Sixty workers, on which batches with a result take much longer than those without."""
-
-    def wait(self, timeout: float) -> list[Finished | Lost]:
-        del timeout
-        answers = [
-            (batch_id, batch, tuple(self._answer(batch.setup, cell) for cell in batch.cells))
-            for batch_id, batch in self._outstanding
-        ]
-        quick = [entry for entry in answers if all(answer.breakdown is not None for answer in entry[2])]
-        ended = {batch_id: cells for batch_id, _, cells in (quick or answers)}
-        self._outstanding = [entry for entry in self._outstanding if entry[0] not in ended]
-        return [Finished(batch_id, BatchResult(self._name, cells, 0.01)) for batch_id, cells in ended.items()]
-
-    def slots(self) -> list[Slot]:
-        return [Slot(self._name, idle=True)] * max(0, 60 - len(self._outstanding))
-
-
 def dispatcher(database: Database, simulated: Simulated, backend: ComputedBackend | None = None) -> Dispatcher:
     ticks = iter(range(10**9))
     own = database.fenced(Leadership.begin(database).fence)
@@ -135,23 +115,6 @@ def test_every_failed_cell_is_counted_under_its_cause(database: Database) -> Non
         cell = results.by_id(connection, int(named[1]))
     assert cell.outcome is Outcome.FAILED
     assert cell.parameters.floats["x"] == pytest.approx(float(named[2]), rel=1e-5)
-
-
-def test_scores_of_stored_runs_are_counted_as_those_of_new_ones(database: Database) -> None:
-    simulated = Simulated(undefined=0.6)
-    first = run(database, submit(database), simulated)
-    again = run(database, submit(database), simulated)
-    assert (again.cells.simulated, again.cells.repeated) == (0, again.cells.requested)
-    assert again.cells.unscored == first.cells.unscored > 0
-    narrow = MANIFEST["scores"]["cost"] | {"range": [0, 0.8]}
-    store(database, MANIFEST | {"scores": {"cost": narrow}})
-    rated_anew = run(database, submit(database), simulated)
-    assert rated_anew.cells.repeated == rated_anew.cells.requested
-    with database.read() as connection:
-        worst = [row for row in results.stream(connection, rated_anew.sequence) if row.score == 0.8 and row.failure is None]
-    assert rated_anew.cells.cut + rated_anew.cells.unscored == len(worst)
-    assert rated_anew.cells.cut > 0
-    assert any(f"{rated_anew.cells.cut:,} scores" in note for note in rated_anew.notes)
 
 
 def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> None:
@@ -203,11 +166,3 @@ def test_a_few_results_keep_a_campaign_going(database: Database) -> None:
     ended = run(database, submit(database), Simulated(broken=0.7))
     assert ended.state is CampaignState.SUCCEEDED
     assert ended.cells.failed > ALL_FAILED
-
-
-def test_slow_workers_end_a_stage_without_results_all_the_same(database: Database) -> None:
-    simulated = Simulated(broken=2.0)
-    campaign = submit(database, optimizer={"kind": "random", "population": 400, "iterations": 5, "seed": 1})
-    ended = run(database, campaign, simulated, SlowResults(answer=simulated))
-    assert ended.state is CampaignState.FAILED
-    assert ended.cells.failed < 800

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from tests.support.motorways import (
     CONTROLLERS,
-    FMU,
     PARAMETERS,
     compile_fmu,
     compile_program,
@@ -18,7 +17,6 @@ from tests.support.motorways import (
     driven,
     motorway,
 )
-from tests.support.networks import bridges
 from tests.support.simulators import lost
 
 from drivecal.domain.errors import UnavailableError
@@ -109,24 +107,6 @@ def test_the_lane_keeper_holds_the_centre_on_a_curve_and_the_speed_keeper_the_li
     assert series(steered, "speed_mps")[-1] == pytest.approx(36.1, abs=1.0)
 
 
-@pytest.mark.slow("standing1-False", "standing0-False")
-@pytest.mark.parametrize(
-    ("standing", "gap"),
-    [
-        ({"edge": "bridge", "s": 298}, False),
-        ({"edge": "ramp", "s": 640}, False),
-        ({"edge": "after", "s": 300}, True),
-    ],
-)
-def test_vehicles_on_another_level_are_not_on_the_road(tmp_path: Path, standing: dict[str, Any], gap: bool) -> None:
-    bundle = motorway(tmp_path / "bundle", "def control(observation, parameters):\n    return 0.0\n")
-    (bundle / "road.net.xml").write_bytes(bridges())
-    other = {"speed": 0, "model": "constant", "route": [standing["edge"]]} | standing
-    outcome = result(bundle, drive([other], 25.0, route=["before", "after"]), CONTROLLERS["python"])
-    assert (outcome.failure == "collision", outcome.measures["min_gap_m"] < 1000.0) == (gap, gap)
-    assert outcome.measures["duration_s"] == 25.0 or gap
-
-
 @pytest.mark.slow
 def test_steering_leaves_the_road_and_a_blind_driver_hits_the_leader(tmp_path: Path) -> None:
     bundle, controller = python(tmp_path, "def control(o, p):\n    return {'steering': -0.01, 'acceleration': 0}\n")
@@ -155,24 +135,6 @@ def test_a_vehicle_cuts_in_when_the_gap_is_small_enough(folder: Path) -> None:
     late = result(folder, drive([CUTTER | {"actions": [{"do": "cut_in", "time": 6, "lane": 0}]}], 20.0))
     begin = int(np.argmax(series(late, "gap_m") < 1000))
     assert 60 < begin < 90
-
-
-@pytest.mark.slow
-def test_others_react_to_a_lane_change_of_the_ego_vehicle(tmp_path: Path) -> None:
-    code = """
-def control(o, p):
-    off = o["lane_offset"] - (o["lane_width"] if o["lane"] == 0 and o["time"] > 2 else 0.0)
-    return {"curvature": max(min(-0.0015 * off - 0.05 * o["heading_error"], 0.003), -0.003), "acceleration": 0.0}
-"""
-    bundle, controller = python(tmp_path, code, output=["acceleration", "curvature"])
-    follower = {"s": 15, "lane": 1, "speed": 32}
-    outcome = result(bundle, drive([follower], 15.0, ego={"speed": 25}), controller)
-    assert outcome.failure is None
-    assert outcome.measures["lane_changes"] == 1
-    assert series(outcome, "lane")[-1] == 1
-    assert series(outcome, "rear_gap_m")[0] == 1000
-    assert series(outcome, "follower_speed_mps")[-1] < 28
-    assert 5 < series(outcome, "rear_gap_m")[-1] < 60
 
 
 @pytest.mark.slow
@@ -206,15 +168,6 @@ def test_runs_repeat_in_any_order_and_process(folder: Path, kind: str, data: dic
     assert again == first[::-1]
     assert other == [first[2], first[0], first[1]]
     assert first[0] != first[1]
-
-
-@pytest.mark.slow
-def test_a_controller_may_run_slower_or_faster_than_the_traffic(folder: Path) -> None:
-    for period, step in ((0.02, 0.1), (0.5, 0.1), (0.1, 0.02)):
-        outcome = result(folder, drive([BRAKING], 20.0), CONTROLLERS["python"] | {"period": period}, step=step)
-        assert outcome.failure is None
-        assert outcome.measures["duration_s"] == pytest.approx(20)
-        assert series(outcome, "time_s")[1] == pytest.approx(step)
 
 
 @pytest.mark.slow
@@ -304,38 +257,3 @@ def test_a_program_that_is_not_there_refuses_the_worker(folder: Path) -> None:
     for command in (["./missing"], ["no-such-program"]):
         with pytest.raises(UnavailableError), driven(folder, drive(), CONTROLLERS["process"] | {"command": command}):
             pass
-
-
-@pytest.mark.slow
-def test_an_fmu_with_wrong_names_or_an_error_is_named(folder: Path) -> None:
-    with driven(folder, drive(), CONTROLLERS["fmu"]) as session:
-        assert "v00" in lost(session, {"v00": 1}, Breakdown.ERROR)
-        assert "failed at 0 s" in lost(session, PARAMETERS | {"v0": 13.0}, Breakdown.ERROR)
-        assert session.evaluate(PARAMETERS).failure is None
-    with (
-        pytest.raises(UnavailableError, match="u9"),
-        driven(folder, drive(), CONTROLLERS["fmu"] | {"signals": {"gap": "u9", "acceleration": "y"}}),
-    ):
-        pass
-
-
-@pytest.mark.slow
-def test_an_fmu_without_a_reset_has_a_process_for_each_run(tmp_path: Path) -> None:
-    bundle, reset = motorway(tmp_path / "bundle"), "fmi2Reset(fmi2Component c) { return "
-    assert reset in FMU
-    compile_fmu(bundle, FMU.replace(f"{reset}defaults(); }}", f"{reset}fmi2Error; }}"))
-    with driven(bundle, drive(duration=1.0), CONTROLLERS["fmu"]) as session:
-        expected = session.evaluate(PARAMETERS)
-        lost(session, PARAMETERS, Breakdown.ERROR)
-    with driven(bundle, drive(duration=1.0), CONTROLLERS["fmu"] | {"reset": False}) as session:
-        for _ in range(2):
-            assert session.evaluate(PARAMETERS) == expected
-
-
-@pytest.mark.slow
-def test_the_drive_ends_at_the_end_of_the_route(folder: Path) -> None:
-    outcome = result(folder, drive([LEADER | {"s": 2900}], 30.0, ego={"s": 2700}))
-    assert outcome.failure is None
-    assert 8 < outcome.measures["duration_s"] < 12
-    assert 3000 - 2.35 <= series(outcome, "position_m")[-1] < 3003
-    assert series(outcome, "time_s")[-1] == pytest.approx(outcome.measures["duration_s"])

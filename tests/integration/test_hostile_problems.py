@@ -1,4 +1,4 @@
-"""A problem that attacks whatever it reaches, beside one that works: on a real server with workers, as users have them."""
+"""A problem that attacks whatever it reaches, next to one that works: on a real server with workers, as users have them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ elsewhere."""
 
 
 def reach(server: Server, mark: str) -> dict[str, Any]:
-    """What the attacks can try here."""
+    """Returns what the attacks can try here."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

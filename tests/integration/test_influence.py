@@ -65,7 +65,7 @@ def test_a_map_says_what_it_rests_on_and_gives_the_same_rows(api: RunningApi, an
     assert found["source"] == analysed["id"]
     assert found["basis"]["sensitivity"]["intervals"] == 5
     assert [InfluenceRow.model_validate(row) for row in found["rows"]] == list(rows_of(api, analysed).values())
-    listed = next(one for one in api.http.get("/api/v1/influence-maps").json()["items"] if one["id"] == found["id"])
+    listed = next(item for item in api.http.get("/api/v1/influence-maps").json()["items"] if item["id"] == found["id"])
     assert (listed["rows"], listed["basis"]) == (None, None)
 
 

@@ -90,23 +90,6 @@ def test_a_map_of_every_kind_narrows_answers_and_is_validated(database: Database
     assert space.parameters[3].choices == ("eco", "sport", "winter")
 
 
-def test_results_survive_a_longer_and_reordered_list_of_choices(database: Database) -> None:
-    listed: list[dict[str, Any]] = [
-        {"name": "speed", "lower": 0, "upper": 20},
-        {"name": "limit", "lower": 60, "upper": 100, "step": 20},
-        {"name": "gears", "lower": 1, "upper": 2, "integer": True},
-        {"name": "mode", "choices": ["eco", "sport"]},
-    ]
-    sets = [{"speed": 5.000000001, "limit": 80, "gears": 2, "mode": mode, "tyre": "b"} for mode in ("eco", "sport")]
-    optimizer = {"kind": "random", "population": 2, "iterations": 1, "start_sets": sets}
-    wanted = WANTED | {"sensitivity": None, "parameters": listed, "fixed": {"tyre": "b"}, "optimizer": optimizer}
-    first = run(database, submit(database, **wanted), ComputedBackend(answer=rated))
-    assert first.cells.simulated == 4
-    listed[-1] = {"name": "mode", "choices": ["winter", "sport", "eco"]}
-    second = run(database, submit(database, **wanted | {"parameters": listed}), ComputedBackend(answer=rated))
-    assert (second.cells.repeated, second.cells.simulated) == (4, 0)
-
-
 def test_texts_reach_every_answer_table_and_file(database: Database, tmp_path: Path) -> None:
     app = create_app(load_settings(database_url=f"sqlite:///{tmp_path / 'drivecal.db'}"))
     with TestClient(app, base_url="http://127.0.0.1") as http:

@@ -1,4 +1,4 @@
-"""What validations and audits showed of an influence map stays with it: later campaigns are warned."""
+"""Tests of what validations and audits showed of an influence map stays with it: later campaigns are warned."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from tests.support.storage import new_evaluation
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.api.results.document import account_of
 from drivecal.campaigns.cells.predicting import slice_size
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results import explanation as prediction
@@ -234,19 +233,6 @@ def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_predicti
     assert (explanation.prediction.score, explanation.prediction.confidence) == (believed.predicted_score, believed.confidence)
     assert explanation.prediction.lot is not None
     assert explanation.prediction.lot.id == believed.lot
-
-
-def test_the_account_has_the_cost_of_lots_before_their_generation_ends(database: Database) -> None:
-    campaign = ask(database)
-    step_until(database, campaign, 2, dispatcher(database, ComputedBackend(answer=slowly)))
-    costs: dict[str, float] = {}
-    for lot in lots_of(database, campaign):
-        costs[lot.scenario] = costs.get(lot.scenario, 0.0) + lot.seconds
-    with database.read() as connection:
-        account = account_of(connection, campaign)
-    told = {row.scenario: row.predictor_seconds for row in account.scenarios}
-    assert {name: told[name] for name in costs} == pytest.approx(costs)
-    assert {name: released.seconds for name, released in get(database, campaign).released.items()} != pytest.approx(costs)
 
 
 def test_the_predictor_that_explains_is_the_predictor_that_predicted(

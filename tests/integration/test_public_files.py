@@ -2,7 +2,7 @@
 
 The files come in packages of PyPI under the GPL, so they are fetched and not stored here: `ASAP2_Demo_V161.a2l` of pya2ldb, which reads A2L
 by a parser in C++, and ASAM's and ETAS's demonstrations of CDF 2.0 in the source archive of asamint. No package holds a DCM: that of
-a public project under the MIT licence is beside `tests/unit/calibration_data/test_dcm.py`.
+a public project under the MIT licence is next to `tests/unit/calibration_data/test_dcm.py`.
 """
 
 from __future__ import annotations

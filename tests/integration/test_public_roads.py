@@ -35,7 +35,7 @@ pytestmark = [pytest.mark.packages, pytest.mark.timeout(900)]
 
 ARCHIVE = "bark-simulator==1.0.4"
 READER = ("pyxodr==0.1.3", "shapely==2.2.0", "rich==15.0.0", "markdown-it-py==4.3.0", "mdurl==0.1.2", "pygments==2.21.0")
-"""pyxodr, and what it needs beside lxml, matplotlib and scipy."""
+"""pyxodr, and what it needs next to lxml, matplotlib and scipy."""
 REPOSITORY = "https://raw.githubusercontent.com/esmini/esmini/77028d83e6d402de52f7187e5384d1b1c02b7d1f"
 LONGEST = 30
 """Lines of a `problem.yaml`."""
@@ -100,7 +100,7 @@ ROADS = {
         "7675a363581e4122a4f99eda0a907e3b21fece42226c7db29018359de0688561",
         ("-0#0", "-0#1", "-1"), 1, 15.0, 7, (35 * 0.44704,),
     ),
-    # the begin of a motorway: a ramp beside one lane
+    # the begin of a motorway: a ramp next to one lane
     "merge-of-two": Public(
         f"{BARK}/DR_DEU_Merging_MT_v01_centered.xodr",
         "56beba0203b997f49d39dcd67643f2d67dbcfedad200745c46a35538fa3ffbb1",
@@ -243,7 +243,7 @@ FILES = {
 def test_a_public_scenario_is_driven_as_it_is(
     fetched: Path, tmp_path: Path, name: str, road: str, data: Mapping[str, Any], speed: float
 ) -> None:
-    """The vehicles come from the catalog beside the scenarios. The controller does not brake: a collision is a result, too."""
+    """The vehicles come from the catalog next to the scenarios. The controller does not brake: a collision is a result, too."""
     names = (f"xosc/{name}.xosc", f"xodr/{road}.xodr", "xosc/Catalogs/Vehicles/VehicleCatalog.xosc")
     files = {file: public(fetched, f"resources/{file}", FILES[file]) for file in names}
     scenario = {"openscenario": names[0], "default_limit": FREE, **data}

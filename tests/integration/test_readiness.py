@@ -1,4 +1,4 @@
-"""What the API says of itself while something that it needs is missing."""
+"""Tests of what the API says of itself while something that it needs is missing."""
 
 from __future__ import annotations
 

@@ -150,15 +150,6 @@ def test_without_a_limit_there_are_no_lots_and_audits_stay(database: Database) -
     assert campaign.cells.reused > campaign.cells.audited > 0
 
 
-def test_audits_that_are_asked_for_are_no_part_of_the_lots(database: Database) -> None:
-    campaign = run(database, ask(database, audit=0.2), ComputedBackend(answer=nearly))
-    rows = rows_of(database, campaign)
-    drawn, asked = ([row for row in rows if row.audited and (row.lot is None) == alone] for alone in (False, True))
-    assert len(drawn) == sum(lot.sample for lot in lots_of(database, campaign))
-    assert asked
-    assert sum(rate.audited for rate in campaign.error_rate.values()) == len(drawn) + len(asked)
-
-
 def test_a_reference_without_a_result_answers_no_cell_of_its_lot(database: Database) -> None:
     campaign = run(database, ask(database), ComputedBackend(answer=breaking))
     rows = rows_of(database, campaign)

@@ -52,7 +52,7 @@ class Strict:
 
 
 def strict_answer(scenario: str, cell: Cell) -> CellResult:
-    """What a worker with that evaluator gives."""
+    """Returns what a worker with that evaluator gives."""
     usual = influenced(scenario, cell)
     if usual.failure:
         return usual

@@ -8,19 +8,17 @@ from typing import Any
 
 import pytest
 from sqlalchemy import select
-from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, finish, get, submit
+from tests.support.runs import dispatcher, finish, get, submit
 
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
 from drivecal.optimizers import optuna_samplers
-from drivecal.optimizers.optuna_samplers import OPTUNA, OptunaSettings
+from drivecal.optimizers.optuna_samplers import OPTUNA
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database, Patience
 from drivecal.storage.engine.tables import evaluations, generations
-from drivecal.storage.maintenance.consistency import INVARIANTS
 
 SEARCH = {"kind": "optuna", "sampler": "random", "population": 8, "iterations": 6, "seed": 3}
 IMPATIENT = Patience(lock=0.05, connect=1, statement=None, watched=False)
@@ -63,25 +61,6 @@ def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -
     monkeypatch.setattr(optuna_samplers.OptunaEngine, "learn", learning)
 
 
-@pytest.mark.slow
-def test_an_engine_that_draws_otherwise_ends_the_campaign_and_changes_no_row(
-    database: Database, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    campaign = _begun(database, 3)
-    before, sampler = _rows(database, campaign), optuna_samplers._sampler
-    monkeypatch.setattr(
-        optuna_samplers,
-        "_sampler",
-        lambda settings: sampler(OptunaSettings(**(settings.model_dump() | {"seed": settings.seed + 1}))),
-    )
-    ended = finish(database, campaign, dispatcher(database))
-    assert ended.state is CampaignState.FAILED
-    assert "iteration 1" in str(ended.error)
-    assert _rows(database, campaign) == before
-    with database.read() as connection:
-        assert [problem for check in INVARIANTS.values() for problem in check(connection)] == []
-
-
 def test_others_can_write_while_a_search_is_restored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     url = f"sqlite:///{tmp_path / 'drivecal.db'}"
     database, other = Database.open(url), Database.open(url, IMPATIENT)
@@ -118,14 +97,3 @@ def test_a_dispatcher_that_lost_its_leadership_during_a_restore_writes_nothing(
         with pytest.raises(SupersededError):
             finish(database, campaign, superseded)
     assert (_rows(database, campaign), get(database, campaign)) == before
-
-
-def test_a_search_that_was_resumed_ends_as_one_that_was_not(tmp_path: Path) -> None:
-    found = []
-    for name in ("whole", "resumed"):
-        database = migrated(f"sqlite:///{tmp_path / name}.db")
-        campaign = _begun(database, 3) if name == "resumed" else submit(database, optimizer=SEARCH)
-        finish(database, campaign, dispatcher(database))
-        found.append(everything(database, campaign))
-        database.dispose()
-    assert found[0] == found[1]

@@ -34,8 +34,8 @@ def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: 
         assert (found.reason, found.campaign, found.score) == ("reused", campaign.id, row.score)
         assert found.reference is not None
         assert found.reference.evaluation == row.reference
-        assert [one.parameter for one in found.differences] == [IGNORED[row.scenario]]
-        assert {(one.region, one.blocks) for one in found.differences} == {("anywhere", False)}
+        assert [difference.parameter for difference in found.differences] == [IGNORED[row.scenario]]
+        assert {(difference.region, difference.blocks) for difference in found.differences} == {("anywhere", False)}
     repeated = next(row for row in rows if row.outcome is Outcome.REPEATED)
     again = _explain(database, repeated)
     assert (again.reason, again.differences, again.stored) == ("repeated", [], None)
@@ -81,7 +81,7 @@ def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(databa
         assert found.reference is not None
         assert found.reference.evaluation == expected.id
         assert (
-            sum(one.blocks for one in found.differences)
+            sum(difference.blocks for difference in found.differences)
             == _blocks(cell.scenario, numbers(cell.parameters), numbers(expected.parameters))
             > 0
         )
@@ -142,7 +142,7 @@ def test_a_cell_without_a_result_is_explained_as_failed(database: Database) -> N
         return computed(scenario, cell)
 
     space = [EXPERT_SPACE[1], {**EXPERT_SPACE[8], "step": 0.1}]
-    rest = {one["name"]: 0.5 for one in EXPERT_SPACE if one["name"] not in {"P2", "P9"}}
+    rest = {parameter["name"]: 0.5 for parameter in EXPERT_SPACE if parameter["name"] not in {"P2", "P9"}}
     changes: dict[str, Any] = {"parameters": space, "fixed": rest, "reduction": {"audit": 0.0}}
     campaign = run(
         database, submit(database, stored_map=post_map(database, TRUE_MAP), **changes), ComputedBackend(answer=fragile)

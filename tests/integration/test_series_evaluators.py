@@ -42,7 +42,7 @@ class Seeing:
 
 
 def seen(scenario: str, cell: Cell) -> CellResult:
-    """What a worker with that evaluator gives."""
+    """Returns what a worker with that evaluator gives."""
     usual = influenced(scenario, cell)
     if usual.failure or usual.rating is None:
         return usual

@@ -49,7 +49,7 @@ def lines_of(server: Server) -> list[dict[str, Any]]:
 
 
 def is_counted(http: httpx.Client, measured: str) -> bool:
-    """Whether the metrics have durations of this kind."""
+    """Returns whether the metrics have durations of this kind."""
     return re.search(rf"^drivecal_{measured}_seconds_count [1-9]", http.get("/metrics").text, re.MULTILINE) is not None
 
 

@@ -128,7 +128,7 @@ def control(observation, parameters):
 """A controller whose first child leaves files for the second one."""
 
 
-@pytest.mark.slow("planner", "steering", "trajectory", "acceleration", "warm_up", "vehicle")
+@pytest.mark.faults("planner", "steering", "trajectory", "acceleration", "warm_up", "vehicle")
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [(kind, drive(TRAFFIC, 5.0)) for kind in SESSIONS]

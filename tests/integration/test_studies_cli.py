@@ -115,13 +115,17 @@ def test_the_optima_are_the_best_solutions_with_their_regions(
     url = f"/api/v1/campaigns/{ended}"
     optima = api.http.get(f"{url}/optima?limit=1000").json()["items"]
     ranked = api.http.get(f"{url}/solutions?limit=1000").json()["items"]
-    assert len(optima) == sum(one["objective"] == ranked[0]["objective"] for one in ranked), "as studies corrected the scores"
+    assert len(optima) == sum(solution["objective"] == ranked[0]["objective"] for solution in ranked), (
+        "as studies corrected the scores"
+    )
     best = api.http.get(f"{url}/solutions?limit={len(optima)}").json()["items"]
-    assert [{name: one[name] for name in best[0]} for one in optima] == best
-    assert sorted({one["region"] for one in optima}) == list(range(1 + max(one["region"] for one in optima)))
-    assert all(one["to_worse"] > 0 for one in optima)
+    assert [{name: optimum[name] for name in best[0]} for optimum in optima] == best
+    assert sorted({optimum["region"] for optimum in optima}) == list(range(1 + max(optimum["region"] for optimum in optima)))
+    assert all(optimum["to_worse"] > 0 for optimum in optima)
     rows = list(csv.DictReader(io.StringIO(api.http.get(f"{url}/optima?format=csv").text)))
-    assert [(int(row["rank"]), int(row["region"])) for row in rows] == [(one["rank"], one["region"]) for one in optima]
+    assert [(int(row["rank"]), int(row["region"])) for row in rows] == [
+        (optimum["rank"], optimum["region"]) for optimum in optima
+    ]
     monkeypatch.setattr("drivecal.campaigns.results.optima.MOST_BEST", 1)
     (first,) = api.http.get(f"{url}/optima").json()["items"]
     assert first["to_worse"] == optima[0]["to_worse"], "sets that are not looked at are not worse"
@@ -154,14 +158,14 @@ def test_a_calibration_file_has_the_degree_of_a_study_by_another_campaign(run: R
 
 def test_the_setup_tells_versions_and_the_fingerprints_of_the_reference_table(api: RunningApi, ended: str) -> None:
     found = api.http.get(f"/api/v1/campaigns/{ended}/setup").json()
-    known = {one["fingerprint"]: one for one in api.http.get("/api/v1/references").json()["items"]}
-    assert [one["scenario"] for one in found["scenarios"]] == ["S1", "S2"]
-    for one in found["scenarios"]:
-        assert (one["driving_function"], one["vehicle"], one["simulator"]) == tuple(
-            known[one["fingerprint"]][name] for name in ("driving_function", "vehicle", "simulator")
+    known = {item["fingerprint"]: item for item in api.http.get("/api/v1/references").json()["items"]}
+    assert [scenario["scenario"] for scenario in found["scenarios"]] == ["S1", "S2"]
+    for scenario in found["scenarios"]:
+        assert (scenario["driving_function"], scenario["vehicle"], scenario["simulator"]) == tuple(
+            known[scenario["fingerprint"]][name] for name in ("driving_function", "vehicle", "simulator")
         )
-        assert one["weight"] == 0.5
-        assert one["vehicle_parameters"]["mass"] == 2060
-    assert [one["name"] for one in found["parameters"]] == list(
+        assert scenario["weight"] == 0.5
+        assert scenario["vehicle_parameters"]["mass"] == 2060
+    assert [parameter["name"] for parameter in found["parameters"]] == list(
         api.http.get(f"/api/v1/campaigns/{ended}").json()["best"]["parameters"]
     )

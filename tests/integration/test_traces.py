@@ -48,7 +48,7 @@ def document(result: CellResult) -> dict[str, Any]:
 
 
 def traced(scenario: str, cell: Cell) -> CellResult:
-    """What a worker gives: time series where they are wanted; for P9 = 7 nothing."""
+    """Returns what a worker gives: time series where they are wanted; for P9 = 7 nothing."""
     result = computed(scenario, cell)
     if cell.parameters["P9"] == 8 and cell.trace and FAILING:
         return CellResult(cell.id, None, None, {}, None, 7.0, FAILING[0], "it took too long")
@@ -175,20 +175,6 @@ def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> No
     assert ask(api, numbers[1]).status_code == 202
     work(api)
     assert ask(api, numbers[1]).status_code == 200
-
-
-def test_a_scenario_has_what_one_needs_to_draw_it(api: RunningApi) -> None:
-    found = api.http.get("/api/v1/scenarios/S6").json()
-    scenario = registry.catalogue("highway").scenarios["S6"]
-    road = found["road"]
-    assert (found["id"], found["target_lane"], road["lanes"]) == ("S6", scenario.task.target_lane, scenario.road.lanes)
-    assert len(road["boundaries"]) == scenario.road.lanes + 1
-    for right, left in zip(road["boundaries"], road["boundaries"][1:], strict=False):
-        for (x, y), (other_x, other_y) in zip(right, left, strict=True):
-            assert (other_x - x) ** 2 + (other_y - y) ** 2 == pytest.approx(scenario.road.lane_width**2, rel=1e-5)
-    assert [vehicle["id"] for vehicle in found["traffic"]] == [vehicle.id for vehicle in scenario.traffic]
-    assert api.http.get("/api/v1/scenarios/S9").status_code == 404
-    assert api.http.get("/api/v1/scenarios/S6?catalogue=other").status_code == 404
 
 
 def test_a_run_on_a_road_network_has_a_replay_with_its_lanes(api: RunningApi) -> None:

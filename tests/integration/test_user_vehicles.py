@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.motorways import CONTROLLERS, PARAMETERS, compile_fmu, drive, driven, motorway
+from tests.support.motorways import PARAMETERS, compile_fmu, drive, driven, motorway
 from tests.support.simulators import lost
-from tests.support.vehicles import LANE_KEEPER, VEHICLES, write_vehicles
+from tests.support.vehicles import VEHICLES, write_vehicles
 
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -46,34 +46,6 @@ def test_all_kinds_of_vehicles_give_the_same_bits_in_every_run(folder: Path, kin
     assert outcomes[0].failure is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "controller",
-    [
-        {"kind": "python", "file": "acc.py", "output": ["acceleration"]},
-        LANE_KEEPER,
-        {"kind": "python", "file": "steady.py", "output": ["trajectory"], "period": 0.2},
-    ],
-    ids=["path", "curvature", "trajectory"],
-)
-def test_the_trackers_keep_another_vehicle_on_its_lane_on_a_curve_as_the_built_in_one(
-    folder: Path, controller: dict[str, Any]
-) -> None:
-    own, built_in = (result(folder, vehicle, controller)[0] for vehicle in (VEHICLES["python"], "single_track"))
-    assert own.measures != built_in.measures
-    assert own.measures["max_lane_offset_m"] < 0.8  # the trackers assume a car that understeers, and feed back slowly
-    assert own.measures["distance_m"] == pytest.approx(built_in.measures["distance_m"], rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_lane_keeper_in_cpp_and_an_acc_as_an_fmu_give_the_same_bits_on_two_workers(folder: Path) -> None:
-    for controller in (LANE_KEEPER, CONTROLLERS["fmu"]):
-        with driven(folder, CURVE, controller) as one, driven(folder, CURVE, controller) as other:
-            outcomes = [session.evaluate(PARAMETERS, series=True) for session in (one, other, one, other)]
-        assert all(outcome == outcomes[0] for outcome in outcomes)
-        assert outcomes[0].failure is None
-
-
 @pytest.mark.slow("step", "2 values", "finite", "numbers")
 @pytest.mark.parametrize(
     ("code", "cause"),
@@ -91,18 +63,6 @@ def test_a_faulty_vehicle_costs_its_cell(tmp_path: Path, code: str, cause: str) 
     (bundle / "car.py").write_text(f"class Vehicle:\n    {code}\n")
     with driven(bundle, drive(), vehicle={"kind": "python", "file": "car.py"}) as session:
         assert cause in lost(session, PARAMETERS, Breakdown.ERROR)
-
-
-@pytest.mark.slow
-def test_a_vehicle_that_leaves_its_grip_is_unstable(tmp_path: Path) -> None:
-    bundle = motorway(tmp_path / "b")
-    (bundle / "car.py").write_text(
-        "class Vehicle:\n    def __init__(self, p, s, speed): self.x, self.v = 0.0, speed\n"
-        "    def step(self, *_):\n        self.x += 0.01 * self.v\n        return self.x, 0.0, 0.0, self.v, 0.4, 12.0\n"
-    )
-    vehicle = {"kind": "python", "file": "car.py", "state": ["x", "y", "heading", "speed", "yaw_rate", "lateral_acceleration"]}
-    with driven(bundle, drive(), vehicle=vehicle) as session:
-        assert session.evaluate(PARAMETERS).failure == "unstable"
 
 
 def test_a_vehicle_that_is_not_there_refuses_the_worker(folder: Path) -> None:

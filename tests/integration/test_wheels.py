@@ -39,7 +39,7 @@ print(json.dumps(sizes))
 
 @dataclass(frozen=True)
 class Installed:
-    """A layer in an environment of its own, and an empty home folder beside it."""
+    """A layer in an environment of its own, and an empty home folder next to it."""
 
     python: Path
     megabytes: float

@@ -1,1 +1,1 @@
-"""What several tests share."""
+"""Parts of tests: what several tests share."""

@@ -48,7 +48,7 @@ def read_comparison(database: Database, tag: str) -> Comparison:
 
 
 def have_ended(database: Database, tag: str) -> bool:
-    """Whether all campaigns of a comparison have ended."""
+    """Returns whether all campaigns of a comparison have ended."""
     return all(campaign.state.ended for campaign in runs_of(database, tag))
 
 

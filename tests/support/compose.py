@@ -58,7 +58,7 @@ class Cluster:
     def run(
         self, *words: str, check: bool = True, environment: Mapping[str, str] | None = None, given: bytes | None = None
     ) -> str:
-        """What a command says on standard output, with `given` on its standard input. AssertionError with all that it said where it
+        """Returns what a command says on standard output, with `given` on its standard input. AssertionError with all that it said where it
         fails."""
         done = subprocess.run(
             words,
@@ -98,7 +98,7 @@ class Cluster:
             self.compose("up", "-d", "--no-deps", "--force-recreate", "--timeout", "10", service)
 
     def problems(self) -> str:
-        """What `/readyz` has to say; nothing where it does not answer."""
+        """Returns what `/readyz` has to say; nothing where it does not answer."""
         with suppress(httpx.HTTPError, ValueError):
             return " ".join(self.http.get("/readyz").json().get("problems", []))
         return ""
@@ -114,7 +114,7 @@ class Cluster:
         return int(self.run("docker", "inspect", "-f", "{{.RestartCount}}", container))
 
     def drivecal(self, *words: str) -> str:
-        """The command, as its user runs it: beside the cluster, with address and token."""
+        """The command, as its user runs it: next to the cluster, with address and token."""
         client = {"DRIVECAL_URL": self.url, "DRIVECAL_TOKEN": self.token, "DRIVECAL_HOME": str(self.folder)}
         return self.run(sys.executable, "-m", "drivecal.cli", *words, environment=client)
 

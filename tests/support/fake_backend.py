@@ -13,7 +13,7 @@ from drivecal.execution.backend import LONGEST_QUEUED, Finished, Lost, Slot, Wor
 
 
 class Behaviour(IntEnum):
-    """What a cell does, given as its parameter `behaviour`; those of the Ray tests' plug-in mean the same."""
+    """Describes what a cell does, given as its parameter `behaviour`; those of the Ray tests' plug-in mean the same."""
 
     WELL = 0
     CRASH = 1
@@ -191,7 +191,7 @@ class FakeBackend:
         if not batch.cells:
             return [Finished(batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
         answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)
-        if any(one.breakdown is None for one in answers):
+        if any(answer.breakdown is None for answer in answers):
             worker.fault = None
         return [Finished(batch_id, BatchResult(worker.name, answers, seconds))]
 

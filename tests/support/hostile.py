@@ -112,7 +112,7 @@ def attack(client: Client, name: str, problem: str = "attacker") -> str:
 
 
 def is_pending(client: Client, identifier: str) -> bool:
-    """Whether a single evaluation has not ended."""
+    """Returns whether a single evaluation has not ended."""
     return client.evaluation(identifier).state in {"queued", "running"}
 
 

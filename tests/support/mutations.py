@@ -142,7 +142,7 @@ def soon() -> Iterator[None]:
 
 
 def outcome(attempt: Callable[[], object]) -> bool:
-    """Whether the attempt succeeds; any exception but InvalidInputError fails the test, and so does a hang or a file elsewhere."""
+    """Returns whether the attempt succeeds; any exception but InvalidInputError fails the test, and so does a hang or a file elsewhere."""
     problems: tuple[Problem, ...] = ()
     with warnings.catch_warnings(), soon(), at_home():
         warnings.simplefilter("error")

@@ -126,7 +126,7 @@ def crossing(kind: str = "priority") -> bytes:
 
 @cache
 def bridges() -> bytes:
-    """Two lanes under a bridge at x = 300, and an exit at x = 400 that crosses over them at x = 800; a road beside them back."""
+    """Two lanes under a bridge at x = 300, and an exit at x = 400 that crosses over them at x = 800; a road next to them back."""
     nodes = [
         node("a", 0, 0),
         node("b", 400, 0),

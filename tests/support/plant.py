@@ -37,7 +37,7 @@ def send(scheduler: Scheduler, worker: str = W) -> Dispatch:
 
 
 def answers(dispatch: Dispatch, seconds: float = 0.1) -> BatchResult:
-    """What a worker makes of a batch: the parameter is the rating."""
+    """Returns what a worker makes of a batch: the parameter is the rating."""
     return BatchResult(dispatch.worker, tuple(map(answer, dispatch.batch.cells)), seconds)
 
 

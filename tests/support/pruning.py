@@ -1,4 +1,4 @@
-"""What tests of the removal of old results ask of a database before and after."""
+"""Parts of tests: what tests of the removal of old results ask of a database before and after."""
 
 from __future__ import annotations
 

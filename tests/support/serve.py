@@ -87,7 +87,7 @@ def gone(family: list[psutil.Process]) -> bool:
 
 
 def alive(process: psutil.Process) -> bool:
-    """Whether a process runs: it may also end between two questions."""
+    """Returns whether a process runs: it may also end between two questions."""
     try:
         return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
     except psutil.NoSuchProcess:

@@ -58,7 +58,7 @@ def new_database(request: pytest.FixtureRequest, kind: str, folder: Path) -> str
 
 @contextmanager
 def serving(database_url: str, port: int = 0, **settings: Any) -> Iterator[RunningApi]:
-    """The API on a loopback port, a free one where none is given, until the block is left; `settings` beside the database, as flags.
+    """The API on a loopback port, a free one where none is given, until the block is left; `settings` next to the database, as flags.
 
     Problems can be pushed with a tokens file, or by the secret in a `home` of the test's own.
     """

@@ -136,7 +136,7 @@ def running(mark: str) -> list[psutil.Process]:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process lives; one that nobody has waited for does not."""
+    """Returns whether a process lives; one that nobody has waited for does not."""
     try:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

@@ -228,8 +228,8 @@ class Turmoil(RuleBasedStateMachine):
         return {cell.id for place in self.places for sent in place.batches for cell in sent.batch.cells}
 
     def _next(self, place: Place) -> Dispatch | None:
-        """What a worker has room for; one that is to be replaced is."""
-        if len(place.batches) == 2 or any(one.alone for one in place.batches):
+        """Returns what a worker has room for; one that is to be replaced is."""
+        if len(place.batches) == 2 or any(batch.alone for batch in place.batches):
             return None
         sent = self.scheduler.next_batch(place.name, idle=not place.batches)
         if sent is not None:
@@ -382,7 +382,7 @@ class Turmoil(RuleBasedStateMachine):
 
 
 def run_turmoil(steps: int) -> int:
-    """Takes at least so many steps; returns how many."""
+    """Takes at least this many steps; returns how many."""
 
     class Counted(Turmoil):
         pass

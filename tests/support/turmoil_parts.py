@@ -1,4 +1,4 @@
-"""What the state machine of `tests.support.turmoil` plays with: cells in a database, workers, and their answers."""
+"""Parts of tests: what the state machine of `tests.support.turmoil` plays with: cells in a database, workers, and their answers."""
 
 from __future__ import annotations
 

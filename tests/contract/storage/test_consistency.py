@@ -72,7 +72,7 @@ def failing(scenario: str, cell: Cell) -> CellResult:
     return influenced(scenario, cell)
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 def test_nothing_is_broken_at_any_moment_of_campaigns(database: Database) -> None:
     listed = [submit(database, **SMALL), submit(database, **SMALL | {"weights": {"S1": 1}}), submit(database, **SMALL)]
     working = dispatcher(database, ComputedBackend(4, failing))

@@ -1,1 +1,1 @@
-"""What the fault suite does to a server, and how it sees that nothing came of it."""
+"""Parts of tests: what the fault suite does to a server, and how it sees that nothing came of it."""

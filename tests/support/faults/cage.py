@@ -57,8 +57,8 @@ def main(command: list[str]) -> int:
             if ready and not os.read(0, 4096):
                 watched = False
         if not watched:
-            for one in descendants(os.getpid()):
-                _kill(one)
+            for descendant in descendants(os.getpid()):
+                _kill(descendant)
             time.sleep(0.01)
 
 

@@ -30,7 +30,7 @@ READY_SECONDS = 60.0 if LONG else 240.0
 STOP_SECONDS = 10.0 if LONG else 60.0
 """In which SIGTERM ends it."""
 ORPHAN_SECONDS = 5.0 if LONG else 60.0
-"""In which nothing is left of what was killed. The long forms hold the promises; the short ones run beside others on slow machines."""
+"""In which nothing is left of what was killed. The long forms hold the promises; the short ones run next to others on slow machines."""
 
 
 class Coordinator:
@@ -84,7 +84,7 @@ class Coordinator:
 
     @property
     def running(self) -> bool:
-        """Whether anything of it runs."""
+        """Returns whether anything of it runs."""
         return self._cage is not None and self._cage.poll() is None
 
     def family(self) -> list[psutil.Process]:
@@ -92,7 +92,7 @@ class Coordinator:
         if self._cage is None:
             return []
         with suppress(psutil.NoSuchProcess):
-            return [one for one in psutil.Process(self._cage.pid).children(recursive=True) if alive(one)]
+            return [process for process in psutil.Process(self._cage.pid).children(recursive=True) if alive(process)]
         return []
 
     def supervisor(self) -> psutil.Process:
@@ -109,7 +109,7 @@ class Coordinator:
 
     def ray_part(self, name: str) -> psutil.Process:
         """`raylet` or `gcs_server` of the local Ray."""
-        found = [one for one in self.dispatcher().children(recursive=True) if alive(one) and one.name() == name]
+        found = [process for process in self.dispatcher().children(recursive=True) if alive(process) and process.name() == name]
         assert found, f"no {name} runs"
         return found[0]
 
@@ -117,10 +117,10 @@ class Coordinator:
         """The workers' processes that the dispatcher knows, as far as they run, by its last heartbeat; on this machine only."""
         told = self.heartbeat()
         known = {worker["pid"] for worker in told.detail.get("workers", ())} if told else set()
-        return [one for one in self.family() if one.pid in known]
+        return [process for process in self.family() if process.pid in known]
 
     def heartbeat(self) -> StoredProcess | None:
-        """What the dispatcher last said."""
+        """Returns what the dispatcher last said."""
         with self.database.read() as connection:
             return processes.read(connection, "dispatcher")
 
@@ -133,7 +133,7 @@ class Coordinator:
 
     @property
     def ready(self) -> bool:
-        """Whether the API says so, and the dispatcher that runs is the one that it means, with a worker."""
+        """Returns whether the API says so, and the dispatcher that runs is the one that it means, with a worker."""
         answer = self.answers("/readyz")
         if answer is None or answer.status_code != httpx.codes.OK:
             return False
@@ -177,9 +177,9 @@ class Coordinator:
         """SIGKILL to every process of it at once, and to those that were being started meanwhile."""
         patience = Patience(ORPHAN_SECONDS, self.family)
         while self.running and not patience.over:
-            for one in self.family():
+            for process in self.family():
                 with suppress(psutil.NoSuchProcess):
-                    one.kill()
+                    process.kill()
             time.sleep(0.02)
         self.wait_gone()
 
@@ -199,7 +199,7 @@ class Coordinator:
         patience = Patience(seconds, self.family)
         while self.running:
             if patience.over:
-                left = [f"{one.pid} {' '.join(one.cmdline())[:120]}" for one in self.family()]
+                left = [f"{process.pid} {' '.join(process.cmdline())[:120]}" for process in self.family()]
                 raise AssertionError(f"after {patience.told()} there are still {left}:\n{self.told()}")
             time.sleep(0.02)
         self._forget_cage()
@@ -235,11 +235,11 @@ class Coordinator:
 
     def _one(self, *words: str) -> psutil.Process:
         """The process with these words in its command line; its guardian has them as well."""
-        for one in self.family():
+        for process in self.family():
             with suppress(psutil.NoSuchProcess):
-                line = one.cmdline()
+                line = process.cmdline()
                 if all(word in line for word in words) and "drivecal.server.guardian" not in line:
-                    return one
+                    return process
         raise AssertionError(f"no {' '.join(words)} runs")
 
     @staticmethod
@@ -266,12 +266,12 @@ def coordinator(
 @contextmanager
 def suspended(family: list[psutil.Process]) -> Iterator[None]:
     """Processes stand still (SIGSTOP) until the block is left."""
-    for one in family:
+    for process in family:
         with suppress(psutil.NoSuchProcess):
-            one.suspend()
+            process.suspend()
     try:
         yield
     finally:
-        for one in family:
+        for process in family:
             with suppress(psutil.NoSuchProcess):
-                one.resume()
+                process.resume()

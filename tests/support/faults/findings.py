@@ -130,11 +130,11 @@ def assert_equal(name: str, ours: Found, expected: Found) -> None:
 
 
 def assert_sound(coordinator: Served, accepted: Accepted) -> None:
-    """What holds of every database whose campaigns have ended. AssertionError naming what does not."""
+    """Returns what holds of every database whose campaigns have ended. AssertionError naming what does not."""
     wrong = [f"a request was answered {answer}" for answer in accepted.refused]
     with Client(coordinator.url) as client, coordinator.database.read() as connection:
         for name, identifier in accepted.campaigns.items():
-            wrong += [f"{name}: {one}" for one in _contradictions(client.campaign(identifier))]
+            wrong += [f"{name}: {contradiction}" for contradiction in _contradictions(client.campaign(identifier))]
         for key, answers in accepted.evaluations.items():
             if len(set(answers)) > 1:
                 wrong.append(f"key {key} made evaluations {answers}")

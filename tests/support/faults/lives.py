@@ -93,7 +93,7 @@ def terminate(coordinator: Coordinator) -> None:
 
 
 def outage(postgres: KillablePostgres, seconds: float) -> Fault:
-    """PostgreSQL is killed in the middle of a commit and comes back after so many seconds. Meanwhile the API lives, and says what is
+    """PostgreSQL is killed in the middle of a commit and comes back after this many seconds. Meanwhile the API lives, and says what is
     wrong."""
 
     def postgres_killed(coordinator: Coordinator) -> None:
@@ -121,14 +121,14 @@ def assert_said(coordinator: Coordinator, word: str) -> None:
 
     def said() -> bool:
         answers[:] = filter(None, [coordinator.answers("/readyz")])
-        return any(one.status_code != httpx.codes.OK and word in one.text for one in answers)
+        return any(answer.status_code != httpx.codes.OK and word in answer.text for answer in answers)
 
     took = coordinator.until(said, f"that /readyz names the {word}", SAID_SECONDS)
     print(f"         said after {took}: {answers[0].json()['problems']}", flush=True)
 
 
 def asleep_for(seconds: float) -> Fault:
-    """SIGSTOP to all its processes, and SIGCONT after so many seconds: a laptop that sleeps."""
+    """SIGSTOP to all its processes, and SIGCONT after this many seconds: a laptop that sleeps."""
 
     def asleep(coordinator: Coordinator) -> None:
         with suspended(coordinator.family()):
@@ -163,7 +163,7 @@ def and_ready_again(fault: Fault) -> Fault:
 
 @dataclass(frozen=True)
 class Moment:
-    """When a fault happens: at a share of the campaigns' cells, or so many seconds after the last fault whatever was done by then."""
+    """When a fault happens: at a share of the campaigns' cells, or this many seconds after the last fault whatever was done by then."""
 
     share: float | None
     seconds: float
@@ -171,7 +171,7 @@ class Moment:
 
 @dataclass
 class Life:
-    """What happened: printed where a test fails, so that it can be repeated."""
+    """Describes what happened: printed where a test fails, so that it can be repeated."""
 
     coordinator: Coordinator
     cells: int
@@ -206,7 +206,7 @@ class Life:
         """Cells of the campaigns that have their answer; None while the database does not say."""
         try:
             with self.coordinator.database.read() as connection:
-                sequences = [campaigns.get(connection, one).sequence for one in accepted.campaigns.values()]
+                sequences = [campaigns.get(connection, campaign).sequence for campaign in accepted.campaigns.values()]
                 query = select(func.count()).where(
                     evaluations.c.outcome.is_not(None), evaluations.c.campaign_sequence.in_(sequences)
                 )
@@ -284,7 +284,7 @@ def wait_until_ended(coordinator: Coordinator, accepted: Accepted, seconds: floa
 
 
 def has_ended(coordinator: Coordinator, accepted: Accepted) -> bool:
-    """Whether everything that was accepted has ended; not, where the database does not say."""
+    """Returns whether everything that was accepted has ended; not, where the database does not say."""
     with suppress(DrivecalError), coordinator.database.read() as connection:
         identifiers = [*accepted.campaigns.values(), *(answers[0] for answers in accepted.evaluations.values())]
         if not all(campaigns.get(connection, identifier).state.ended for identifier in identifiers):

@@ -58,7 +58,7 @@ class InThisProcess:
 
 
 def undisturbed(folder: Path) -> dict[str, Found]:
-    """What the suite's campaigns find, by name; on SQLite. AssertionError where they would not show what they are there to show."""
+    """Returns what the suite's campaigns find, by name; on SQLite. AssertionError where they would not show what they are there to show."""
     results = carried_out(folder)
     counts = results["reusing"].campaign["cells"]
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
@@ -69,7 +69,7 @@ def undisturbed(folder: Path) -> dict[str, Found]:
 
 
 def carried_out(folder: Path, documents: Mapping[str, Mapping[str, Any]] | None = None) -> dict[str, Found]:
-    """What campaigns find, by name: those of the suite where no others are given; on SQLite."""
+    """Returns what campaigns find, by name: those of the suite where no others are given; on SQLite."""
     with serving(f"sqlite:///{folder / 'drivecal.db'}") as api:
         accepted = submit(api.url, documents)
         draw_alike(api.database, accepted)

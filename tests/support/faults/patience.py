@@ -28,7 +28,7 @@ class Patience:
 
     @property
     def over(self) -> bool:
-        """Whether `seconds` have been spent."""
+        """Returns whether `seconds` have been spent."""
         return self.spent() > self._seconds
 
     def spent(self) -> float:
@@ -50,14 +50,14 @@ class Patience:
     def _work(self) -> dict[tuple[int, float], float]:
         """Seconds that each process of the family has worked."""
         found = {}
-        for one in self._family():
+        for process in self._family():
             with suppress(psutil.NoSuchProcess):
-                times = one.cpu_times()
-                found[one.pid, one.create_time()] = times.user + times.system
+                times = process.cpu_times()
+                found[process.pid, process.create_time()] = times.user + times.system
         return found
 
 
 def _busy_seconds() -> float:
-    """That all processors together have worked for anybody, or were taken away by the host."""
+    """Checks that all processors together have worked for anybody, or were taken away by the host."""
     times = psutil.cpu_times()
     return float(times.user + times.nice + times.system + times.irq + times.softirq + times.steal)

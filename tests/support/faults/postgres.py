@@ -40,15 +40,15 @@ class KillablePostgres:
     def kill(self) -> None:
         """SIGKILL to all its processes."""
         family = self._family()
-        for one in family:
+        for process in family:
             with suppress(psutil.NoSuchProcess):
-                one.kill()
+                process.kill()
         psutil.wait_procs(family, 10)
 
     @contextmanager
     def frozen(self) -> Iterator[None]:
         """Its processes stand still until the block is left: it accepts connections, closes none, and answers nothing."""
-        psutil.Process(self._server.get_pid()).suspend()  # it starts no others from here on
+        psutil.Process(self._server.get_pid()).suspend()  # it starts no others from here
         family = self._family()
         for process in family[:-1]:
             with suppress(psutil.NoSuchProcess):

@@ -44,7 +44,7 @@ CARRIED = TypeAdapter(list[Note])
 
 @dataclass(frozen=True)
 class Told:
-    """What a test told: its name without cases, whether it passed, how long it took (s), and its lives."""
+    """Describes what a test told: its name without cases, whether it passed, how long it took (s), and its lives."""
 
     test: str
     passed: bool
@@ -68,9 +68,9 @@ def table(told: Iterable[Told]) -> list[dict[str, object]]:
             {
                 "test": test,
                 "database": database,
-                "failed": sum(not one.passed for one in cases),
+                "failed": sum(not case.passed for case in cases),
                 "of": len(cases),
-                "minutes": sum(one.seconds for one in cases) / 60,
+                "minutes": sum(case.seconds for case in cases) / 60,
                 "faults": sum(len(note.faults) for note in lives) if lives else None,
                 "ready again, median s": median(seconds) if seconds else None,
                 "ready again, longest s": max(seconds, default=None),

@@ -1,6 +1,6 @@
 """A user's package with a driving function: it keeps lane and speed, or breaks as its parameter `behaviour` says.
 
-Found like any installed package once this folder is on the path: its entry point is in the dist-info folder beside it.
+Found like any installed package once this folder is on the path: its entry point is in the dist-info folder next to it.
 """
 
 from __future__ import annotations

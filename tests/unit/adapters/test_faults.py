@@ -63,7 +63,7 @@ def session(program: Path) -> Iterator[SimulatorSession]:
 FAULTS = {1: Breakdown.CRASH, 2: Breakdown.HANG, 3: Breakdown.ERROR, 4: Breakdown.ERROR, 5: Breakdown.ERROR}
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 def test_two_hundred_crashes_hangs_and_floods_cost_one_cell_each(program: Path, tmp_path: Path) -> None:
     (program / "problem.yaml").write_text("problem: p\n")
     archive = archives.pack(program)

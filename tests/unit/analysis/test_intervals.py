@@ -28,7 +28,7 @@ def covered(intervals: list[tuple[float, float]], rate: float) -> float:
     return float(np.mean([lower <= rate <= upper for lower, upper in intervals]))
 
 
-@pytest.mark.slow("60")
+@pytest.mark.faults("60")
 @pytest.mark.parametrize("bases", [20, 60])
 @pytest.mark.parametrize("alike", [0.01, 0.14, 0.4])
 @pytest.mark.parametrize("rate", [0.005, 0.05])

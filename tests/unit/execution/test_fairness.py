@@ -174,7 +174,7 @@ def test_no_setup_is_left_to_the_end() -> None:
     assert {scenario for _, scenario, _ in plant.order[so_far:]} == {"S1", "S2"}
 
 
-@pytest.mark.slow("1-2", "1-7", "3-1", "3-2", "3-16")
+@pytest.mark.faults("1-2", "1-7", "3-1", "3-2", "3-16")
 @pytest.mark.parametrize("workers", [1, 2, 7, 16])
 @pytest.mark.parametrize("tags", [1, 3])
 def test_workers_finish_together_over_all_setups_and_campaigns(workers: int, tags: int) -> None:

@@ -273,7 +273,7 @@ def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: 
         pool.poll(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 @pytest.mark.parametrize("behaviour", [Behaviour.ERROR, Behaviour.CRASH])
 @pytest.mark.parametrize("workers", [1, 2, 12])
 def test_where_everything_fails_the_first_sets_fail_first_in_all_scenarios(workers: int, behaviour: Behaviour) -> None:

@@ -74,7 +74,7 @@ def short(workers: int) -> float:
     return max(POLICY.beside_small_seconds, 2 * workers * POLICY.dispatch_seconds)
 
 
-@pytest.mark.slow("8-0", "8-100")
+@pytest.mark.faults("8-0", "8-100")
 @pytest.mark.parametrize("before", [0, 100], ids=["0", "100"])
 @pytest.mark.parametrize("workers", [1, 2, 8])
 def test_a_small_campaign_in_generations_beside_a_large_one_takes_three_times_its_time_and_little_more(
@@ -186,7 +186,7 @@ def running(plant: Plant) -> Counter[str]:
     return Counter(scenario for _, scenario in {(sent.worker, sent.batch.setup.scenario) for _, _, sent in plant._ends})
 
 
-@pytest.mark.slow("False-2", "False-7", "True-4", "True-7")
+@pytest.mark.faults("False-2", "False-7", "True-4", "True-7")
 @pytest.mark.parametrize("workers", [2, 4, 7])
 @pytest.mark.parametrize("measured", [False, True])
 def test_slow_cells_hold_their_share_of_the_workers_beside_quick_ones(workers: int, measured: bool) -> None:

@@ -89,7 +89,7 @@ def best_of_pymoo(objective: Callable[[Indices], Floats], n_values: Indices, ite
     return -float(minimize(Decoded(), algorithm, ("n_gen", iterations), seed=seed, verbose=False).F[0])
 
 
-@pytest.mark.slow
+@pytest.mark.faults
 @pytest.mark.parametrize(
     ("objective", "n_values", "optimum"), [(count_of_ones, ones, 40.0), (distance, letters, 0.0)], ids=["ones", "letters"]
 )

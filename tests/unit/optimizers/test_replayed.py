@@ -174,7 +174,7 @@ def test_telling_twice_is_refused() -> None:
         optimizer.tell(*answers)
 
 
-@pytest.mark.slow("tpe", "nsga2")
+@pytest.mark.faults("tpe", "nsga2")
 @pytest.mark.parametrize(
     ("plugin", "chosen", "iterations"),
     [(*case, iterations) for case, iterations in zip(CASES, (8, 8, 25), strict=False)],

@@ -125,7 +125,7 @@ def test_a_lot_with_a_member_twice_and_a_limit_beyond_one_are_refused() -> None:
         smallest_plan(10, 1.5, 1)
 
 
-@pytest.mark.slow("0.04-0.05", "0.01-0.05", "0.15-0.05")
+@pytest.mark.faults("0.04-0.05", "0.01-0.05", "0.15-0.05")
 @pytest.mark.parametrize(("wrong_share", "limit"), [(0.0, 0.05), (0.01, 0.05), (0.04, 0.05), (0.15, 0.05), (0.02, 0.01)])
 def test_the_upper_limit_of_released_errors_holds_after_every_lot_at_once(wrong_share: float, limit: float) -> None:
     """In 400 series of 15 lots, at most 5 % of the series break it after any of their lots; the errors answer to earlier verdicts."""

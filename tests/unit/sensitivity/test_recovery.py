@@ -44,7 +44,7 @@ def misses(found: dict[str, dict[str, Influence]], space: ParameterSpace) -> lis
     return missed
 
 
-@pytest.mark.slow("1", "2")
+@pytest.mark.faults("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("threshold", [0.02, "auto"])
 @pytest.mark.parametrize("design", ["lines", "paper"])
