@@ -6,13 +6,13 @@ import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 
 CEILINGS = {
-    "services/drivecal": 399,
+    "services/drivecal": 373,
     "services/web": 86,
     "shared/drivecal": 182,
-    "workers/drivecal": 18,
-    "docs": 119,
+    "workers/drivecal": 22,
+    "docs": 118,
     "deploy": 10,
-    "tests": 1028,
+    "tests": 785,
 }
 """Largest number of unclear phrases by folder: 0 once the folder is mended."""
 
