@@ -25,11 +25,13 @@ from drivecal.storage import bundles, campaigns, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.retention import removal
-from drivecal.storage.retention.marking import Doomed, bytes_of, mark
-from drivecal.storage.retention.selection import (
+from drivecal.storage.retention.marking import (
+    Doomed,
     Prunable,
     Selection,
+    bytes_of,
     fingerprints_of,
+    mark,
     open_campaigns,
     select_campaigns,
     user_since,

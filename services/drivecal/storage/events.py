@@ -45,7 +45,7 @@ def since(connection: Connection, campaign_sequence: int, last_id: int, limit: i
 
 
 def newest_id(connection: Connection, campaign_sequence: int) -> int:
-    """Returns the id of a campaign's last event; 0 without events (campaigns of an older drivecal)."""
+    """Returns the id of a campaign's last event; 0 without events."""
     query = select(func.max(events.c.id)).where(events.c.campaign_sequence == campaign_sequence)
     return connection.execute(query).scalar() or 0
 

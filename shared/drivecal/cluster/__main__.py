@@ -15,8 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
-from drivecal.cluster.members import Node, ask
+from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, version_gap
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL, release
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 

@@ -165,20 +165,13 @@ def copied_portions(database: Database, folder: Path, name: str) -> list[int]:
     return portions
 
 
-def test_large_archives_are_copied_in_portions_of_bounded_size(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("table", ["bundles", "campaigns"])
+def test_large_rows_are_copied_in_portions_of_bounded_size(
+    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table: str
 ) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK_BYTES", 1000)
+    monkeypatch.setattr(backup, "CHUNK_BYTES", 1000)
     for digest in (A, B, C):
         push(database, digest, archive=bytes(1001))
-    assert copied_portions(database, tmp_path, "bundles") == [1, 2, 3]
-
-
-def test_large_documents_are_copied_in_portions_of_bounded_size(
-    database: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK_BYTES", 1000)
-    with database.transaction() as connection:
-        for _ in range(3):
+        with database.transaction() as connection:
             campaigns.insert(connection, name="long", spec={"starts": "x" * 1000})
-    assert copied_portions(database, tmp_path, "campaigns") == [1, 2, 3]
+    assert copied_portions(database, tmp_path, table) == [1, 2, 3]

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC
+from datetime import UTC, timedelta
 from typing import get_args
 
 import pytest
 from tests.support.storage import campaign, new_run, sample_set_ids, setup_id
 
+from drivecal.api.responses import campaign_answer
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -14,6 +15,7 @@ from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundErr
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot
 from drivecal.storage.engine.database import Database
+from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps, runs
 
 QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
@@ -40,25 +42,6 @@ def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(databas
             campaigns.request_action(connection, unknown, "cancel")
     with database.read() as connection, pytest.raises(NotFoundError):
         campaigns.by_sequence(connection, 10**6)
-
-
-def test_the_same_key_and_body_give_the_same_campaign(database: Database) -> None:
-    def post() -> str:
-        with database.transaction() as connection:
-            return campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body").id
-
-    assert post() == post()
-    with database.read() as connection:
-        assert len(campaigns.active(connection)) == 1
-
-
-def test_the_same_key_with_another_body_is_a_conflict(database: Database) -> None:
-    with database.transaction() as connection:
-        campaigns.insert(connection, name="a", spec={}, idempotency_key="key", body_digest="body")
-    with pytest.raises(ConflictError), database.transaction() as connection:
-        campaigns.insert(connection, name="b", spec={}, idempotency_key="key", body_digest="another body")
-    with database.read() as connection:
-        assert [one.name for one in campaigns.active(connection)] == ["a"]
 
 
 def test_campaigns_without_a_key_are_never_the_same(database: Database) -> None:
@@ -317,3 +300,12 @@ def test_resuming_takes_back_a_pause_that_was_not_executed_yet(database: Databas
         campaigns.request_action(connection, stored.id, "cancel")
         with pytest.raises(ConflictError):
             campaigns.request_action(connection, stored.id, "resume")
+
+
+def test_a_campaign_never_shows_a_negative_time(database: Database) -> None:
+    with database.transaction() as connection:
+        sequence = campaign(connection).sequence
+        campaigns.start(connection, sequence)
+        running = campaigns.by_sequence(connection, sequence)
+    assert campaign_answer(running, now() - timedelta(hours=1), silent=None).seconds.wall == 0.0
+    assert campaign_answer(running, now() + timedelta(hours=1), silent=None).seconds.wall >= 3600.0

@@ -164,3 +164,12 @@ def test_leases_are_found_by_their_keys_among_very_many(database: Database, subt
                 assert scanned(plan) == set(), plan
                 assert not re.search(r'SCAN leases|"Seq Scan"[^{]*"leases"', plan), plan
                 assert re.search("pk_(leases|evaluations)|INTEGER PRIMARY KEY", plan), plan
+
+
+def test_a_clock_set_back_keeps_no_returned_lease(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    ids = pending(database, 2)
+    take(database, ids)
+    with database.transaction() as connection:
+        leases.give_back(connection, {ids[0]: 0})
+    monkeypatch.setattr(leases, "now", lambda: now() - timedelta(hours=3))
+    assert take(database, ids) == {ids[0]: 2}

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from sqlalchemy.exc import StatementError
 from tests.contract.storage.conftest import Backend
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
@@ -34,11 +33,6 @@ def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:
     assert stored is not None
     assert (stored.pid, stored.started_at, stored.detail) == (2, began, {"workers": [{"id": "w", "cells": 3}]})
     assert timedelta(0) <= datetime.now(UTC) - stored.heartbeat_at < timedelta(minutes=1)
-
-
-def test_a_moment_without_a_time_zone_is_refused(database: Database) -> None:
-    with pytest.raises(StatementError), database.transaction() as connection:
-        processes.heartbeat(connection, "dispatcher", 1, datetime(2026, 1, 1), {})  # noqa: DTZ001  # that is what is refused
 
 
 def test_a_second_server_is_refused_and_told_who_holds_the_database(empty_url: str) -> None:

@@ -75,7 +75,7 @@ def test_nobody_is_elected_while_a_transaction_of_the_one_before_runs(backend: B
 
             until(waits, "the election waits for the lock")
             assert not elected.is_set()
-    other.join(30)
+    other.join(300)
     assert elected.is_set()
     with database.read() as connection:
         assert campaigns.by_sequence(connection, sequence).sequence == sequence
@@ -93,7 +93,7 @@ def test_a_transaction_that_began_before_the_election_but_comes_late_is_refused(
     def fence(connection: Connection) -> None:
         """Of the first dispatcher, which is stopped between the beginning of a transaction and its first statement."""
         begun.set()
-        assert goes_on.wait(30)
+        assert goes_on.wait(300)
         processes.confirm(connection, "dispatcher", 1)
 
     def run() -> None:
@@ -105,10 +105,10 @@ def test_a_transaction_that_began_before_the_election_but_comes_late_is_refused(
 
     stopped = threading.Thread(target=run)
     stopped.start()
-    assert begun.wait(30)
+    assert begun.wait(300)
     elect(database, 2)
     goes_on.set()
-    stopped.join(30)
+    stopped.join(300)
     assert len(superseded) == 1
     with database.read() as connection:
         assert connection.scalar(text("SELECT count(*) FROM campaigns")) == 0

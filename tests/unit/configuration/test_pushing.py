@@ -77,10 +77,3 @@ def test_pushing_is_on_by_default_on_loopback_only(
     settings = load_settings(home=tmp_path, allow_push=allow, tokens_file=tmp_path / "tokens" if tokens else None)
     pushing = Pushing.of(settings, address)
     assert (pushing.allowed, pushing.secret is not None, (tmp_path / FILE).exists()) == (allowed, secret, secret)
-
-
-@pytest.mark.parametrize("allow", [None, True, False])
-def test_the_servers_processes_get_the_same_setting(allow: bool | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in load_settings(allow_push=allow).environment.items():
-        monkeypatch.setenv(name, value)
-    assert load_settings().allow_push is allow

@@ -146,7 +146,7 @@ def test_the_token_shows_up_in_no_message(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_child_process_reads_the_same_settings_from_its_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    settings = load_settings(home="somewhere", workers=3, tokens_file="tokens", url="https://example.org")
+    settings = load_settings(home="somewhere", workers=3, tokens_file="tokens", url="https://example.org", allow_push=False)
     for name, value in settings.environment.items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir("/")

@@ -16,8 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from drivecal.cluster.checks import check_token
-from drivecal.cluster.members import Node, ask, members
+from drivecal.cluster.members import Node, ask, check_token, members
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, QUIET
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError

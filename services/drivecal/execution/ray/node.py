@@ -9,9 +9,8 @@ from collections.abc import Collection
 from importlib import import_module
 from typing import Any
 
-from drivecal.cluster.checks import check_shared_memory
 from drivecal.cluster.guard import end_with_parent
-from drivecal.cluster.members import Node, ask
+from drivecal.cluster.members import Node, ask, check_shared_memory
 from drivecal.domain.errors import UnavailableError
 
 START_SECONDS = 60.0

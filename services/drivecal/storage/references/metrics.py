@@ -1,7 +1,7 @@
 """Metrics of runs, stored as a text of floats whose names are stored once.
 
-The names of a simulator's metrics take four times the place of their values, and are the same in millions of runs. Rows of earlier
-releases, and metrics that are no floats, are documents with names. Names are stored under the digest of their content, so that a
+The names of a simulator's metrics take four times the place of their values, and are the same in millions of runs. Metrics that
+are no floats are documents with names. Names are stored under the digest of their content, so that a
 remembered digest is right whatever transaction was rolled back.
 """
 

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivecal.cluster import __main__ as node
-from drivecal.cluster.checks import check_shared_memory, check_token, version_gap
-from drivecal.cluster.members import Node, ask, members
+from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, members, version_gap
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, UnavailableError
 
