@@ -139,7 +139,7 @@ def test_the_numbers_of_the_readme_are_those_of_the_results() -> None:
     shown = section((ROOT / "README.md").read_text(), "Results")
     known = "\n".join(page.read_text() for page in (DOCS / "pages" / "results").glob("*.md"))
     rows = re.findall(r"\| ([\d,]+) \| ([\d,]+) \| ([\d.]+) % \|", shown)
-    assert len(rows) == 4
+    assert rows
     for requested, simulated, saved in rows:
         assert f"{1 - int(simulated.replace(',', '')) / int(requested.replace(',', '')):.1%}" == f"{saved}%"
         known += f" {saved} "

@@ -6,9 +6,10 @@ import hashlib
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import libsumo
 import numpy as np
@@ -16,6 +17,7 @@ import pytest
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
+from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats, reference_line, to_cartesian
 from drivecal.domain.scenarios import Scenario, TrafficVehicle
 from drivecal.highway import sumo
@@ -69,6 +71,7 @@ class Gliding:
     """`Glide` as a driving function."""
 
     name, version = "gliding", "1"
+    spaces: Mapping[str, tuple[Parameter, ...]] = MappingProxyType({"gliding": ()})
 
     def create(self, scenario: Scenario) -> Glide:
         return Glide(scenario)
