@@ -1,7 +1,6 @@
 """The data and tables of a report, from stored rows."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 
 from pydantic import BaseModel
 from sqlalchemy import Connection
@@ -71,7 +70,7 @@ def report_of(database: Database, identifier: str) -> Report:
 
 def _generations(connection: Connection, sequence: int) -> list[Generation]:
     page, _ = generations.page(connection, sequence, limit=MOST_GENERATIONS)
-    return [Generation(iteration=iteration, **asdict(figures)) for iteration, figures in page]
+    return [Generation(iteration=iteration, **figures.flat) for iteration, figures in page]
 
 
 def _optima(database: Database, ranked: CampaignRanking, resolved: ResolvedSpec) -> list[OptimumRow]:
