@@ -24,12 +24,12 @@ from pydantic import BaseModel
 from drivecal import client
 from drivecal.api.app import create_app
 from drivecal.bundles import highway, manifest
+from drivecal.bundles.installed import installed_problems
 from drivecal.cli.main import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.highway.planner.frenet import RANGES
-from drivecal.highway.scenarios.definitions import DEFINITIONS
 
 TARGET = Path(__file__).parent / "pages" / "reference"
 MADE = "<!-- Made by docs/reference.py from the code: `make docs`. -->\n\n"
@@ -49,6 +49,7 @@ OTHER_FILES = (comparison.ComparisonSpecification, specification.RerunSpecificat
 PROBLEM = (
     manifest.Manifest,
     manifest.ParameterEntry,
+    manifest.VariedEntry,
     manifest.ScoreEntry,
     manifest.PythonSimulator,
     manifest.ProcessSimulator,
@@ -57,6 +58,9 @@ PROBLEM = (
     highway.HighwaySimulator,
     highway.FmuController,
     highway.FmuVehicle,
+    highway.PlannerController,
+    highway.TaskScenario,
+    highway.TaskOfEgo,
     highway.HighwayScenario,
     highway.OpenScenario,
 )
@@ -358,7 +362,7 @@ def motorway() -> str:
         (name, f"{low} to {high}{' dB' if unit == 'dB' else ''} in steps of {step}", text)
         for name, low, high, step, _, unit, text in RANGES
     ]
-    scenarios = [(scenario.id, scenario.title) for scenario in DEFINITIONS]
+    scenarios = [(name, data["title"]) for name, data in installed_problems()["highway"].manifest.scenarios.items()]
     texts = {
         "PARAMETERS": table(("parameter", "range", "meaning"), parameters),
         "SCENARIOS": table(("id", "scenario"), scenarios),

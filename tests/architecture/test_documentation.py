@@ -17,9 +17,9 @@ from tests.support.documentation import DOCS, PAGES, Block, blocks, program
 from drivecal.bundles.archives import content_digest, files_digest
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_checks import scenarios_problems
+from drivecal.bundles.installed import Bundle, installed
 from drivecal.bundles.manifest import AnySimulator
 from drivecal.campaigns.comparison import resolve_comparison
-from drivecal.campaigns.resolve.bundle_bench import Bundle
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.main import app
@@ -87,7 +87,9 @@ def test_a_command_that_does_not_exist_would_be_noticed(words: list[str]) -> Non
 
 
 def example(name: str) -> Bundle:
-    """The bundle of an example folder."""
+    """The bundle of an example folder, or an installed one."""
+    if (own := installed(name)) is not None:
+        return own
     manifest, archive = read_bundle(ROOT / "deploy" / "examples" / "problems" / name)
     return Bundle(content_digest(archive), files_digest(archive), manifest)
 

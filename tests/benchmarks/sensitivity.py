@@ -27,16 +27,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tests.support.setups import driven
 from tests.support.values import numbers
 
-from drivecal.contracts.work import Batch, Cell, DriveRequest
+from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace, text
-from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
-from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
 from drivecal.sensitivity.analysis import Phase, SensitivityAnalysis
 from drivecal.sensitivity.designs import Floats
@@ -51,14 +49,6 @@ CHUNK = 40
 TOLERANCE = 0.1
 
 
-def request(scenario: str) -> DriveRequest:
-    """The built-in problem with the vehicle's nominal values."""
-    setup = setup_of(HIGHWAY.scenarios[scenario], FRENET, SINGLE_TRACK, {})
-    return DriveRequest(
-        HIGHWAY.name, scenario, FRENET.name, SINGLE_TRACK.name, setup.vehicle_parameters, REFERENCE.name, setup.fingerprint
-    )
-
-
 @cache
 def worker() -> Worker:
     """The one of this process of the pool."""
@@ -68,7 +58,7 @@ def worker() -> Worker:
 def simulate(scenario: str, sets: list[dict[str, float]]) -> list[float]:
     """Scores, NaN where there is no result."""
     cells = tuple(Cell(number, parameters) for number, parameters in enumerate(sets))
-    results = worker().run(Batch(request(scenario), cells)).results
+    results = worker().run(Batch(driven(scenario), cells)).results
     for result in results:
         if result.breakdown is not None:
             print(f"{scenario}: {result.detail}", file=sys.stderr)

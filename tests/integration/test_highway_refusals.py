@@ -9,7 +9,7 @@ from tests.support.motorways import CONTROLLERS, drive, driven, motorway
 
 from drivecal.bundles.archives import content_digest, pack
 from drivecal.bundles.highway import HighwaySimulator
-from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins import setups
 from drivecal.plugins.simulators import UnsuitableError
@@ -46,7 +46,7 @@ def test_a_worker_blames_a_problem_that_was_pushed_with_a_broken_network(tmp_pat
     (bundle / "problem.yaml").write_text("problem: p")
     archive = pack(bundle)
     section = HighwaySimulator.model_validate({"kind": "highway", "controller": CONTROLLERS["python"]}).model_dump(mode="json")
-    setup = BundleRequest(
+    setup = SetupRequest(
         content_digest(archive), "p", "drive", drive(), section, ("v0",), (), ("distance_m",), (), (), run_fingerprint="f"
     )
     works = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache")))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from tests.support.setups import driven
 
-from drivecal.contracts.work import Batch, Cell, DriveRequest
+from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.evaluations import FAILED_RATING, Failure, RunResult
 from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
@@ -14,9 +15,7 @@ from drivecal.highway.episode.runner import EpisodeRunner
 from drivecal.highway.planner.frenet import FRENET
 from drivecal.highway.scenarios.highway import HIGHWAY
 from drivecal.highway.vehicle.hybrid import HYBRID
-from drivecal.highway.vehicle.single_track import SINGLE_TRACK
 from drivecal.plugins.ports import Evaluator, Vehicle
-from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
 
 CALM = [11.0, 0.04, 174, 1692, 153, 0.67, 73, 195, 5.8, 9.9, 164]
@@ -47,10 +46,7 @@ def test_a_missed_task_scores_0_whatever_the_evaluator() -> None:
 
 
 def test_a_worker_with_another_version_of_the_evaluator_refuses_to_rate() -> None:
-    setup = setup_of(SCENARIOS["S1"], FRENET, SINGLE_TRACK, {})
-    request = DriveRequest(
-        "highway", "S1", "frenet", "single_track", NOMINAL, "learned", setup.fingerprint, setup.document, "1.fromelsewhere"
-    )
+    request = replace(driven(evaluator="learned"), evaluator_version="1.fromelsewhere")
     answer = Worker("w").run(Batch(request, ()))
     assert answer.refusal is None  # nothing was asked of it
     answer = Worker("w").run(Batch(request, (Cell(1, {}),)))

@@ -14,11 +14,11 @@ from tests.support.runs import dispatcher
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import basis_of, resolve_map, store_posted_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.spaces import space_to_document
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification, RerunSpecification
 from drivecal.domain.errors import InvalidInputError

@@ -5,12 +5,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 
 import psutil
 import pytest
 from tests.support.fake_backend import Behaviour
 from tests.support.misbehaviour import misbehaving_cells, misbehaving_setup
+from tests.support.setups import changed
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
@@ -74,14 +74,14 @@ def test_an_answer_that_cannot_be_read_is_an_error_of_its_batch_only(ray_backend
 
 def test_another_version_at_the_coordinator_costs_no_cell_and_names_both_versions(pool: WorkPool) -> None:
     good = misbehaving_setup()
-    other = replace(good, run_fingerprint="another", document=dict(good.document) | {"driving_function_version": "0.9"})
+    other = changed(good, controller="misbehaving 0.9")
     pool.submit(Work(other, misbehaving_cells([Behaviour.WELL] * 20)), tag="test")
     completed: list[Completed] = []
     for _ in range(1200):
         completed += pool.poll(0.1)
         if "2 workers refuse S1" in (pool.trouble() or ""):
             break
-    assert "driving_function_version is 0.9 at the coordinator and 1 at the worker" in (pool.trouble() or "")
+    assert "is misbehaving 0.9 at the coordinator and misbehaving 1 at the worker" in (pool.trouble() or "")
     pool.submit(Work(good, misbehaving_cells([Behaviour.WELL] * 20, first=101)), tag="others")
     while pool.held("others"):
         completed += pool.poll(0.5)

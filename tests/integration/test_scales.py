@@ -10,7 +10,7 @@ from tests.support.scales import COST
 
 from drivecal.analysis.solutions import Ranking
 from drivecal.api.responses import campaign_answer
-from drivecal.campaigns.resolve.bench import DrivingBench
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.stages.validation import compared
@@ -29,7 +29,7 @@ from drivecal.storage.engine.types import now
 @pytest.fixture(autouse=True)
 def costs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluator's scale is `COST`."""
-    monkeypatch.setattr(DrivingBench, "scale", property(lambda _: COST))
+    monkeypatch.setattr(Bench, "scale", property(lambda _: COST))
 
 
 def costly(scenario: str, cell: Cell) -> CellResult:

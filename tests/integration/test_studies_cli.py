@@ -16,13 +16,13 @@ from tests.support.runs import SMALL, influenced, nothing_matters, post_map, wor
 from tests.support.server import RunningApi, serving
 
 from drivecal.client.client import Client
-from drivecal.contracts.work import Cell, CellResult, DriveRequest
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
 
 
-def fragile(setup: DriveRequest, cell: Cell) -> CellResult:
+def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
     """As `influenced`, in vehicles of up to a twentieth of the mass's range more."""
     found = influenced(setup.scenario, cell)
-    if setup.vehicle_parameters["mass"] > 2060 + 0.05 * 1400:
+    if setup.varied["mass"] > 2060 + 0.05 * 1400:
         return CellResult(cell.id, 0.0, 0, found.metrics, "collision", 5.0)
     return found
 

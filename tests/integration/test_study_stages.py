@@ -14,7 +14,7 @@ from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matte
 
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
-from drivecal.contracts.work import Cell, CellResult, DriveRequest
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
@@ -27,9 +27,9 @@ ROBUST: dict[str, Any] = {"delta": 0.05, "steps": 6, "samples": 8, "solutions": 
 NOMINAL_MASS, MASS_RANGE = 2060.0, 1400.0
 
 
-def heavy(setup: DriveRequest, cell: Cell) -> CellResult:
+def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
     """A score of 6, which falls by 2 where the mass is off by more than P1 (0, 0.5 or 1) / 5 of its range."""
-    away = abs(setup.vehicle_parameters["mass"] - NOMINAL_MASS) / MASS_RANGE
+    away = abs(setup.varied["mass"] - NOMINAL_MASS) / MASS_RANGE
     rating = 6.0 if away <= cell.parameters["P1"] / 5 else 4.0
     return CellResult(cell.id, rating, int(rating), {"rating": rating}, None, 5.0)
 
@@ -125,8 +125,8 @@ def test_a_study_of_another_campaign_chooses_its_sets_by_scores_that_simulations
 
 
 def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database) -> None:
-    def fragile(setup: DriveRequest, cell: Cell) -> CellResult:
-        if setup.vehicle_parameters["mass"] > NOMINAL_MASS + 0.12 * MASS_RANGE:
+    def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
+        if setup.varied["mass"] > NOMINAL_MASS + 0.12 * MASS_RANGE:
             return CellResult(cell.id, None, None, {}, None, 5.0, "error", "it tipped over")
         return CellResult(cell.id, 5.0, 5, {}, None, 5.0)
 

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.fake_backend import Behaviour
+from tests.support.setups import driven
 from tests.support.tree import loaded
 
-from drivecal.contracts.work import Cell, DriveRequest
-from drivecal.plugins import registry
-from drivecal.plugins.setups import setup_of
+from drivecal.contracts.work import Cell, SetupRequest
 
 FOLDER = Path(__file__).parent / "plugins"
 
@@ -23,20 +22,8 @@ def plug_in(name: str) -> Any:
     return loaded(name, FOLDER / f"{name}.py")
 
 
-def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> DriveRequest:
-    vehicle = registry.vehicle("single_track")
-    function = getattr(plug_in(name), name.upper())
-    setup = setup_of(registry.catalogue("highway").scenarios[scenario], function, vehicle, {})
-    return DriveRequest(
-        "highway",
-        scenario,
-        name,
-        "single_track",
-        setup.vehicle_parameters,
-        evaluator,
-        setup.fingerprint,
-        setup.document,
-    )
+def misbehaving_setup(scenario: str = "S1", evaluator: str = "reference", name: str = "misbehaving") -> SetupRequest:
+    return driven(scenario, evaluator=evaluator, function=getattr(plug_in(name), name.upper()))
 
 
 def misbehaving_cells(behaviours: Sequence[Behaviour], first: int = 1) -> tuple[Cell, ...]:

@@ -7,7 +7,9 @@ from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from drivecal.contracts.work import BatchResult, Cell, CellResult, DriveRequest
+from tests.support.setups import bare as setup
+
+from drivecal.contracts.work import BatchResult, Cell, CellResult
 from drivecal.execution.backend import LONGEST_QUEUED
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
@@ -16,12 +18,6 @@ from drivecal.execution.scheduling.scheduler import Scheduler
 TARGET = BatchPolicy().target_seconds
 
 W, V = "worker 1", "worker 2"
-
-
-def setup(scenario: str = "S1", evaluator: str = "reference", fingerprint: str | None = None) -> DriveRequest:
-    return DriveRequest(
-        "highway", scenario, "frenet", "single_track", {}, evaluator, fingerprint or f"fingerprint of {scenario}"
-    )
 
 
 def cells(count: int, first: int = 1, values: Sequence[float] | None = None) -> list[Cell]:

@@ -13,7 +13,7 @@ from sqlalchemy import Connection
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.setups import DrivenSetup
+from drivecal.domain.setups import Setup
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -25,18 +25,7 @@ PROCESSES = multiprocessing.get_context("forkserver")
 """Processes of their own, forked from one that has imported what they need: importing it takes longer than most tests."""
 PROCESSES.set_forkserver_preload(["pytest", "tests.support.runs", "drivecal.storage.maintenance.backup"])
 EVALUATOR = "reference 1"
-SETUP = DrivenSetup(
-    scenario="S1",
-    scenario_digest="0",
-    driving_function="frenet",
-    driving_function_version="1",
-    vehicle="single_track",
-    vehicle_version="1",
-    vehicle_parameters={"mass_kg": 1500.0},
-    simulator="libsumo 1",
-    step_seconds=0.1,
-    seed=1,
-)
+SETUP = Setup("S1", {"simulator": {"kind": "highway"}, "adapter": "1", "scenario": "S1", "data": {}, "files": "0"})
 
 
 def migrate(url: str) -> None:
@@ -48,7 +37,7 @@ def migrate(url: str) -> None:
 
 def setup_id(connection: Connection, scenario: str = "S1") -> int:
     """A stored setup of a scenario."""
-    return setups.ensure(connection, [replace(SETUP, scenario=scenario)])[0]
+    return setups.ensure(connection, [Setup(scenario, {**SETUP.document, "scenario": scenario})])[0]
 
 
 def sample_sets(count: int) -> list[ParameterSet]:

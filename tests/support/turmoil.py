@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
 from tests.support.fake_backend import Behaviour
-from tests.support.plant import answer, setup
+from tests.support.plant import answer
+from tests.support.setups import bare as setup
 from tests.support.turmoil_parts import DEADLINE, POISON, RESTART, Place, Row, assert_batch, broken_result
 
 from drivecal.contracts.work import BatchResult, Cell

@@ -34,6 +34,7 @@ from drivecal.api.routes import (
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
+from drivecal.storage.admission import add_installed
 from drivecal.storage.engine.database import PROMPT, Database
 
 
@@ -55,6 +56,8 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.limits = limits = Limits.of(settings)
         meters.event_streams.set_function(lambda: limits.event_streams.taken)
         app.state.remembered = ResponseCache()
+        with database.transaction() as connection:
+            add_installed(connection)
         async with EventHub(database).running() as app.state.event_hub:
             yield
         database.dispose()

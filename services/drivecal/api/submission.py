@@ -10,18 +10,17 @@ from sqlalchemy import Connection
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
 from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison, tag_of
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.resolved_spec import specification_of
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
 from drivecal.contracts.campaign import STUDIES, ExpectedRuns
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import (
-    HIGHWAY,
     CampaignSpecification,
     EvaluationSpecification,
     MapReference,
@@ -99,7 +98,7 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     runs = problem.expected_runs()
     runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
     at_most = runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
-    guessed = not known.measured and problem.specification.problem != HIGHWAY  # nothing is known of a simulator that never ran
+    guessed = not known.measured and not problem.bench.is_driven  # nothing is known of a simulator that never ran
     time = (
         {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": known.seconds(at_most)}
     )
@@ -276,8 +275,8 @@ def _queue(
 
 
 def _pinned(connection: Connection, stored: StoredCampaign, problem: CalibrationProblem | EvaluationProblem) -> StoredCampaign:
-    """Stores the resolution of a campaign with a bundle at once: it cannot change until the campaign starts, as plug-ins can."""
-    if problem.specification.problem == HIGHWAY or stored.resolution is not None:
+    """Stores the resolution of a campaign at once, unless plug-ins run it, which may change until it starts."""
+    if problem.bench.is_driven or stored.resolution is not None:
         return stored
     campaigns.set_resolution(connection, stored.sequence, problem.resolution())
     return campaigns.by_sequence(connection, stored.sequence)

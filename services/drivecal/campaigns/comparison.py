@@ -15,11 +15,10 @@ from sqlalchemy import Connection
 
 from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Conditions, Course
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.resolve.workbench import no_bundles
+from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
 from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
 from drivecal.contracts.input_errors import validated
@@ -127,7 +126,7 @@ def _settled(given: str | ReductionSpecification) -> ReductionSpecification:
     return reduction.model_copy(update=settled)
 
 
-def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSource = no_bundles) -> ComparisonProblem:
+def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSource = installed_bundles) -> ComparisonProblem:
     """Resolves a comparison's specification. Raises InvalidInputError with every problem at its field."""
     diagnostics = Diagnostics()
     _check_lists(specification, diagnostics)

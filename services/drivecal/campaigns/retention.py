@@ -17,8 +17,8 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import valued_by
 from drivecal.analysis.solutions import Ranking
+from drivecal.bundles.installed import installed
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import ConflictError
 from drivecal.storage import bundles, campaigns, results
@@ -152,9 +152,10 @@ def _pushes(connection: Connection, problem: str) -> Collection[str]:
     """Returns the names under which campaigns name a problem: its name, and the digests of all that was pushed under it.
 
     Raises NotFoundError."""
-    if problem != HIGHWAY:
+    own = installed(problem)
+    pushed, cursor = {problem, problem if own is None else own.digest}, None
+    if own is None:
         bundles.named(connection, problem)
-    pushed, cursor = {problem}, None
     while True:
         page, cursor = bundles.listing(connection, name=problem, limit=1_000, cursor=cursor)
         pushed |= {heading.digest for heading in page}

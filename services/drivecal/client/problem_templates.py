@@ -8,14 +8,18 @@ from decimal import Decimal
 from importlib import resources
 from pathlib import Path
 
+from drivecal.bundles.archives import MANIFEST, files_of
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, read_fmu
+from drivecal.bundles.installed import installed_problems
 from drivecal.client.documents import located_yaml
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import text
 
-KINDS = ("process", "command", "python", "fmu", "highway")
+PLANNER = "highway-planner"
+"""The built-in motorway as a start."""
+KINDS = ("process", "command", "python", "fmu", "highway", PLANNER)
 MOST_ENTRIES = 20
 """Parameters and outputs of an FMU that are written out; further ones become comments."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
@@ -30,11 +34,7 @@ def write_problem(kind: str, name: str, folder: str | Path | None = None, fmu: s
     path = Path(name if folder is None else folder)
     _check(kind, name, path, fmu)
     description = None if fmu is None else read_fmu(fmu)
-    contents = {
-        file.name.removesuffix(".txt"): file.read_text(encoding="utf-8")
-        for file in (resources.files("drivecal.client") / "templates" / kind).iterdir()
-        if file.is_file()
-    }
+    contents = _template(kind, name)
     file = "system.fmu" if fmu is None else Path(fmu).name
     if description is None:
         contents["problem.yaml"] = (
@@ -54,6 +54,16 @@ def write_problem(kind: str, name: str, folder: str | Path | None = None, fmu: s
             Problem(shown(str(path), 200), f"it cannot be written: {error.strerror}", "give another folder")
         ) from error
     return sorted(path.iterdir())
+
+
+def _template(kind: str, name: str) -> dict[str, str]:
+    """Returns the files of a template by name."""
+    if kind != PLANNER:
+        folder = resources.files("drivecal.client") / "templates" / kind
+        return {file.name.removesuffix(".txt"): file.read_text(encoding="utf-8") for file in folder.iterdir() if file.is_file()}
+    files = {name: file.content.decode() for name, file in files_of(installed_problems()["highway"].archive).items()}
+    _, _, sections = files[MANIFEST].partition("\n\n")
+    return files | {MANIFEST: f"problem: {name}\ndescription: The planner of drivecal on six roads of a motorway\n\n{sections}"}
 
 
 def _check(kind: str, name: str, path: Path, fmu: str | Path | None) -> None:

@@ -13,6 +13,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
+from drivecal.bundles.installed import installed
 from drivecal.campaigns.cells.predicting import load_predictors
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.configuration import logs, memory
@@ -125,6 +126,8 @@ def _backend(settings: Settings, database: Database) -> Backend:
 
 
 def _archive(database: Database, digest: str) -> bytes:
+    if (own := installed(digest)) is not None:
+        return own.archive
     with database.read() as connection:
         return bundles.archive(connection, digest)
 

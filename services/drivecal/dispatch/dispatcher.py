@@ -14,12 +14,12 @@ from typing import Any
 
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.job import Job
-from drivecal.campaigns.resolve.bundle_source import stored_bundles, with_tools
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
+from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign
 from drivecal.configuration import logs
-from drivecal.contracts.work import BundleRequest
+from drivecal.contracts.work import SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, DrivecalError, SupersededError, UnavailableError
 from drivecal.execution.backend import BackendLostError, WorkerInfo
@@ -69,7 +69,7 @@ class Active:
         return EVALUATION_PRIORITY if self.campaign.kind == "evaluation" else self.campaign.priority
 
 
-Prober = Callable[[BundleRequest], str | None]
+Prober = Callable[[SetupRequest], str | None]
 """Returns what the `probe` of a bundle answers on a worker; None until one has answered."""
 
 
@@ -83,7 +83,7 @@ def take_up(database: Database, sequence: int, probe: Prober) -> Job | None:
     tools: str | None = (campaign.resolution or {}).get("tools")
     problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
     request = problem.bench.to_probe
-    if isinstance(request, BundleRequest):
+    if request is not None:
         tools = probe(request)
         if tools is None:
             return None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from drivecal.contracts.work import BatchResult, BundleRequest, SetupKey
+from drivecal.contracts.work import BatchResult, SetupKey, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
@@ -90,7 +90,7 @@ class WorkPool:
         """Returns the reason for missing or refusing workers, or None."""
         return "; ".join(filter(None, (self._backend.trouble(), self._scheduler.trouble(), self._questions.trouble()))) or None
 
-    def probe(self, request: BundleRequest, tag: str) -> str | None:
+    def probe(self, request: SetupRequest, tag: str) -> str | None:
         """Returns what the `probe` of a bundle answers on a worker; None until one has answered, so call it again."""
         return self._questions.ask(request, tag)
 

@@ -4,7 +4,7 @@ refusals say that no worker can run a setup. Pure."""
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from drivecal.contracts.work import Batch, BatchResult, BundleRequest, SetupKey, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, SetupKey, SetupRequest
 from drivecal.execution.scheduling.in_flight import WITNESSES
 
 PATIENCE_WITH_ANSWERS = 60.0
@@ -18,7 +18,7 @@ MOST_REASONS = 5
 
 @dataclass(slots=True)
 class _Question:
-    request: BundleRequest
+    request: SetupRequest
     answer: str | None = None
     batch: int | None = None
     """The batch that asks, at a worker now."""
@@ -43,7 +43,7 @@ class Questions:
         self._open: dict[str, _Question] = {}
         self._last = 0
 
-    def ask(self, request: BundleRequest, tag: str) -> str | None:
+    def ask(self, request: SetupRequest, tag: str) -> str | None:
         """Returns the answer once a worker has given it, and forgets it; None until then."""
         question = self._open.setdefault(tag, _Question(request))
         if question.answer is not None:
@@ -130,8 +130,6 @@ class Disputes:
 
     def note(self, setup: SetupRequest, result: BatchResult, node: str) -> None:
         """Takes the result of a batch: a refusal, whatever its reason, or proof that a worker agrees. `node`: the worker's."""
-        if not isinstance(setup, BundleRequest):
-            return
         if result.refusal is None:
             self._open.pop(setup.key, None)
             return

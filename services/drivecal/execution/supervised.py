@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivecal.cluster.members import Node
-from drivecal.contracts.work import Batch, BatchResult, BundleRequest
+from drivecal.contracts.work import Batch, BatchResult
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import (
@@ -302,6 +302,6 @@ def _limits_of_simulators(batch: Batch) -> float:
     timeout = batch.setup.timeout
     if timeout is None or not batch.cells:
         return 0.0
-    probe = PROBE_SECONDS if isinstance(batch.setup, BundleRequest) and batch.setup.tools is not None else 0.0
+    probe = PROBE_SECONDS if batch.setup.tools is not None else 0.0
     starts = 2 * start_limit(timeout) + MOST_SESSIONS * END_SECONDS
     return probe + starts + (2 * timeout + END_SECONDS) * len(batch.cells)

@@ -1,21 +1,21 @@
 """The way of one parameter set through this process: resolved as by the server, simulated as by a worker."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from os import PathLike
 from pathlib import Path
 from threading import Lock
 
 from drivecal.bundles.archives import content_digest, files_digest
+from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
 from drivecal.campaigns.resolve.problem import resolve_evaluation
-from drivecal.campaigns.resolve.workbench import no_bundles
+from drivecal.campaigns.resolve.workbench import installed_bundles, with_tools
 from drivecal.client.problems import read_bundle
 from drivecal.contracts.campaign import html_table
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import EvaluationSpecification
+from drivecal.contracts.specification import DEFAULT_PROBLEM, EvaluationSpecification
 from drivecal.contracts.work import Batch, BatchResult, Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.runtime.compilation import prepare_cache
@@ -99,15 +99,20 @@ def evaluate(
     bundle = None if problem is None else _stored(Path(problem))
     document = {
         "parameters": dict(parameters),
-        "problem": "highway" if bundle is None else bundle.manifest.problem,
+        "problem": DEFAULT_PROBLEM if bundle is None else bundle.manifest.problem,
         "catalogue": catalogue,
         "driving_function": driving_function,
         "vehicle": {"model": vehicle} if isinstance(vehicle, str) else dict(vehicle),
         "evaluator": evaluator,
     }
-    source = no_bundles if bundle is None else lambda _: bundle
+    source = installed_bundles if bundle is None else lambda _: bundle
     names = [scenarios] if scenarios is None or isinstance(scenarios, str) else scenarios
-    resolved = [resolve_evaluation(validated(EvaluationSpecification, document | {"scenario": name}), source) for name in names]
+    wanted = [validated(EvaluationSpecification, document | {"scenario": name}) for name in names]
+    resolved = [resolve_evaluation(each, source) for each in wanted]
+    to_probe = next((each.bench.to_probe for each in resolved), None)
+    if to_probe is not None:
+        source = with_tools(source, _answer(Batch(to_probe, ())).tools)
+        resolved = [resolve_evaluation(each, source) for each in wanted]
     cells: dict[str, SimulatedCell] = {}
     for each in resolved:
         for scenario in each.bench.requests:
@@ -116,12 +121,11 @@ def evaluate(
 
 
 def _stored(folder: Path) -> Bundle:
-    """Returns the problem in a folder, with what its `probe` answers here, ready to run. Raises InvalidInputError with all its faults."""
+    """Returns the problem in a folder, ready to run. Raises InvalidInputError with all its faults."""
     manifest, archive = read_bundle(folder)
     bundle = Bundle(content_digest(archive), files_digest(archive), manifest)
     _worker().store(bundle.digest, archive)
-    to_probe = BundleBench(bundle, tuple(manifest.scenarios), next(iter(manifest.scores))).to_probe
-    return bundle if to_probe is None else replace(bundle, tools=_answer(Batch(to_probe, ())).tools)
+    return bundle
 
 
 def _simulated(scenario: str, bench: Bench, cell: Cell) -> SimulatedCell:

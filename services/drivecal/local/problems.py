@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,20 @@ from drivecal.adapters.files import remove
 from drivecal.adapters.kinds import simulator
 from drivecal.bundles.archives import unpack
 from drivecal.bundles.checks import choices_of
-from drivecal.bundles.expressions import Constraint, Formula
+from drivecal.bundles.expressions import Constraint
+from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ParameterEntry
-from drivecal.bundles.scoring import cut_text, rate
+from drivecal.bundles.scoring import cut_text
+from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
+from drivecal.campaigns.resolve.workbench import find_workbench
+from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 from drivecal.domain.values import Setting
+from drivecal.plugins.runners import Runner
 from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome, SimulatorSession, start_limit
+from drivecal.runtime.compilation import prepare_cache
+from drivecal.runtime.runners import RefusedError, make_runner
 
 DRAWN = 10_000
 """Sets among which one is searched that keeps all constraints."""
@@ -104,9 +113,11 @@ def run_problem(
 ) -> Iterator[CheckedScenario]:
     """Yields the result of each scenario. Calls `tell` every 10 s of a run. Raises UnavailableError if this machine cannot run the
     simulator."""
+    conditions = {name: entry.nominal for name, entry in manifest.varied.items()}
+    further = None if other is None else {**other, **conditions}
     with _unpacked(archive) as folder:
         for scenario in manifest.scenarios:
-            yield _checked(manifest, scenario, folder, parameters, other, tell)
+            yield _checked(manifest, scenario, folder, {**parameters, **conditions}, further, tell)
 
 
 def ask_probe(manifest: Manifest, archive: bytes, tell: Tell = lambda _: None) -> str | None:
@@ -164,13 +175,14 @@ def _checked(
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.reported, **manifest.series}
     parameter_units = {name: entry.unit for name, entry in manifest.parameters.items()}
+    parameter_units |= {name: entry.unit for name, entry in manifest.varied.items()}
     declared = Declared(
         manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units
     )
 
     def opened() -> SimulatorSession:
         with _signs(f"{scenario}: the start", start, tell):
-            return simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+            return _session(manifest, section, scenario, folder, declared)
 
     began = time.perf_counter()
     try:
@@ -184,7 +196,7 @@ def _checked(
         with run(2):
             second, second_seconds = _run(session, parameters, series=bool(manifest.series))
         with run(3):
-            elsewhere, bits = (None, None) if other is None else _tried(manifest, session, other)
+            elsewhere, bits = (None, None) if other is None else _tried(manifest, scenario, session, other)
     except (NoMeasuresError, UnavailableError, OSError) as error:
         return CheckedScenario(scenario, error=str(error), start_seconds=started)
     finally:
@@ -200,7 +212,7 @@ def _checked(
                 session.close()
         except (NoMeasuresError, UnavailableError, OSError) as error:
             elsewhere = replace(elsewhere, alone_error=str(error))
-    scores, undefined, cut = _rated(manifest, first)
+    scores, undefined, cut = _rated(manifest, scenario, first)
     return CheckedScenario(
         scenario=scenario,
         measures=_declared(manifest, first),
@@ -216,20 +228,65 @@ def _checked(
     )
 
 
+def _session(
+    manifest: Manifest, section: Mapping[str, Any], scenario: str, folder: Path, declared: Declared
+) -> SimulatorSession:
+    """Opens the simulator of a scenario: in this process if drivecal's own planner drives it, else in a child."""
+    if not manifest.is_driven:
+        return simulator(manifest.simulator.kind).open(section, scenario, manifest.scenarios[scenario], folder, declared)
+    prepare_cache()
+    bench = _bench(manifest, scenario)
+    try:
+        return _OwnLoop(make_runner(bench.requests[scenario], folder))
+    except RefusedError as error:
+        raise UnavailableError(str(error)) from error
+
+
+def _bench(manifest: Manifest, scenario: str, score: str | None = None) -> Bench:
+    """Returns the bench of a scenario, with the problem's first score by default."""
+    wanted = EvaluationSpecification.model_construct(
+        parameters={}, problem=manifest.problem, evaluator=score or next(iter(manifest.scores))
+    )
+    diagnostics = Diagnostics()
+    make = find_workbench(wanted, lambda _: Bundle("", "", manifest), diagnostics).make
+    diagnostics.raise_if_any()
+    if make is None:
+        raise AssertionError("a part is missing without a finding")
+    return make([scenario])
+
+
+class _OwnLoop:
+    """The closed loop of this process as a session of a simulator."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+
+    def evaluate(self, parameters: Mapping[str, Setting], *, series: bool = False) -> RunOutcome:
+        """Drives one parameter set; it has no time series of a manifest's."""
+        del series
+        began = time.thread_time()
+        result = self._runner.run([float(parameters[name]) for name in self._runner.parameters])
+        failure = None if result.failure is None else result.failure.value
+        return RunOutcome(result.metrics, failure, cpu_seconds=time.thread_time() - began)
+
+    def close(self) -> None:
+        """Keeps the simulation of the process, which the next session takes over."""
+
+
 def _may_keep_state(manifest: Manifest) -> bool:
     """Returns whether a simulator claims equal measures of equal inputs while one process of it does several runs."""
     return manifest.simulator.deterministic and not manifest.simulator.renews
 
 
 def _tried(
-    manifest: Manifest, session: SimulatorSession, parameters: Mapping[str, Setting]
+    manifest: Manifest, scenario: str, session: SimulatorSession, parameters: Mapping[str, Setting]
 ) -> tuple[OtherRun, tuple[object, ...] | None]:
     """Returns the result of another set, and its bits if there are measures."""
     try:
         outcome = session.evaluate(parameters)
     except (NoMeasuresError, UnavailableError, OSError) as error:
         return OtherRun(error=str(error)), None
-    return OtherRun(_declared(manifest, outcome), outcome.failure, *_rated(manifest, outcome)), _bits(outcome)
+    return OtherRun(_declared(manifest, outcome), outcome.failure, *_rated(manifest, scenario, outcome)), _bits(outcome)
 
 
 def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
@@ -242,15 +299,14 @@ def _declared(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
     return {name: value for name, value in outcome.measures.items() if name in manifest.measures}
 
 
-def _rated(manifest: Manifest, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str], dict[str, float]]:
+def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str], dict[str, float]]:
     """Returns the scores by name, why some have no value, and the true values of those that are cut off."""
     rated = {
-        name: rate(Formula(entry.formula, manifest.measures), entry.scale(name), outcome.measures, outcome.failure)
-        for name, entry in manifest.scores.items()
+        name: _bench(manifest, scenario, name).rate(scenario, outcome.measures, outcome.failure) for name in manifest.scores
     }
     known = {name: scored for name, scored in rated.items() if scored is not None}
     return (
-        {name: scored.value for name, scored in known.items()},
+        {name: scored.score for name, scored in known.items()},
         {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
         {name: scored.cut for name, scored in known.items() if scored.cut is not None},
     )

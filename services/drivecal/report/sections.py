@@ -14,7 +14,7 @@ from drivecal.contracts.campaign import Campaign, ErrorRate, Narrowed, Released
 from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import ResultTrust
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
-from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification, VehicleSpecification
+from drivecal.contracts.specification import EvaluationSpecification, VehicleSpecification
 from drivecal.contracts.tables import InfluenceRow, OptimumRow, Solution, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale, plain, told, unit_text
 from drivecal.report.blocks import (
@@ -229,7 +229,7 @@ def settings_of(spec: Mapping[str, Any], scenarios: Sequence[ScenarioSetup], eva
         title: ", ".join(dict.fromkeys(value for scenario in scenarios if (value := getattr(scenario, field))))
         for title, field in USED.items()
     }
-    problem = {"Problem": "" if spec.get("problem", HIGHWAY) == HIGHWAY else str(spec["problem"])}
+    problem = {"Problem": str(spec.get("problem", ""))}
     stages = {title: settings_text(spec[field]) for title, field in ASKED.items() if spec.get(field)}
     known = problem | used | {"Evaluator": evaluator} | stages
     return {title: text for title, text in known.items() if text}

@@ -2,8 +2,9 @@
 
 from sqlalchemy import Connection, func, select, text
 
+from drivecal.bundles.installed import installed_problems
 from drivecal.domain.errors import ConflictError, OverloadError, Problem, TooLargeError
-from drivecal.storage.bundles import is_stored
+from drivecal.storage.bundles import add, is_stored
 from drivecal.storage.engine.tables import bundles, campaigns, influence_maps
 
 KEY = 0x64726332
@@ -37,6 +38,15 @@ def admit(connection: Connection, most: int, idempotency_key: str | None, count:
             f"{waiting:,} campaigns and evaluations wait already, as many as this server takes; try again later, or cancel some"
         )
         raise OverloadError(message, RETRY_SECONDS)
+
+
+def add_installed(connection: Connection) -> None:
+    """Stores the installed problems, so that they are listed and shown beside those that were pushed, and outlive an upgrade."""
+    alone(connection)
+    for problem in installed_problems().values():
+        if not is_stored(connection, problem.digest):
+            document, name = problem.manifest.model_dump(mode="json"), problem.manifest.problem
+            add(connection, digest=problem.digest, name=name, manifest=document, archive=problem.archive)
 
 
 def earlier(connection: Connection, idempotency_key: str | None, body_digest: str | None) -> int | None:

@@ -1,7 +1,7 @@
 """Checks of a whole manifest beyond single fields. All problems are reported at once."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
@@ -24,6 +24,7 @@ from drivecal.bundles.highway_checks import (
     planner_problems,
     scenarios_problems,
     simulator_problems,
+    task_problems,
 )
 from drivecal.bundles.manifest import (
     AnySimulator,
@@ -37,13 +38,13 @@ from drivecal.bundles.manifest import (
 )
 from drivecal.contracts import strict_json
 from drivecal.contracts.input_errors import nearest, validated
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, ParameterSpace, decimal
+from drivecal.plugins import registry
 
 SMALLEST_SPAN = 1e-3
 """Smallest width of a score's range: objectives count as equal to nine decimals, whatever the unit."""
@@ -61,6 +62,7 @@ _PLACEHOLDERS: Mapping[str, Any] = {
     "problem": "x",
     "description": "",
     "parameters": {"x": {"lower": 0, "upper": 1}},
+    "varied": {},
     "constraints": [],
     "baseline": None,
     "simulator": {"kind": "python", "file": MANIFEST},
@@ -73,10 +75,13 @@ _PLACEHOLDERS: Mapping[str, Any] = {
 """Valid sections that stand for faulty ones while the others are checked."""
 
 
-def checked(document: object, files: Executables | None = None) -> Manifest:
-    """Returns a checked manifest. `files`: those of the bundle, None if they are not known.
+def checked(document: object, files: Executables | None = None, taken: Collection[str] | None = None) -> Manifest:
+    """Returns a checked manifest. Raises InvalidInputError with all problems.
 
-    Raises InvalidInputError with all problems.
+    Args:
+        document: the content of `problem.yaml`.
+        files: the bundle's files, None if they are not known.
+        taken: names that the problem must not have, by default those of the installed problems.
     """
     strict_json.check_plain(document)
     try:
@@ -92,6 +97,8 @@ def checked(document: object, files: Executables | None = None) -> Manifest:
             raise
         sound = {name: section for name, section in document.items() if name in _PLACEHOLDERS}
         manifest = Manifest.model_validate(sound | {name: _PLACEHOLDERS[name] for name in faulty & _PLACEHOLDERS.keys()})
+    if "problem" not in faulty:
+        problems += _problem_name(manifest.problem, registry.names(registry.PROBLEMS) if taken is None else taken)
     problems += _semantic_problems(manifest, faulty, files)
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
@@ -106,8 +113,8 @@ def _cut_formula(problem: Problem) -> Problem:
 
 def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables | None) -> Iterator[Problem]:
     checks = (
-        ({"problem"}, _problem_name(manifest.problem)),
         ({"parameters"}, _parameters(manifest.parameters)),
+        ({"parameters", "varied"}, _varied(manifest)),
         ({"parameters", "constraints"}, _constraints(manifest)),
         ({"parameters", "baseline"}, _baseline(manifest)),
         ({"parameters", "baseline", "constraints"}, _feasibility(manifest)),
@@ -115,8 +122,8 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
         ({"simulator"}, _simulator(manifest.simulator, files)),
         ({"simulator", "measures"}, _fmu_measures(manifest)),
         ({"simulator", "scenarios"}, _highway_scenarios(manifest, files)),
-        ({"simulator", "parameters"}, _planner(manifest)),
-        ({"simulator", "measures", "series", "failures"}, _highway_answers(manifest)),
+        ({"simulator", "scenarios", "parameters", "varied"}, _planner(manifest)),
+        ({"simulator", "scenarios", "measures", "series", "failures"}, _highway_answers(manifest)),
         ({"failures"}, _failures(manifest.failures)),
         ({"scores"}, _ranges(manifest.scores)),
         ({"scores", "measures"}, _formulas(manifest)),
@@ -126,9 +133,9 @@ def _semantic_problems(manifest: Manifest, faulty: set[str], files: Executables 
             yield from problems
 
 
-def _problem_name(name: str) -> Iterator[Problem]:
-    if name == HIGHWAY:
-        yield Problem("problem", f"{HIGHWAY} is the built-in problem", "give another name")
+def _problem_name(name: str, taken: Collection[str]) -> Iterator[Problem]:
+    if name in taken:
+        yield Problem("problem", f"{name} is an installed problem", "give another name")
     elif _DIGEST.fullmatch(name):
         yield Problem("problem", f"{shown(name)} looks like a digest", "give another name")
 
@@ -144,6 +151,18 @@ def _parameters(entries: Mapping[str, ParameterEntry]) -> Iterator[Problem]:
             message = f"{name} and {columns[column]} would share the column {column} of the tables"
             yield Problem(f"parameters.{name}", message, "give it another name")
         columns[column] = name
+
+
+def _varied(manifest: Manifest) -> Iterator[Problem]:
+    for name, entry in manifest.varied.items():
+        field = f"varied.{name}"
+        if name in manifest.parameters:
+            yield Problem(field, f"{name} is a parameter, too", "give one of them another name")
+        if not entry.lower < entry.upper:
+            yield Problem(f"{field}.lower", f"{entry.lower:g} is not below {entry.upper:g}", "give the smaller number")
+        elif not entry.lower <= entry.nominal <= entry.upper:
+            message = f"{entry.nominal:g} lies outside of {entry.lower:g} to {entry.upper:g}"
+            yield Problem(f"{field}.nominal", message, "give a value of the range")
 
 
 def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:
@@ -254,6 +273,8 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
 
 def _formulas(manifest: Manifest) -> Iterator[Problem]:
     for name, score in manifest.scores.items():
+        if score.formula is None:
+            continue
         try:
             Formula(score.formula, manifest.measures, f"scores.{name}.formula")
         except InvalidInputError as error:
@@ -321,19 +342,21 @@ def _code(field: str, section: Any, files: Executables | None) -> Iterator[Probl
 
 def _planner(manifest: Manifest) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator) and isinstance(manifest.simulator.controller, PlannerController):
-        yield from planner_problems(manifest.simulator.controller, manifest.parameters)
+        controller, driven = manifest.simulator.controller, manifest.is_driven
+        yield from planner_problems(controller, manifest.parameters, manifest.varied, driven=driven)
 
 
 def _highway_scenarios(manifest: Manifest, files: Executables | None) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
         yield from scenarios_problems(manifest.simulator.step, manifest.scenarios)
+        yield from task_problems(manifest.simulator.controller, manifest.scenarios)
         for field, path in files_named(manifest.scenarios):
             yield from _file(field, path, files)
 
 
 def _highway_answers(manifest: Manifest) -> Iterator[Problem]:
     if isinstance(manifest.simulator, HighwaySimulator):
-        yield from measures_problems(manifest.measures, manifest.series, manifest.failures)
+        yield from measures_problems(manifest.measures, manifest.series, manifest.failures, driven=manifest.is_driven)
 
 
 def _command(field: str, words: list[str], files: Executables | None) -> Iterator[Problem]:

@@ -13,58 +13,94 @@ _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic"}
 """Settings that decide whether a run has a result, or say something about it, but change no measure: a run beyond a limit has none."""
 
 
-def setup_document(manifest: Manifest, scenario: str, files: str, tools: str | None = None) -> dict[str, Any]:
-    """Returns the document of a scenario's setup. `files`: digest of every file but `problem.yaml`; `tools`: what the
-    probe answers on the workers.
+def setup_document(
+    manifest: Manifest,
+    scenario: str,
+    files: str,
+    *,
+    section: Mapping[str, Any] | None = None,
+    data: Mapping[str, Any] | None = None,
+    varied: Mapping[str, float] | None = None,
+    tools: str | None = None,
+) -> dict[str, Any]:
+    """Returns the document of a scenario's setup.
 
     The probe stays beside its answer: results of unknown tools are not those of tools with a known version. So do the names of
     variables, whose values on workers are not known here.
+
+    Args:
+        manifest: the problem.
+        scenario: id of the scenario.
+        files: digest of every file but `problem.yaml`.
+        section: the simulator's section with the plug-ins that a campaign chose, by default the manifest's.
+        data: the scenario's data, by default the manifest's.
+        varied: values of the problem's varied parameters.
+        tools: answer of the probe on the workers.
     """
-    section = manifest.simulator.model_dump(mode="json", exclude=_WITHOUT_EFFECT, exclude_none=True)
-    for part in (section, section.get("controller"), section.get("vehicle")):
-        if isinstance(part, dict) and part.get("reset") is True:
-            del part["reset"]  # as before there was this field
-    return {
-        "simulator": section,
-        "adapter": VERSIONS[manifest.simulator.kind],
-        "scenario": scenario,
-        "data": manifest.scenarios[scenario],
-        "files": files,
-    } | _said(manifest, tools)
-
-
-def _said(manifest: Manifest, tools: str | None) -> dict[str, Any]:
-    """Returns further inputs of a run: the versions of other tools, of SUMO and of the built-in planner, which values are sent as whole
-    numbers, and the problem's name in the greeting of a process."""
-    said: dict[str, Any] = {"integers": list(manifest.integers)} if manifest.integers else {}
-    if manifest.simulator.kind == "process":
-        said["problem"] = manifest.problem
-    section = manifest.simulator.model_dump(mode="json")
-    said |= {name: version for name, version in parts_of(section).items() if version is not None}
+    section = manifest.simulator.model_dump(mode="json") if section is None else section
+    data = manifest.scenarios[scenario] if data is None else data
+    inputs = {name: value for name, value in section.items() if name not in _WITHOUT_EFFECT and value is not None}
+    for name, part in inputs.items():
+        if isinstance(part, dict):
+            inputs[name] = {key: value for key, value in part.items() if value is not None}
+    document = {"simulator": inputs, "adapter": VERSIONS[section["kind"]], "scenario": scenario, "data": data, "files": files}
+    if manifest.integers:
+        document["integers"] = list(manifest.integers)
+    if section["kind"] == "process":
+        document["problem"] = manifest.problem
+    if varied:
+        document["varied"] = dict(varied)
     if tools is not None:
-        said["tools"] = tools
-    return said
+        document["tools"] = tools
+    return document | {name: version for name, version in parts_of(section, data).items() if version is not None}
 
 
-def parts_of(section: Mapping[str, Any]) -> dict[str, str | None]:
-    """Returns the versions of what this installation adds to a run of a simulator's section, as setups name them: `controller`, the
-    built-in one, and `sumo`, SUMO's library. None if the section does not use it.
+def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, str | None]:
+    """Returns the versions of what this installation adds to a run, as setups name them; None for parts that it does not use.
 
-    Raises InvalidInputError if this installation has no such controller.
+    `controller` is the planner or an installed driving function, `vehicle` an installed vehicle, `catalogue` a scenario of an installed
+    catalogue, and `sumo` SUMO's library.
+
+    Args:
+        section: the simulator's section of a manifest.
+        data: the scenario's data.
+
+    Raises:
+        InvalidInputError: this installation lacks one of them.
     """
-    is_highway = section["kind"] == "highway"
-    is_planner = is_highway and section["controller"]["kind"] == "planner"
-    return {
-        "controller": registry.simulator("highway").controllers["planner"] if is_planner else None,
-        "sumo": setups.sumo() if is_highway else None,
+    parts: dict[str, str | None] = dict.fromkeys(("controller", "vehicle", "catalogue", "sumo"))
+    if section["kind"] != "highway":
+        return parts
+    parts["sumo"] = setups.sumo()
+    if section["controller"]["kind"] != "planner":
+        return parts
+    if not ("task" in data or "catalogue" in data):
+        return parts | {"controller": registry.simulator("highway").controllers["planner"]}
+    function = registry.driving_function(section["controller"]["driving_function"])
+    vehicle = registry.vehicle(model_of(section["vehicle"]))
+    if "catalogue" in data:
+        parts["catalogue"] = registry.catalogue(data["catalogue"]).scenarios[data["scenario"]].digest
+    return parts | {
+        "controller": f"{function.name} {function.version}",
+        "vehicle": f"{vehicle.name} {vehicle.version}",
+        "sumo": setups.simulator(),
     }
+
+
+def model_of(vehicle: str | Mapping[str, Any]) -> str:
+    """Returns the name of the vehicle model in a simulator's section."""
+    return vehicle if isinstance(vehicle, str) else str(vehicle["model"])
 
 
 def score_id(name: str, score: ScoreEntry) -> str:
     """Returns the id of a score's ratings: its name and the digest of what changes a number.
 
-    That is the formula, the worth of failed runs, and the direction, which says on which side of that worth scores are cut off. The range
-    changes numbers only through the default of `failed`; tolerance and unit change none.
+    For an evaluator that is its version. For a formula it is the formula, the worth of failed runs, and the direction, which says on
+    which side of that worth scores are cut off. The range changes numbers only through the default of `failed`; tolerance and unit
+    change none.
     """
+    if score.formula is None:
+        evaluator = registry.evaluator(score.evaluator or "")
+        return f"{evaluator.name} {evaluator.version}"
     content = {"formula": Formula(score.formula).canonical, "direction": score.direction, "failed": score.failed_worth}
     return f"{name} {digest(canonical_json(content).encode())}"

@@ -12,6 +12,7 @@ from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, Vehi
 from drivecal.bundles.simulators import Command, File, SimulatorEntry
 from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import ONE_LINE, Choice, Identifier, Number
+from drivecal.domain.scenarios import EgoStart, Scenario, SpeedKnot, Task, TrafficVehicle
 
 CommandName = Literal["acceleration", "curvature", "steering", "trajectory"]
 Outputs = Annotated[list[CommandName], Field(min_length=1, max_length=2)]
@@ -97,6 +98,8 @@ class PlannerController(ControllerEntry):
     """
 
     kind: Literal["planner"]
+    driving_function: Identifier = "frenet"
+    """An installed driving function, in scenarios with a task."""
     output: Annotated[Outputs, Field(default_factory=lambda: ["trajectory"])]
     period: Annotated[float, Field(gt=0, le=2)] = 0.2
     lane: Annotated[int, Field(ge=0, le=10)] = 0
@@ -322,6 +325,84 @@ class HighwayScenario(Surroundings):
     ego: Ego
 
 
+class TaskOfEgo(Model):
+    """The task of the planner: to be in the target lane at the desired speed at the end. Lanes count from the right, from 0."""
+
+    start_lane: Lane
+    target_lane: Lane
+    speeds: Annotated[list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100)]
+    """Desired speed (m/s) from each arc length (m) of the road on."""
+    lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    """Time (s) from which the target lane is wanted."""
+    hold: Annotated[float, Field(gt=0, le=3600)] = 1.0
+    """Seconds before the end in which the tolerances hold."""
+    lane_tolerance: Metres = 0.8
+    speed_tolerance: Metres = 2.0
+
+
+class EgoWithTask(Model):
+    """The planner's vehicle at its start, in Frenet coordinates on the centre line of the rightmost lane."""
+
+    s: Position
+    d: Number
+    speed: Speed
+    heading: Annotated[float, Field(ge=-1.5, le=1.5)] = 0.0
+    length: Metres = 4.9
+    width: Metres = 1.9
+
+
+class OtherVehicle(Model):
+    """Another vehicle, which keeps its lane by the Intelligent Driver Model, except for its `drift` inside of the lane."""
+
+    id: VehicleId
+    lane: Lane
+    s: Position
+    speed: Speed
+    desired_speed: Annotated[float, Field(gt=0, le=100)]
+    length: Metres = 4.6
+    width: Metres = 1.9
+    acceleration: Annotated[float, Field(gt=0, le=50)] = 1.5
+    deceleration: Annotated[float, Field(gt=0, le=50)] = 3.0
+    time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
+    drift: Annotated[list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list)]
+    """Offsets (m, to the left of the lane's centre) by time (s), linear between."""
+
+
+class TaskScenario(Model):
+    """The data of a scenario with a task, which drivecal's planner drives in the worker's own process."""
+
+    title: str = ""
+    """For readers."""
+    rated_as: Identifier
+    """Class by which evaluators rate its runs."""
+    network: File
+    route: Route
+    duration: Duration
+    step: Annotated[float, Field(ge=0.01, le=0.5)] = 0.1
+    ego: EgoWithTask
+    task: TaskOfEgo
+    traffic: Annotated[list[OtherVehicle], Field(max_length=2000, default_factory=list)]
+    seed: Seed = 1
+
+    def on(self, name: str, network: bytes) -> Scenario:
+        """Returns the scenario on the road of its network file. Raises InvalidInputError if that is no road of equal lanes."""
+        from drivecal.roads.carriageway import carriageway  # scipy is not for those who only read manifests
+
+        as_it_is = self.model_dump(exclude={"route", "ego", "task", "traffic", "network"})
+        task = self.task.model_dump(exclude={"speeds"})
+        others = [other.model_dump(exclude={"drift"}) | {"drift": tuple(other.drift)} for other in self.traffic]
+        return Scenario(
+            id=name,
+            **as_it_is,
+            route=tuple(self.route),
+            network=network,
+            road=carriageway(network, tuple(self.route), self.network),
+            ego=EgoStart(**self.ego.model_dump()),
+            task=Task(**task, speeds=tuple(SpeedKnot(s, speed) for s, speed in self.task.speeds)),
+            traffic=tuple(TrafficVehicle(**other) for other in others),
+        )
+
+
 class OpenScenario(Surroundings):
     """The data of a scenario that an OpenSCENARIO file describes.
 
@@ -338,4 +419,6 @@ class OpenScenario(Surroundings):
     duration: Duration | None = None
 
 
-Declared = HighwayScenario | OpenScenario
+Described = HighwayScenario | OpenScenario
+"""Scenarios for a controller of any kind, which files may complete."""
+Declared = Described | TaskScenario

@@ -8,15 +8,20 @@ from drivecal.bundles import units
 from drivecal.bundles.highway import (
     AnyController,
     Declared,
+    Described,
     Driver,
     FmuController,
     FmuVehicle,
     HighwayScenario,
     HighwaySimulator,
     OpenScenario,
+    OtherVehicle,
     PlannerController,
     ProcessController,
+    TaskScenario,
+    TrafficEntry,
     UserVehicleEntry,
+    VehicleValues,
 )
 from drivecal.bundles.highway_action_checks import actions_problems
 from drivecal.bundles.highway_catalogue import (
@@ -34,6 +39,8 @@ from drivecal.bundles.highway_catalogue import (
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.evaluations import Failure
+from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 
 TICK = 0.01
 """Step of the vehicle's dynamics (s); all other steps are multiples of it."""
@@ -43,6 +50,8 @@ ENDINGS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "openscenario": ((".xosc",), "no OpenSCENARIO file"),
 }
 """Endings of the files that scenarios name, and what others are not."""
+DRIVING_FUNCTION = "frenet"
+"""The built-in planner among the driving functions."""
 SPLITTING = ",$"
 """Characters of a path that SUMO takes for a list of files and for variables of the environment."""
 ABOVE_ZERO = frozenset({"accel", "decel", "emergencyDecel", "apparentDecel", "tau", "stepping"})
@@ -129,8 +138,27 @@ def _signal_table(controller: FmuController) -> Iterator[Problem]:
             yield Problem("simulator.controller.signals", message, f"add `{name}: VARIABLE`, the FMU's output")
 
 
-def planner_problems(controller: PlannerController, parameters: Collection[str]) -> Iterator[Problem]:
-    """Yields the parameters of the built-in planner that are missing, or given twice. `parameters`: the problem's."""
+def planner_problems(
+    controller: PlannerController, parameters: Collection[str], varied: Collection[str], *, driven: bool
+) -> Iterator[Problem]:
+    """Yields the parameters of the built-in planner that are missing or given twice, and varied ones that its vehicle lacks.
+
+    Args:
+        controller: the section of the planner.
+        parameters: names of the problem's parameters.
+        varied: names of the problem's varied parameters.
+        driven: whether its scenarios have tasks.
+    """
+    known = list(VehicleValues.model_fields) if driven else []
+    for name in varied:
+        if name not in known:
+            remedy = nearest(name, known) if driven else "leave `varied` out, or give the scenarios tasks"
+            yield Problem(f"varied.{name}", "the planner's vehicle has no such parameter", remedy)
+    if driven and controller.driving_function != DRIVING_FUNCTION:
+        return  # an installed function that is not known here
+    if not driven and controller.driving_function != DRIVING_FUNCTION:
+        message = "other driving functions drive scenarios with a task"
+        yield Problem("simulator.controller.driving_function", message, "leave it out, or give the scenarios tasks")
     for name in PLANNER_PARAMETERS:
         if (name in parameters) == (name in controller.values):
             message = f"the planner's {name} is {'a parameter, too' if name in parameters else 'missing'}"
@@ -140,6 +168,15 @@ def planner_problems(controller: PlannerController, parameters: Collection[str])
         if name not in PLANNER_PARAMETERS:
             field = "simulator.controller.values" if name in controller.values else "parameters"
             yield Problem(f"{field}.{name}", "the planner has no such parameter", nearest(name, PLANNER_PARAMETERS))
+
+
+def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
+    """Yields the tasks of scenarios for which there is no planner, or that other scenarios lack."""
+    planned = isinstance(controller, PlannerController)
+    tasks = [name for name, data in scenarios.items() if "task" in data]
+    for name in tasks if not planned else [name for name in tasks if len(tasks) < len(scenarios)]:
+        remedy = "leave it out" if not planned else "give every scenario a task, or none"
+        yield Problem(f"scenarios.{name}.task", "a task is for the planner alone, in all scenarios of a problem", remedy)
 
 
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
@@ -162,6 +199,8 @@ def files_named(scenarios: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def declared_scenario(data: Mapping[str, Any]) -> Declared:
     """Returns a scenario's data as a model. Raises InvalidInputError with all faults."""
+    if "task" in data:
+        return validated(TaskScenario, dict(data))
     return validated(OpenScenario, dict(data)) if "openscenario" in data else validated(HighwayScenario, dict(data))
 
 
@@ -191,19 +230,23 @@ def scenario_problems(
         others: Ids of vehicles of its route file.
     """
     yield from _files(field, scenario)
-    duration = scenario.duration
+    duration, step = scenario.duration, scenario.step if isinstance(scenario, TaskScenario) else step
     if duration is not None and _is_multiple(step, TICK) and not _is_multiple(duration, step):
         message = f"{duration:g} s is not a multiple of the simulator's step of {step:g} s"
         yield Problem(f"{field}.duration", message, f"give e.g. {max(1, round(duration / step)) * step:g}")
     seen = {"ego"}
-    ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(scenario.traffic)]
-    ids += [(f"flows[{index}]", entry.id) for index, entry in enumerate(scenario.flows)]
+    traffic: Sequence[TrafficEntry | OtherVehicle] = scenario.traffic
+    ids = [(f"traffic[{index}]", entry.id) for index, entry in enumerate(traffic)]
+    if not isinstance(scenario, TaskScenario):
+        ids += [(f"flows[{index}]", entry.id) for index, entry in enumerate(scenario.flows)]
     for entry, name in ids:
         if name is not None and name in seen:
             remedy = "give another id" if name != "ego" else "give another id; ego is the controlled vehicle"
             yield Problem(f"{field}.{entry}.id", f"the id {name} is taken", remedy)
         elif name is not None:
             seen.add(name)
+    if isinstance(scenario, TaskScenario):
+        return
     drivers: list[tuple[str, Driver]] = [(f"traffic[{index}]", entry) for index, entry in enumerate(scenario.traffic)]
     drivers += [(f"flows[{index}]", entry) for index, entry in enumerate(scenario.flows)]
     yield from _drivers(field, drivers)
@@ -213,7 +256,7 @@ def scenario_problems(
     yield from _flows(field, scenario)
 
 
-def _times(field: str, scenario: Declared, step: float, *, is_whole: bool) -> Iterator[Problem]:
+def _times(field: str, scenario: Described, step: float, *, is_whole: bool) -> Iterator[Problem]:
     """Yields the faults of `begin` and `warm_up`."""
     if scenario.begin and scenario.routes is None:
         message = "it is the time of a route file at which the run begins, but there are no `routes`"
@@ -232,7 +275,7 @@ def _times(field: str, scenario: Declared, step: float, *, is_whole: bool) -> It
         yield Problem(f"{field}.warm_up", message, "leave it out, or give flows")
 
 
-def _flows(field: str, scenario: Declared) -> Iterator[Problem]:
+def _flows(field: str, scenario: Described) -> Iterator[Problem]:
     """Yields the faults of the times and speeds of flows."""
     duration = scenario.duration
     for index, flow in enumerate(scenario.flows):
@@ -255,7 +298,7 @@ def _flows(field: str, scenario: Declared) -> Iterator[Problem]:
 
 def _files(field: str, scenario: Declared) -> Iterator[Problem]:
     """Yields the faults of the paths that a scenario names."""
-    named = {"network": scenario.network, "routes": scenario.routes}
+    named = {"network": scenario.network, "routes": None if isinstance(scenario, TaskScenario) else scenario.routes}
     if isinstance(scenario, OpenScenario):
         named["openscenario"] = scenario.openscenario
     for key, path in named.items():
@@ -287,24 +330,32 @@ def _drivers(field: str, drivers: Sequence[tuple[str, Driver]]) -> Iterator[Prob
         yield Problem(f"{field}.{others[0]}.lane_change", message, "give all vehicles one of them, or none")
 
 
-def measures_problems(measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str]) -> Iterator[Problem]:
+def measures_problems(
+    measures: Mapping[str, str], series: Mapping[str, str], failures: Sequence[str], *, driven: bool
+) -> Iterator[Problem]:
     """Yields declared measures, series and failures that the simulator lacks or has in another unit."""
-    yield from _known("measures", measures, MEASURES)
-    yield from _known("series", series, SERIES)
+    known = FAILURES if not driven else tuple(Failure)
+    yield from _known("measures", measures, CLOSED_LOOP_MEASURES if driven else units_of(MEASURES))
+    yield from _known("series", series, {} if driven else units_of(SERIES))
     for index, name in enumerate(failures):
-        if name not in FAILURES:
-            yield Problem(f"failures[{index}]", f"the simulator reports no {shown(name)}", nearest(name, FAILURES))
-    if failures and (missing := [name for name in FAILURES if name not in failures]):
+        if name not in known:
+            yield Problem(f"failures[{index}]", f"the simulator reports no {shown(name)}", nearest(name, known))
+    if failures and (missing := [name for name in known if name not in failures]):
         yield Problem("failures", f"the simulator also reports {', '.join(missing)}", "add them, or leave `failures` out")
 
 
-def _known(section: str, declared: Mapping[str, str], catalogue: Mapping[str, Quantity]) -> Iterator[Problem]:
+def units_of(catalogue: Mapping[str, Quantity]) -> dict[str, str]:
+    """Returns the units of quantities by name."""
+    return {name: quantity.unit for name, quantity in catalogue.items()}
+
+
+def _known(section: str, declared: Mapping[str, str], catalogue: Mapping[str, str]) -> Iterator[Problem]:
     for name, unit in declared.items():
         if name not in catalogue:
             yield Problem(f"{section}.{name}", "the simulator does not report it", nearest(name, list(catalogue)))
-        elif not units.same(unit, catalogue[name].unit):
-            message = f"its unit is {catalogue[name].unit}, not {shown(unit)}"
-            yield Problem(f"{section}.{name}", message, f"give {catalogue[name].unit}, and convert in the formulas of scores")
+        elif not units.same(unit, catalogue[name]):
+            message = f"its unit is {catalogue[name]}, not {shown(unit)}"
+            yield Problem(f"{section}.{name}", message, f"give {catalogue[name]}, and convert in the formulas of scores")
 
 
 def _is_multiple(value: float, unit: float) -> bool:

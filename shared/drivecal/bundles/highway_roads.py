@@ -11,7 +11,17 @@ from dataclasses import replace
 from itertools import chain, islice, pairwise
 
 from drivecal.bundles.archives import BundleFile
-from drivecal.bundles.highway import Declared, Driver, FlowEntry, HighwayScenario, HighwaySimulator, Placed, TrafficEntry
+from drivecal.bundles.highway import (
+    Described,
+    Driver,
+    FlowEntry,
+    HighwayScenario,
+    HighwaySimulator,
+    OpenScenario,
+    Placed,
+    TaskScenario,
+    TrafficEntry,
+)
 from drivecal.bundles.highway_checks import scenario_of, scenario_problems
 from drivecal.bundles.manifest import Manifest
 from drivecal.bundles.traffic.description import Description, described, map_of, network_of
@@ -79,7 +89,7 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
     """
     roads = _Roads(files)
-    problems: dict[str, list[Problem]] = {}
+    problems: dict[str, list[Problem]] = {field: list(faults) for field, faults in _roads_of_tasks(manifest, files)}
     descriptions: dict[str, Description] = {}
     for field, scenario in _scenarios(manifest):
         roads.check_time()
@@ -101,6 +111,17 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
         raise InvalidInputError(*dict.fromkeys(chain.from_iterable(problems.values())))
     ignored = chain.from_iterable(description.notes for description in descriptions.values())
     return (*dict.fromkeys(ignored), *chain.from_iterable(notes.values()))
+
+
+def _roads_of_tasks(manifest: Manifest, files: Mapping[str, BundleFile]) -> Iterator[tuple[str, list[Problem]]]:
+    """Yields the faults of the roads of scenarios with a task, whose lanes are equal and go from the begin to the end."""
+    for name, data in manifest.scenarios.items():
+        scenario = scenario_of(name, data)
+        if isinstance(scenario, TaskScenario) and scenario.network in files:
+            try:
+                scenario.on(name, files[scenario.network].content)
+            except InvalidInputError as error:
+                yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
 
 
 def _notes(road: Corridor, field: str, scenario: HighwayScenario) -> Iterator[str]:
@@ -310,10 +331,10 @@ def _unknown(network: Network, name: str, field: str) -> Problem:
     return Problem(field, f"{network.name}: there is no edge {shown(name, 80)}", remedy)
 
 
-def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Declared]]:
+def _scenarios(manifest: Manifest) -> Iterator[tuple[str, Described]]:
     for name, data in manifest.scenarios.items():
         scenario = scenario_of(name, data)
-        if not isinstance(scenario, InvalidInputError):
+        if isinstance(scenario, HighwayScenario | OpenScenario):
             yield f"scenarios.{name}", scenario
 
 

@@ -4,16 +4,18 @@ A simulation gives measures; a declared score turns measures into numbers. The m
 the whole.
 """
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
-from drivecal.bundles.highway import HighwaySimulator
+from drivecal.bundles.highway import HighwaySimulator, PlannerController
 from drivecal.bundles.highway_catalogue import MEASURES
 from drivecal.bundles.simulators import Command, File, SimulatorEntry, Text, Unit
 from drivecal.contracts.specification import Model
 from drivecal.contracts.strict_json import Choice, Identifier, Number
 from drivecal.domain.scales import Direction, Scale
+from drivecal.domain.vehicles import VehicleParameter
 
 
 class ParameterEntry(Model):
@@ -29,6 +31,23 @@ class ParameterEntry(Model):
     """Whole numbers only; the simulation gets an integer."""
     choices: Annotated[list[Choice], Field(min_length=2, max_length=1000)] | None = None
     """The texts of a choice, in place of bounds; the simulation gets the text."""
+    unit: Unit = "1"
+    """For readers; 1 is none."""
+    description: Text = ""
+    """For readers."""
+
+
+class VariedEntry(Model):
+    """A side condition of a run that no campaign searches, such as the vehicle's mass: robustness studies vary it.
+
+    A run gets its value among the parameters: the nominal one, but for the campaign's own `vehicle.parameters` and in these studies.
+    """
+
+    nominal: Number
+    """Usual value."""
+    lower: Number
+    upper: Number
+    """The range, by whose shares robustness studies vary it."""
     unit: Unit = "1"
     """For readers; 1 is none."""
     description: Text = ""
@@ -101,14 +120,16 @@ AnySimulator = Annotated[
 
 
 class ScoreEntry(Model):
-    """A score: arithmetic over measures.
+    """A score: arithmetic over measures, or an installed evaluator's rating of a run.
 
     `range`: its usual values; `failed`: the worth of a failed run, by default the worst end of the range. A failed run never beats another:
     a score that is worse than `failed` counts as `failed`. If scores may lie beyond the range, give `failed` a value worse than any run's.
     """
 
-    formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
+    formula: Annotated[str, StringConstraints(min_length=1, max_length=2000)] | None = None
     """Arithmetic over measures."""
+    evaluator: Identifier | None = None
+    """Name of an installed evaluator, in place of a formula."""
     direction: Literal["maximise", "minimise"]
     """Direction of better scores."""
     range: Annotated[tuple[Number, Number], Field(strict=False)]
@@ -117,8 +138,18 @@ class ScoreEntry(Model):
     """Smaller differences are no error of a reused or predicted score."""
     failed: Number | None = None
     """Worth of a failed run, worse than any run's score; null: the worst end of the range. Worse scores count as it, with a warning."""
+    step: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Distance of neighbouring scores, if an evaluator gives only multiples of it."""
     unit: Unit = "1"
     """For readers; 1 is none."""
+
+    @model_validator(mode="after")
+    def _is_computed(self) -> Self:
+        if (self.formula is None) == (self.evaluator is None):
+            raise ValueError("a score needs a formula or an evaluator; give one of them")
+        if self.step is not None and self.evaluator is None:
+            raise ValueError("formulas have no steps; leave `step` out")
+        return self
 
     @property
     def worst(self) -> float:
@@ -134,7 +165,7 @@ class ScoreEntry(Model):
         """Returns the scale of the score of this name."""
         lower, upper = self.range
         direction = Direction(self.direction)
-        return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, unit=self.unit)
+        return Scale(name, direction, lower, upper, self.tolerance, self.failed_worth, self.step, self.unit)
 
 
 class Manifest(Model):
@@ -146,6 +177,8 @@ class Manifest(Model):
     """For readers."""
     parameters: Annotated[dict[Identifier, ParameterEntry], Field(min_length=1, max_length=200)]
     """The searched space."""
+    varied: Annotated[dict[Identifier, VariedEntry], Field(max_length=100, default_factory=dict)]
+    """Side conditions that robustness studies vary."""
     constraints: Annotated[tuple[Text, ...], Field(max_length=100, strict=False)] = ()
     """Comparisons that a parameter set has to keep, such as `a >= 2*b`."""
     baseline: dict[Identifier, Number | Choice] | None = None
@@ -164,6 +197,19 @@ class Manifest(Model):
     """Made of measures; the first is a campaign's default."""
 
     @property
+    def is_driven(self) -> bool:
+        """Whether drivecal's own planner drives scenarios with tasks: such runs need no child process."""
+        return is_driven(self.simulator, self.scenarios)
+
+    @property
+    def varied_parameters(self) -> tuple[VehicleParameter, ...]:
+        """The varied parameters with their nominal values and ranges."""
+        return tuple(
+            VehicleParameter(name, entry.unit, entry.nominal, entry.lower, entry.upper, entry.description)
+            for name, entry in self.varied.items()
+        )
+
+    @property
     def integers(self) -> tuple[str, ...]:
         """Names of the integer parameters, sorted. A simulator gets 3 for them, not 3.0."""
         return tuple(sorted(name for name, entry in self.parameters.items() if entry.integer))
@@ -172,5 +218,11 @@ class Manifest(Model):
     def reported(self) -> dict[str, str]:
         """Measures that runs of campaigns report and store, with units: the declared ones, and whatever else the simulator always computes,
         for scores that are pushed later."""
-        always = MEASURES if isinstance(self.simulator, HighwaySimulator) else {}
+        always = MEASURES if isinstance(self.simulator, HighwaySimulator) and not self.is_driven else {}
         return self.measures | {name: quantity.unit for name, quantity in always.items() if name not in self.measures}
+
+
+def is_driven(simulator: object, scenarios: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Returns whether a section's controller is drivecal's planner, which has a task in each scenario."""
+    is_planned = isinstance(simulator, HighwaySimulator) and isinstance(simulator.controller, PlannerController)
+    return is_planned and all("task" in data for data in scenarios.values())

@@ -216,10 +216,12 @@ class ProblemPage(Page[ProblemHeading]):
 
 
 class ProblemAnswer(ProblemHeading):
-    """A pushed problem: the sections of its `problem.yaml`, checked and with the defaults filled in."""
+    """A problem: the sections of its `problem.yaml`, checked and with the defaults filled in."""
 
     description: str
     parameters: dict[str, dict[str, Any]]
+    varied: dict[str, dict[str, Any]]
+    """Side conditions of runs, which robustness studies vary."""
     constraints: list[str]
     baseline: dict[str, float | str] | None
     simulator: dict[str, Any]

@@ -30,16 +30,16 @@ class ScenarioSetup(Answer):
     scenario: str
     weight: float
     fingerprint: str
-    scenario_digest: str | None = None
     driving_function: str | None = None
     vehicle: str | None = None
     vehicle_parameters: dict[str, float] | None = None
     simulator: str | None = None
     files: str | None = None
-    """Digest of a bundle's files except `problem.yaml`."""
+    """Digest of the problem's files except `problem.yaml`."""
     step_seconds: float | None = None
     seed: int | None = None
     title: str = ""
+    """For readers, if the scenario's data has one."""
 
 
 class CampaignSetup(Answer):

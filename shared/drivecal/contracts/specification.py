@@ -22,7 +22,7 @@ from pydantic import (
 from drivecal.contracts.strict_json import UNIQUE, Choice, Identifier, Name, Number, ProblemName
 from drivecal.domain.scales import Scale
 
-HIGHWAY = "highway"
+DEFAULT_PROBLEM = "highway"
 """Name of the built-in problem, its catalogue, and its parameters."""
 LARGEST_POPULATION = 100_000
 LARGEST_ITERATIONS = 10_000
@@ -63,10 +63,10 @@ class ParameterSpecification(Model):
 
 
 class VehicleSpecification(Model):
-    """A vehicle model and the parameters that differ from its nominal values, by name."""
+    """A vehicle model and the parameters that differ from its nominal values, by name; of another problem, its varied parameters."""
 
     model: Identifier = "single_track"
-    parameters: Annotated[dict[Identifier, Annotated[float, Field(gt=0, le=1e9)]], Field(max_length=64)] = {}
+    parameters: Annotated[dict[Identifier, Number], Field(max_length=100)] = {}
 
 
 class MapReference(Model):
@@ -300,7 +300,7 @@ class ProblemSpecification(Model):
     name: Name = "campaign"
     priority: Annotated[int, Field(ge=-100, le=100)] = 0
     """Cells of a higher priority go first; campaigns of the same one share the workers."""
-    problem: ProblemName = HIGHWAY
+    problem: ProblemName = DEFAULT_PROBLEM
     """The built-in problem, or the name or digest of a pushed bundle; a name means its latest push."""
     catalogue: Catalogue = "highway"
     """The scenarios: a catalogue, or a list of scenario ids; of a pushed problem all by default."""
@@ -370,7 +370,7 @@ class InfluenceMapSpecification(Model):
     """A posted influence map of every push of a `problem`, checked against the grid of `parameters`. What is not listed is influential."""
 
     name: Name = "influence map"
-    problem: ProblemName = HIGHWAY
+    problem: ProblemName = DEFAULT_PROBLEM
     catalogue: Catalogue = "highway"
     parameters: Identifier | Annotated[list[ParameterSpecification], Field(min_length=1, max_length=200)] = "highway"
     driving_function: Identifier = "frenet"
@@ -385,7 +385,7 @@ class EvaluationSpecification(Model):
 
     parameters: Annotated[dict[Identifier, Number | Choice], Field(min_length=1, max_length=200)]
     scenario: Identifier | None = None
-    problem: ProblemName = HIGHWAY
+    problem: ProblemName = DEFAULT_PROBLEM
     catalogue: Identifier = "highway"
     driving_function: Identifier = "frenet"
     vehicle: VehicleSpecification = VehicleSpecification()

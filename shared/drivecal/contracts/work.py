@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivecal.domain.setups import fingerprint_of
+
 SetupKey = tuple[str, ...]
 """Key shared by requests that run and rate the same."""
 Kind = tuple[str, ...]
@@ -11,56 +13,17 @@ Kind = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class DriveRequest:
-    """A setup of the built-in closed loop; the worker rebuilds it from its own installation and compares the fingerprints."""
-
-    catalogue: str
-    scenario: str
-    driving_function: str
-    vehicle: str
-    vehicle_parameters: Mapping[str, float]
-    """Every parameter of the vehicle model."""
-    evaluator: str
-    run_fingerprint: str
-    document: Mapping[str, object] = field(default_factory=dict)
-    """The fingerprinted document (`Setup.document`), so that a worker can name differences."""
-    evaluator_version: str | None = None
-    """The coordinator's: ratings of another one must not be stored under its name. None if it does not matter."""
-
-    @property
-    def key(self) -> SetupKey:
-        """Key shared by requests that run and rate the same."""
-        return (self.run_fingerprint, self.catalogue, self.scenario, self.evaluator)
-
-    @property
-    def kind(self) -> Kind:
-        """Key without the vehicle's parameters: a robustness study drives few cells in each of hundreds of vehicles."""
-        versions = (str(self.document.get(name)) for name in ("driving_function_version", "vehicle_version", "simulator"))
-        return (self.catalogue, self.scenario, self.driving_function, self.vehicle, self.evaluator, *versions)
-
-    @property
-    def bundle(self) -> None:
-        """Needs no files of users."""
-        return
-
-    @property
-    def timeout(self) -> None:
-        """Has no time limit of its own."""
-        return
-
-
-@dataclass(frozen=True, slots=True)
-class BundleRequest:
-    """A setup of a problem bundle. The worker returns measures; the coordinator rates them."""
+class SetupRequest:
+    """A scenario of a problem, to be run with parameter sets. The worker returns measures; the coordinator rates them."""
 
     bundle: str
-    """Digest of the bundle's archive."""
+    """Digest of the problem's files, of which the worker has an archive, or which are installed with a package there."""
     problem: str
     scenario: str
     data: Mapping[str, Any]
     """The scenario's data."""
     simulator: Mapping[str, Any]
-    """The manifest's section."""
+    """The manifest's section, with the plug-ins that the campaign chose."""
     parameters: tuple[str, ...]
     integers: tuple[str, ...]
     """Parameters that are sent as whole numbers: 3, not 3.0."""
@@ -69,31 +32,36 @@ class BundleRequest:
     series: tuple[str, ...]
     """Names: of the measures to report (`Manifest.reported`), of the declared failures and time series."""
     run_fingerprint: str
-    document: Mapping[str, object] = field(default_factory=dict)
+    document: Mapping[str, Any] = field(default_factory=dict)
+    """The fingerprinted document (`Setup.document`), so that a worker can name differences."""
     tools: str | None = None
     """Answer of the manifest's `probe` to which the results belong: a worker with another one refuses. None without a probe, and in a
     batch without cells, which asks for it."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Units of the parameters by name, if they are known."""
+    """Units of all parameters by name, if they are known."""
+    varied: Mapping[str, float] = field(default_factory=dict)
+    """Values of the problem's varied parameters, which a run gets among its parameters."""
+    evaluator: str | None = None
+    """Evaluator that rates the runs on the worker, which have the time series that it may need. None: the coordinator rates."""
+    evaluator_version: str | None = None
+    """The coordinator's: ratings of another one must not be stored under its name."""
+    is_driven: bool = False
+    """Whether it runs in the worker's own process: the code is drivecal's or an installed plug-in's, none of a user's files is run."""
 
     @property
     def key(self) -> SetupKey:
-        """Key shared by requests that run the same; different manifests may declare other measures for equal runs."""
-        return (self.run_fingerprint, self.bundle, self.scenario)
+        """Key shared by requests that run and rate the same; different manifests may declare other measures for equal runs."""
+        return (self.run_fingerprint, self.bundle, self.scenario, self.evaluator or "")
 
     @property
     def kind(self) -> Kind:
-        """Every setup is a kind of its own."""
-        return self.key
+        """Key without the varied parameters: a robustness study runs few cells at each of hundreds of their values."""
+        return self.key if not self.varied else (fingerprint_of({**self.document, "varied": {}}), *self.key[1:])
 
     @property
-    def timeout(self) -> float:
-        """Time limit of a run, s."""
-        return float(self.simulator["timeout"])
-
-
-SetupRequest = DriveRequest | BundleRequest
-"""Names what to run."""
+    def timeout(self) -> float | None:
+        """Time limit of a run in a child process, s."""
+        return None if self.is_driven else float(self.simulator["timeout"])
 
 
 @dataclass(frozen=True, slots=True)

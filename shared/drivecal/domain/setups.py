@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any
 
 
 def canonical_json(document: object) -> str:
@@ -24,31 +24,17 @@ def fingerprint_of(document: Mapping[str, object]) -> str:
     return digest(canonical_json(document).encode())
 
 
-class Setup(Protocol):
+@dataclass(frozen=True, slots=True)
+class Setup:
     """Everything besides the parameter set that decides a run of a scenario.
 
+    Its `document` holds the simulator section, the scenario's data, the digest of the problem's files and the versions of installed parts.
     It excludes scores, weights and bounds, so that reruns with others find all stored results.
     """
 
-    @property
-    def scenario(self) -> str:
-        """Id of the scenario."""
-
-    @property
-    def document(self) -> Mapping[str, object]:
-        """Content of the fingerprint as plain data."""
-
-    @property
-    def fingerprint(self) -> str:
-        """Run fingerprint: the digest of `document`."""
-
-
-@dataclass(frozen=True, slots=True)
-class BundleSetup:
-    """A scenario of a problem bundle: its `document` holds the simulator section, the scenario's data and the digest of the files."""
-
     scenario: str
-    document: Mapping[str, object]
+    document: Mapping[str, Any]
+    """Content of the fingerprint as plain data."""
 
     @property
     def fingerprint(self) -> str:
@@ -57,40 +43,12 @@ class BundleSetup:
 
     @property
     def simulator(self) -> str:
-        """Kind of the simulator with the version of its adapter."""
-        section: Any = self.document["simulator"]
-        return f"{section['kind']} (adapter {self.document['adapter']})"
-
-
-@dataclass(frozen=True, slots=True)
-class DrivenSetup:
-    """A scenario driven by a driving function in a vehicle and a traffic simulator."""
-
-    scenario: str
-    scenario_digest: str
-    """Digest of the scenario's definition and its network's bytes."""
-    driving_function: str
-    driving_function_version: str
-    vehicle: str
-    vehicle_version: str
-    vehicle_parameters: Mapping[str, float]
-    simulator: str
-    """Name and version, e.g. `libsumo 1.28.0`."""
-    step_seconds: float
-    seed: int
+        """Kind of the simulator with the version of its adapter, and the library of SUMO."""
+        versions = [f"adapter {self.document['adapter']}", self.document.get("sumo")]
+        return f"{self.document['simulator']['kind']} ({', '.join(version for version in versions if version)})"
 
     @property
-    def document(self) -> dict[str, object]:
-        """Content of the fingerprint as plain data."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return values | {"vehicle_parameters": dict(self.vehicle_parameters)}
-
-    @property
-    def fingerprint(self) -> str:
-        """Run fingerprint: the digest of `document`."""
-        return fingerprint_of(self.document)
-
-    @classmethod
-    def from_document(cls, document: Mapping[str, object]) -> DrivenSetup:
-        """Inverts `document`."""
-        return cls(**document)  # type: ignore[arg-type]  # the fields are those written by `document`
+    def varied(self) -> Mapping[str, float]:
+        """Values of the problem's varied parameters by name."""
+        values: Mapping[str, float] = self.document.get("varied", {})
+        return values

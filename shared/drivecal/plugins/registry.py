@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, cast
 
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -21,6 +22,7 @@ VEHICLES = "drivecal.vehicles"
 EVALUATORS = "drivecal.evaluators"
 OPTIMIZERS = "drivecal.optimizers"
 SIMULATORS = "drivecal.simulators"
+PROBLEMS = "drivecal.problems"
 
 KINDS: Mapping[str, str] = {
     CATALOGUES: "scenario catalogue",
@@ -29,6 +31,7 @@ KINDS: Mapping[str, str] = {
     EVALUATORS: "evaluator",
     OPTIMIZERS: "optimizer",
     SIMULATORS: "simulator",
+    PROBLEMS: "problem",
 }
 """Words for a plug-in, by entry point group."""
 
@@ -39,6 +42,7 @@ _READ: Mapping[str, Callable[[Any], object]] = {
     EVALUATORS: lambda plugin: plugin.name,
     OPTIMIZERS: lambda plugin: (plugin.name, plugin.settings.model_fields),
     SIMULATORS: lambda plugin: plugin.name,
+    PROBLEMS: lambda folder: (folder / "problem.yaml").read_bytes(),
 }
 """Reads what lists and campaigns need of a plug-in."""
 _LONGEST = 300
@@ -177,3 +181,8 @@ def catalogue(name: str) -> Catalogue:
 def catalogues() -> list[Catalogue]:
     """Returns all installed scenario catalogues that can be used."""
     return _usable(CATALOGUES)
+
+
+def problems() -> dict[str, Path]:
+    """Returns the folders of all installed problems by name; `drivecal.bundles.installed` reads them."""
+    return {name: folder for name in names(PROBLEMS) if isinstance(folder := _load(PROBLEMS, name), Path)}

@@ -11,6 +11,7 @@ from sqlalchemy import Connection
 from tests.support.storage import SETUP, sample_sets
 
 from drivecal.domain.parameters import ParameterSet
+from drivecal.domain.setups import Setup
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, setups
 
@@ -39,7 +40,7 @@ def test_a_set_is_the_same_in_any_order_of_names_and_keeps_its_exact_decimals(da
 
 
 def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Database) -> None:
-    other = replace(SETUP, vehicle_parameters={"mass_kg": 1500.0000000000002})
+    other = Setup("S1", {**SETUP.document, "varied": {"mass": 1500.0000000000002}})
     with database.transaction() as connection:
         ids = setups.ensure(connection, [SETUP, other, SETUP])
         assert setups.ensure(connection, [other]) == [ids[1]]

@@ -10,7 +10,7 @@ import pytest
 from tests.support.simulators import compiled, opened
 
 from drivecal.bundles import archives
-from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import SimulatorSession
 from drivecal.runtime.bundles import BundleSessions
@@ -67,7 +67,7 @@ FAULTS = {1: Breakdown.CRASH, 2: Breakdown.HANG, 3: Breakdown.ERROR, 4: Breakdow
 def test_two_hundred_crashes_hangs_and_floods_cost_one_cell_each(program: Path, tmp_path: Path) -> None:
     (program / "problem.yaml").write_text("problem: p\n")
     archive = archives.pack(program)
-    request = BundleRequest(
+    request = SetupRequest(
         bundle=archives.content_digest(archive),
         problem="p",
         scenario="S",

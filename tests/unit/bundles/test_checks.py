@@ -318,16 +318,6 @@ def test_the_smallest_range_of_a_score_is_a_thousandth() -> None:
     assert checked(changed("scores/comfort/range", [1, 1.001])).scores["comfort"].range == (1, 1.001)
 
 
-def test_an_fmu_that_is_reset_has_the_setup_of_earlier_versions() -> None:
-    kept, other = ({**FMU, "reset": reset} for reset in (True, False))
-    documents = [
-        setup_document(checked(document(simulator=section)), "city", "f")["simulator"] for section in (FMU, kept, other)
-    ]
-    assert documents[0] == documents[1]
-    assert "reset" not in documents[0]
-    assert documents[2] == documents[0] | {"reset": False}
-
-
 def test_names_of_variables_are_part_of_a_setup_if_there_are_any() -> None:
     assert "environment" not in setup_document(checked(VALID), "city", "f")["simulator"]
     names = ["MATLAB_HOME", "TOOL_LICENSE_KEY", "KEYBOARD", "PGHOST"]

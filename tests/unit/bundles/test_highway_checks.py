@@ -7,12 +7,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import yaml
 from tests.unit.bundles.test_checks import VALID as PROCESS_VALID
 from tests.unit.bundles.test_checks import faults
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, FlowEntry, HighwaySimulator, TrafficEntry
+from drivecal.bundles.installed import installed_problems
+from drivecal.domain.errors import InvalidInputError
 from drivecal.plugins import registry, setups
 
 VALID: dict[str, Any] = {
@@ -330,3 +333,45 @@ def test_vehicles_have_the_size_of_their_class(name: str) -> None:
     flow = FlowEntry.model_validate({"per_hour": 100, "vehicle_class": name, "length": 9.0})
     assert (entry.length, entry.width) == size
     assert (flow.length, flow.width) == (9.0, size[1])
+
+
+PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder / "problem.yaml").read_text()) | {
+    "problem": "p"
+}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        ("problem", "highway", "problem"),
+        ("varied/mass/nominal", 1.0, "varied.mass.nominal"),
+        ("varied/mass/lower", 5000.0, "varied.mass.lower"),
+        ("varied/wings", {"nominal": 1, "lower": 0, "upper": 2}, "varied.wings"),
+        ("varied/P1", {"nominal": 1, "lower": 0, "upper": 2}, "varied.P1"),
+        ("simulator/controller", {"kind": "python", "file": "a.py", "output": ["acceleration"]}, "scenarios.S1.task"),
+        ("scenarios/S1/task", None, "scenarios.S2.task"),
+        ("scenarios/S1/task/target_lane", -1, "scenarios.S1.task.target_lane"),
+        (
+            "scenarios/S1/traffic",
+            [{"id": "ego", "lane": 0, "s": 1, "speed": 1, "desired_speed": 1}],
+            "scenarios.S1.traffic[0].id",
+        ),
+        ("measures/min_ttc_s", "s", "measures.min_ttc_s"),
+        ("failures", ["collision"], "failures"),
+        ("scores/comfort/formula", "offset_rms_m", "scores.comfort"),
+        ("scores/comfort/evaluator", None, "scores.comfort"),
+    ],
+)
+def test_faults_of_planned_scenarios_are_named_by_field(path: str, value: object, field: str) -> None:
+    document = copy.deepcopy(PLANNED)
+    *sections, name = path.split("/")
+    place = document
+    for section in sections:
+        place = place[section]
+    if value is None:
+        del place[name]
+    else:
+        place[name] = value
+    with pytest.raises(InvalidInputError) as refused:
+        checked(document)
+    assert field in {problem.field for problem in refused.value.problems}

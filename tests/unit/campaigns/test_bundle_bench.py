@@ -13,11 +13,11 @@ import yaml
 from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
-from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench
+from drivecal.bundles.installed import Bundle
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
-from drivecal.contracts.work import BundleRequest
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import CellScore
@@ -44,6 +44,11 @@ def resolved(stored: Bundle | None = None, **settings: Any) -> CalibrationProble
     return resolve(CampaignSpecification.model_validate(document), find)
 
 
+def bench_of(stored: Bundle, score: str) -> Bench:
+    document = {"problem": stored.manifest.problem, "evaluator": score, "optimizer": {"population": 10, "iterations": 2}}
+    return resolve(CampaignSpecification.model_validate(document), lambda _: stored).bench
+
+
 def fields(**settings: Any) -> set[str]:
     with pytest.raises(InvalidInputError) as caught:
         resolved(**settings)
@@ -51,7 +56,7 @@ def fields(**settings: Any) -> set[str]:
 
 
 def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
-    rating = BundleBench(bundle(), ("wet",), score).rate("wet", measures, failure)
+    rating = bench_of(bundle(), score).rate("wet", measures, failure)
     return None if rating is None else rating.rating
 
 
@@ -63,17 +68,13 @@ def test_goals_leave_equal_sets_only_on_a_bundle() -> None:
 def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() -> None:
     given = yaml.safe_load((EXAMPLE.parents[1] / "acc-highway" / "problem.yaml").read_text())
     stored = Bundle("d1", "f1", checked(given))
-    request = BundleBench(stored, tuple(given["scenarios"]), next(iter(given["scores"]))).requests[
-        next(iter(given["scenarios"]))
-    ]
+    request = bench_of(stored, next(iter(given["scores"]))).requests[next(iter(given["scenarios"]))]
     assert len(set(request.measures)) == len(request.measures)
     assert set(request.measures) == set(CATALOGUE) > given["measures"].keys()
     (new, unit) = next((name, entry.unit) for name, entry in CATALOGUE.items() if name not in given["measures"])
     score = {"formula": new, "direction": "minimise", "range": [0, 100]}
     later = checked({**given, "measures": {**given["measures"], new: unit}, "scores": {"later": score}})
-    rating = BundleBench(Bundle("d2", "f1", later), tuple(given["scenarios"]), "later").rate(
-        request.scenario, dict.fromkeys(request.measures, 3.0), None
-    )
+    rating = bench_of(Bundle("d2", "f1", later), "later").rate(request.scenario, dict.fromkeys(request.measures, 3.0), None)
     assert rating is not None
     assert rating.rating == 3.0
     problem = resolved(stored, problem=stored.manifest.problem)
@@ -85,7 +86,7 @@ def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() 
         optimizer={"kind": "nsga2", "population": 10, "iterations": 2},
         objectives=[goal],
     )
-    assert BundleBench(bundle(), ("wet",), "comfort").requests["wet"].measures == tuple(bundle().manifest.measures)
+    assert bench_of(bundle(), "discomfort").requests["wet"].measures == tuple(bundle().manifest.measures)
 
 
 @pytest.mark.parametrize(
@@ -231,7 +232,7 @@ def test_a_run_without_a_measure_that_the_score_needs_is_not_rated() -> None:
 
 def test_an_immense_score_can_be_ranked() -> None:
     scores = {"margin": {"formula": "min_gap_m**100 * min_gap_m**100", "direction": "maximise", "range": [0, 10]}}
-    rating = BundleBench(bundle(scores=scores), ("wet",), "margin").rate("wet", {"min_gap_m": 33.0}, None)
+    rating = bench_of(bundle(scores=scores), "margin").rate("wet", {"min_gap_m": 33.0}, None)
     assert rating is not None
     ranking = Ranking({"wet": 1.0})
     ranking.add([CellScore(1, "wet", rating.score, rating.rating, own=True, iteration=0, individual=0)])
@@ -252,13 +253,12 @@ def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:
     assert (old.bench.to_probe, resolved().bench.to_probe) == (None, None)
     assert len({problem.bench.setups["wet"].fingerprint for problem in (unknown, old, new, resolved())}) == 4
     requests = [problem.bench.requests["wet"] for problem in (old, new)]
-    assert [request.tools for request in requests if isinstance(request, BundleRequest)] == ["3.11", "3.12"]
+    assert [request.tools for request in requests] == ["3.11", "3.12"]
     assert any("3.11" in note for note in old.notes)
 
 
 def test_workers_get_the_units_of_parameters() -> None:
     request = resolved().bench.requests["wet"]
-    assert isinstance(request, BundleRequest)
     assert request.units.keys() == set(request.parameters)
     assert request.units["deceleration"] == "m/s²"
 
@@ -318,3 +318,25 @@ def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None
     assert [objective.name for objective in problem.goals.objectives] == ["discomfort"]
     assert [(bound.aggregate.kind, bound.span) for bound in problem.goals.bounds] == [("min", 2.0), ("max", 100.0)]
     assert fields(constraints=[{"measure": "gap", "at_least": 2.0}], optimizer=search) == {"constraints[0].measure"}
+
+
+def test_robustness_studies_vary_what_a_problem_declares() -> None:
+    robust = {"samples": 2, "steps": 2}
+    assert fields(robustness=robust) == {"robustness"}
+    varied = {"slope": {"nominal": 0.01, "lower": -0.1, "upper": 0.1}}
+    problem = resolved(bundle(varied=varied), robustness=robust)
+    assert [each.name for each in problem.bench.varied] == ["slope"]
+    steep = replace(problem.bench, values={"slope": 0.1})
+    assert steep.requests["wet"].varied == {"slope": 0.1}
+    assert steep.requests["wet"].run_fingerprint != problem.bench.requests["wet"].run_fingerprint
+    assert steep.requests["wet"].kind == problem.bench.requests["wet"].kind
+
+
+def test_an_installed_evaluator_may_give_a_score_of_any_problem() -> None:
+    scores = {"comfort": {"evaluator": "reference", "direction": "maximise", "range": [0, 7], "step": 1, "failed": 0}}
+    metrics = dict.fromkeys(("peak_lateral_acceleration_mps2", "peak_lateral_jerk_mps3"), 0.0)
+    metrics |= dict.fromkeys(("peak_longitudinal_acceleration_mps2", "peak_longitudinal_jerk_mps3"), 0.0)
+    scenarios = {"wet": {"rated_as": "lane_change"}}
+    rating = bench_of(bundle(scores=scores, scenarios=scenarios), "comfort").rate("wet", dict(metrics), None)
+    assert rating is not None
+    assert (rating.score, rating.rating) == (7, 7.0)

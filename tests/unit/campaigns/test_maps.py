@@ -10,7 +10,7 @@ import yaml
 from tests.unit.campaigns.test_bundle_bench import EXAMPLE, bundle, resolved
 
 from drivecal.api.results.document import is_same_for_a_map
-from drivecal.campaigns.resolve.bundle_bench import Bundle
+from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.maps import basis_of, check_basis, is_outdated
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import space_to_document

@@ -16,6 +16,7 @@ from tests.support.effort import examples
 
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, parse_description, read_fmu
+from drivecal.bundles.installed import installed_problems
 from drivecal.bundles.manifest import CommandSimulator, FmuSimulator, Manifest, ProcessSimulator
 from drivecal.client.problem_templates import fmu_manifest, write_problem
 from drivecal.client.problems import read_bundle, read_manifest
@@ -101,7 +102,16 @@ def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path)
     for answer in results.values():
         assert answer["measures"].keys() == manifest.measures.keys()
         for score in manifest.scores.values():
-            assert 0 < Formula(score.formula, manifest.measures)(answer["measures"]) < 100
+            assert 0 < Formula(score.formula or "", manifest.measures)(answer["measures"]) < 100
+
+
+def test_the_motorway_as_a_start_is_valid_and_has_another_name(tmp_path: Path) -> None:
+    write_problem("highway-planner", "my-planner", tmp_path / "folder")
+    manifest, _ = read_bundle(tmp_path / "folder")
+    assert manifest.problem == "my-planner"
+    assert manifest.is_driven
+    motorway = installed_problems()["highway"].manifest
+    assert (manifest.scenarios, manifest.scores, manifest.varied) == (motorway.scenarios, motorway.scores, motorway.varied)
 
 
 def test_a_new_highway_problem_records_the_time_of_its_series(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ NAN, INFINITE = float("nan"), float("inf")
         ("baseline", {"P1": -INFINITE}), ("baseline", {"P1": None}), ("baseline", []),
         ("weights", {"S1": -1}), ("weights", {"S1": NAN}), ("weights", {"S1": INFINITE}), ("weights", {"S1": 1e30}),
         ("weights", {"S1": True}), ("weights", {"S1": "1"}), ("weights", None), ("weights", {"S 1": 1}),
-        ("vehicle", "single_track"), ("vehicle.mass", 5), ("vehicle", {"parameters": {"m": 0}}),
+        ("vehicle", "single_track"), ("vehicle.mass", 5), ("vehicle", {"parameters": {"m": "0"}}),
         ("vehicle", {"parameters": {"m": NAN}}),
         ("sensitivity", {"samples": 1}), ("sensitivity", {"intervals": 0}), ("sensitivity", {"design": "cells"}),
         ("sensitivity", {"threshold": 0}), ("sensitivity", {"threshold": "automatic"}), ("sensitivity", {"threshold": {"mu": 1}}),

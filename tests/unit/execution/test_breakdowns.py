@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from tests.support.plant import TARGET, V, W, answers, cells, ids, send, setup
+from tests.support.plant import TARGET, V, W, answers, cells, ids, send
+from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import BatchResult, CellResult
 from drivecal.domain.evaluations import Breakdown

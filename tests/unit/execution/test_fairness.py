@@ -9,7 +9,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
-from tests.support.plant import TARGET, Plant, answers, cells, ids, send, setup
+from tests.support.plant import TARGET, Plant, answers, cells, ids, send
+from tests.support.setups import bare as setup
 
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy, CellCosts
@@ -201,8 +202,12 @@ def test_setups_that_were_never_measured_count_as_the_average_of_those_that_were
 
 
 def test_a_setup_in_a_vehicle_that_was_never_driven_costs_what_others_of_its_kind_do() -> None:
-    costs, known, other = CellCosts(), setup("S1"), setup("S2")
-    vehicle = replace(known, run_fingerprint="another", vehicle_parameters={"mass": 2000.0})
+    costs, known, other = (
+        CellCosts(),
+        replace(setup("S1"), varied={"mass": 1800.0}),
+        replace(setup("S2"), document={"scenario": "S2"}),
+    )
+    vehicle = replace(known, run_fingerprint="another", varied={"mass": 2000.0})
     for one in (known, vehicle, other):
         costs.relate(one.key, one.kind)
     assert costs.seconds_per_cell(vehicle.key) is None

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.plant import setup
 from tests.support.pooled import TAGS, cells, drain
+from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost

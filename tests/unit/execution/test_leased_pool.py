@@ -7,8 +7,8 @@ import random
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.leases import MemoryLeases
-from tests.support.plant import setup
 from tests.support.pooled import cells, drain
+from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell
 from drivecal.domain.errors import UnavailableError

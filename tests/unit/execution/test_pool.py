@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.plant import setup
 from tests.support.pooled import cells, drain
+from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell
 from drivecal.execution.pool import WorkPool

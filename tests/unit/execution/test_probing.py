@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 
-from drivecal.contracts.work import BundleRequest, Cell
+from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
 from drivecal.execution.probing import PATIENCE_WITH_ANSWERS
 from drivecal.execution.scheduling.in_flight import Work
 
 
-def setup(tools: str | None = None) -> BundleRequest:
+def setup(tools: str | None = None) -> SetupRequest:
     simulator = {"kind": "process", "timeout": 60.0, "probe": ["mysim", "--version"]}
     names = (("x",), (), ("y",), (), ())
-    return BundleRequest("digest", "mine", "city", {}, simulator, *names, f"fingerprint {tools}", tools=tools)
+    return SetupRequest("digest", "mine", "city", {}, simulator, *names, f"fingerprint {tools}", tools=tools)
 
 
 def pool_on(backend: FakeBackend) -> WorkPool:

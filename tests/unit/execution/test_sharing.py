@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.plant import Plant, V, W, answers, cells, ids, send, setup
+from tests.support.plant import Plant, V, W, answers, cells, ids, send
+from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.domain.evaluations import Breakdown

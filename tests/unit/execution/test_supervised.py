@@ -15,7 +15,7 @@ import yaml
 
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
-from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.execution import supervised, worker_process
 from drivecal.execution.backend import Finished
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
@@ -82,7 +82,7 @@ def test_a_repaired_cache_gets_the_files_again(tmp_path: Path) -> None:
     now = 0.0
     pool = WorkPool(WorkersHere(folders), clock=lambda: now)
     names = (("x",), (), ("y",), (), ())
-    setup = BundleRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint")
+    setup = SetupRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint")
     while now < PATIENCE_WITH_REFUSALS / 2:
         assert pool.probe(setup, "a") is None
         pool.poll(0.0)
@@ -106,7 +106,7 @@ def test_a_batch_may_take_as_long_as_the_limits_of_its_probe_start_and_runs(tmp_
     backend.wait(0.0)
     names = (("x",), (), ("y",), (), ())
     simulator = SIMULATOR | {"timeout": timeout}
-    setup = BundleRequest(content_digest(archive()), "mine", "city", {}, simulator, *names, "fingerprint", tools="2.1")
+    setup = SetupRequest(content_digest(archive()), "mine", "city", {}, simulator, *names, "fingerprint", tools="2.1")
     backend.submit("worker-1", 1, Batch(setup, tuple(Cell(number, {"x": 1.0}) for number in range(cells))), None)
     [worker] = backend._workers
     assert worker.calls[0].seconds >= PROBE_SECONDS + REPLY_SECONDS + start_limit(timeout) + cells * timeout
@@ -115,7 +115,7 @@ def test_a_batch_may_take_as_long_as_the_limits_of_its_probe_start_and_runs(tmp_
 def test_a_worker_that_lost_its_files_gets_them_again(tmp_path: Path) -> None:
     backend = WorkersHere([tmp_path])
     names = (("x",), (), ("y",), (), ())
-    question = Batch(BundleRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint"), ())
+    question = Batch(SetupRequest(content_digest(archive()), "mine", "city", {}, SIMULATOR, *names, "fingerprint"), ())
     refusals: list[bool] = []
     backend.wait(0.0)
     for number in range(1, 4):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from drivecal import local
 from drivecal.client.problem_templates import write_problem
@@ -100,3 +101,43 @@ def test_wrong_arguments_of_a_problem_are_refused_by_their_field(arguments: dict
     with pytest.raises(InvalidInputError) as refused:
         local.evaluate(**(given | arguments))
     assert any(problem.field.startswith(field) for problem in refused.value.problems)
+
+
+def test_a_copy_of_the_motorway_gives_its_bits(tmp_path: Path) -> None:
+    write_problem("highway-planner", "mine", tmp_path / "mine")
+    manifest, _ = read_bundle(tmp_path / "mine")
+    assert manifest.problem == "mine"
+    copied, original = (local.evaluate(HASTY, ["S1", "S4"], problem=problem).cells for problem in (tmp_path / "mine", None))
+    for name, cell in original.items():
+        assert (copied[name].rating, copied[name].metrics) == (cell.rating, cell.metrics)
+
+
+def test_varied_parameters_come_among_the_parameters_and_may_be_changed(tmp_path: Path) -> None:
+    document = yaml.safe_load((EXAMPLE / "problem.yaml").read_text())
+    folder = tmp_path / "slope"
+    folder.mkdir()
+    document |= {
+        "problem": "slope",
+        "parameters": {"gain": {"lower": 0, "upper": 1}},
+        "varied": {"slope": {"nominal": 0, "lower": -0.1, "upper": 0.1, "unit": "rad"}},
+        "constraints": [],
+        "baseline": None,
+        "simulator": {"kind": "python", "file": "model.py", "deterministic": True},
+        "scenarios": {"hill": {}},
+        "measures": {"error": "1"},
+        "scores": {"error": {"formula": "error", "direction": "minimise", "range": [0, 2]}},
+    }
+    (folder / "problem.yaml").write_text(yaml.safe_dump(document))
+    (folder / "model.py").write_text(
+        "def evaluate(parameters, scenario):\n    return {'error': abs(parameters['gain'] - 10 * parameters['slope'])}\n"
+    )
+    manifest, archive = read_bundle(folder)
+    (checked,) = run_problem(manifest, archive, {"gain": 0.5})
+    assert checked.measures == {"error": 0.5}
+    varied = {"parameters": {"slope": 0.05}}
+    scores = [local.evaluate({"gain": 0.5}, problem=folder, vehicle=vehicle).scores for vehicle in ({}, varied)]
+    assert scores == [{"hill": 0.5}, {"hill": 0.0}]
+    for wrong in ({"parameters": {"mass": 1}}, {"model": "hybrid"}):
+        with pytest.raises(InvalidInputError) as refused:
+            local.evaluate({"gain": 0.5}, problem=folder, vehicle=wrong)
+        assert refused.value.problems[0].field.startswith("vehicle.")

@@ -78,7 +78,7 @@ SETUP = CampaignSetup(
     parameters=PARAMETERS,
     scenarios=[
         ScenarioSetup(
-            scenario="S1", title="Change lane", weight=0.75, fingerprint="f1", scenario_digest="d1",
+            scenario="S1", title="Change lane", weight=0.75, fingerprint="f1",
             driving_function="frenet 1", vehicle="single_track 1",
             vehicle_parameters={"mass": 2060.0}, simulator="libsumo 1.28.0", step_seconds=0.1, seed=1,
         ),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from drivecal.bundles import archives
-from drivecal.contracts.work import BundleRequest
+from drivecal.contracts.work import SetupRequest
 
 
 @pytest.fixture
@@ -19,8 +19,8 @@ def archive(tmp_path: Path) -> bytes:
 
 
 @pytest.fixture
-def request_(archive: bytes) -> BundleRequest:
-    return BundleRequest(
+def request_(archive: bytes) -> SetupRequest:
+    return SetupRequest(
         bundle=archives.content_digest(archive),
         problem="p",
         scenario="city",

@@ -22,7 +22,7 @@ from tests.support.simulators import eventually, running
 
 from drivecal.adapters import children, process
 from drivecal.contracts.evaluation import ReplayAnswer
-from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry, setups
@@ -87,7 +87,7 @@ def worker(tmp_path: Path, simulator: ScriptedSimulator) -> Worker:
 
 
 def test_measures_come_back_unrated_with_the_cpu_time_of_children(
-    tmp_path: Path, archive: bytes, request_: BundleRequest
+    tmp_path: Path, archive: bytes, request_: SetupRequest
 ) -> None:
     works = worker(tmp_path, ScriptedSimulator())
     works.store(request_.bundle, archive)
@@ -96,13 +96,13 @@ def test_measures_come_back_unrated_with_the_cpu_time_of_children(
     assert result.milliseconds >= 1000 * SECONDS
 
 
-def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: BundleRequest) -> None:
+def test_a_batch_without_its_files_is_refused(tmp_path: Path, request_: SetupRequest) -> None:
     result = worker(tmp_path, ScriptedSimulator()).run(Batch(request_, (Cell(1, {"x": 2.0}),)))
     assert request_.bundle in (result.refusal or "")
     assert result.results == ()
 
 
-def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     section = {"kind": "highway", "controller": {"kind": "planner"}, "timeout": 10.0}
     works = worker(tmp_path, ScriptedSimulator())
     works.store(request_.bundle, archive)
@@ -114,7 +114,7 @@ def test_a_worker_with_another_planner_refuses_the_cells(tmp_path: Path, archive
 
 
 def test_a_worker_with_another_sumo_refuses_the_cells(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "highway", "controller": {"kind": "python"}, "timeout": 10.0}
     works = worker(tmp_path, ScriptedSimulator())
@@ -140,7 +140,7 @@ def installed(number: str | None, package: str) -> str:
     return number
 
 
-def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator(version="7"))
     works.store(request_.bundle, archive)
     batches = {
@@ -152,7 +152,7 @@ def test_a_worker_with_another_adapter_refuses_the_cells(tmp_path: Path, archive
     assert works.run(batches["7"]).refusal is None
 
 
-def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_simulator_that_this_machine_lacks_is_refused(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator())
     works.store(request_.bundle, archive)
     result = works.run(Batch(replace(request_, data={"missing": True}), (Cell(1, {"x": 2.0}),)))
@@ -164,7 +164,7 @@ def full_disk() -> OSError:
 
 
 def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator={**section, "probe": [sys.executable, "--version"]})
@@ -180,7 +180,7 @@ def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
     assert answer.metrics == {"a": 2.0}
 
 
-def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     class Spoilt(ScriptedSession):
         def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
             if len(self.simulator.opened) in faulty:
@@ -204,7 +204,7 @@ def test_a_session_whose_folder_is_spoilt_is_opened_again(tmp_path: Path, archiv
     assert len(simulator.opened) == len(simulator.closed) == 3
 
 
-def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     leaving = READY.replace("    print(json", "    if request['parameters']['x'] == 1.0: leave()\n    print(json")
     program = f"import os, shutil\ndef leave():\n    shutil.rmtree(os.getcwd())\n    os._exit(1)\n{leaving}"
     setup = replace(
@@ -216,7 +216,7 @@ def test_a_program_that_removes_its_folder_costs_its_cell_only(tmp_path: Path, a
     assert [(answer.breakdown, answer.metrics) for answer in answers] == [(None, {"a": 0.0}), ("crash", {}), (None, {"a": 2.0})]
 
 
-def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: NoMeasuresError(Breakdown.HANG, "too long", cpu_seconds=SECONDS)}))
     works.store(request_.bundle, archive)
     first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}), Cell(2, {"x": 3.0})))).results
@@ -226,7 +226,7 @@ def test_a_run_without_measures_costs_its_cell_only(tmp_path: Path, archive: byt
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9])
-def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes, request_: BundleRequest, noise: float) -> None:
+def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes, request_: SetupRequest, noise: float) -> None:
     outcomes = iter([RunOutcome({"a": 2.0}, cpu_seconds=SECONDS), RunOutcome({"a": 2.0 + noise}, cpu_seconds=SECONDS)] * 2)
 
     class Noisy(ScriptedSession):
@@ -244,7 +244,7 @@ def test_a_checked_cell_runs_twice_to_find_noise(tmp_path: Path, archive: bytes,
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
 
 
-def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     sent: list[Mapping[str, float | str]] = []
 
     class Listening(ScriptedSession):
@@ -262,14 +262,14 @@ def test_whole_numbers_are_sent_as_such(tmp_path: Path, archive: bytes, request_
     assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
 
-def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_declared_failure_needs_no_measures(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
     works.store(request_.bundle, archive)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (result.failure, result.breakdown) == ("collision", None)
 
 
-def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator())
     works.store(request_.bundle, archive)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
@@ -277,7 +277,7 @@ def test_time_series_come_back_compressed(tmp_path: Path, archive: bytes, reques
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
-def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     replayed = RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=ReplayAnswer.model_validate(REPLAY))
     works = worker(tmp_path, ScriptedSimulator({2.0: replayed}))
     works.store(request_.bundle, archive)
@@ -288,7 +288,7 @@ def test_a_replay_comes_back_beside_the_time_series(tmp_path: Path, archive: byt
 
 @pytest.mark.parametrize("cause", ["too large", "not finite"])
 def test_a_replay_that_cannot_be_kept_leaves_the_time_series(
-    cause: str, tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    cause: str, tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replay = ReplayAnswer.model_validate(REPLAY | ({"time_s": [math.nan]} if cause == "not finite" else {}))
     if cause == "too large":
@@ -300,14 +300,14 @@ def test_a_replay_that_cannot_be_kept_leaves_the_time_series(
     assert json.loads(gzip.decompress(result.trace)) == {"measures": {"a": 2.0}, "failure": None, "series": {"v": [1.0, 2.0]}}
 
 
-def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_time_series_that_are_not_finite_cost_their_cell(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     works = worker(tmp_path, ScriptedSimulator({2.0: RunOutcome({"a": 2.0}, None, {"v": (float("nan"),)})}))
     works.store(request_.bundle, archive)
     first, second = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True), Cell(2, {"x": 3.0})))).results
     assert (first.breakdown, second.breakdown) == ("error", None)
 
 
-def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
     works = worker(tmp_path, simulator)
     works.store(request_.bundle, archive)
@@ -318,7 +318,7 @@ def test_the_sessions_used_last_stay_open(tmp_path: Path, archive: bytes, reques
     assert simulator.closed == scenarios[:1]
 
 
-def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     now = [0.0]
     simulator = ScriptedSimulator()
     sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
@@ -336,7 +336,7 @@ def test_sessions_are_closed_when_they_are_unused_for_long(tmp_path: Path, archi
     assert simulator.closed == ["old", "new"]
 
 
-def test_the_files_of_an_open_session_stay_in_the_cache(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_the_files_of_an_open_session_stay_in_the_cache(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     now = [0.0]
     cache = BundleCache(tmp_path / "cache")
     sessions = BundleSessions(cache, lambda _: ScriptedSimulator(), clock=lambda: now[0])
@@ -351,7 +351,7 @@ def test_the_files_of_an_open_session_stay_in_the_cache(tmp_path: Path, archive:
 
 
 def test_a_simulator_that_multiplies_after_its_answer_is_ended(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for module in (process, bundles):
         monkeypatch.setattr(module, "WATCH_SECONDS", 0.05)
@@ -379,7 +379,7 @@ threading.Thread(target=multiply, daemon=True).start()
 
 
 def test_a_run_that_waits_reports_its_wall_clock_time_without_that_of_a_start(
-    tmp_path: Path, archive: bytes, request_: BundleRequest
+    tmp_path: Path, archive: bytes, request_: SetupRequest
 ) -> None:
     class Sleeping(ScriptedSession):
         def evaluate(self, *_: Any, **__: Any) -> RunOutcome:

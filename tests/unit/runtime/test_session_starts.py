@@ -18,7 +18,7 @@ import pytest
 from tests.unit.runtime.test_bundles import READY, ScriptedSession, ScriptedSimulator, worker
 
 from drivecal.adapters.scratch import GRANTED
-from drivecal.contracts.work import Batch, BundleRequest, Cell
+from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
@@ -28,7 +28,7 @@ from drivecal.runtime.worker import Worker
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
 def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
+    tmp_path: Path, archive: bytes, request_: SetupRequest, fault: Exception
 ) -> None:
     class Licensed(ScriptedSimulator):
         most = 2
@@ -50,7 +50,7 @@ def test_a_start_that_fails_beside_idle_sessions_is_tried_without_them(
 
 
 def test_a_program_that_crashes_at_its_start_beside_idle_sessions_is_tried_without_them(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     program = f"""
@@ -68,7 +68,7 @@ atexit.register(os.remove, licence)
 
 
 def test_sessions_are_not_closed_again_for_a_start_that_fails_alone_as_well(
-    tmp_path: Path, archive: bytes, request_: BundleRequest
+    tmp_path: Path, archive: bytes, request_: SetupRequest
 ) -> None:
     now, simulator = [0.0], ScriptedSimulator()
     sessions = BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, clock=lambda: now[0])
@@ -82,7 +82,7 @@ def test_sessions_are_not_closed_again_for_a_start_that_fails_alone_as_well(
         now[0] += 0.6 * IDLE_SECONDS
 
 
-def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, archive: bytes, request_: BundleRequest) -> None:
+def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, archive: bytes, request_: SetupRequest) -> None:
     simulator = ScriptedSimulator()
     works = worker(tmp_path, simulator)
     works.store(request_.bundle, archive)
@@ -94,7 +94,7 @@ def test_another_adapter_is_refused_without_closing_anything(tmp_path: Path, arc
 
 @pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
 def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, kind: type[UnavailableError]
+    tmp_path: Path, archive: bytes, request_: SetupRequest, kind: type[UnavailableError]
 ) -> None:
     class Upgraded(ScriptedSession):
         def evaluate(self, parameters: Mapping[str, float | str], *, series: bool = False) -> RunOutcome:
@@ -120,7 +120,7 @@ def test_a_simulator_that_no_longer_starts_refuses_the_cells_from_there_on(
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOSPC, "no disk")])
 def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, fault: Exception
+    tmp_path: Path, archive: bytes, request_: SetupRequest, fault: Exception
 ) -> None:
     class Once(ScriptedSession):
         runs = 0
@@ -146,7 +146,7 @@ def test_a_checked_cell_whose_second_start_is_refused_keeps_its_first_outcome(
 
 
 def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
-    tmp_path: Path, archive: bytes, request_: BundleRequest
+    tmp_path: Path, archive: bytes, request_: SetupRequest
 ) -> None:
     class Unsuitable(ScriptedSimulator):
         def open(self, section: Mapping[str, Any], scenario: str, *rest: Any) -> SimulatorSession:
@@ -164,7 +164,7 @@ def test_a_scenario_that_no_machine_can_run_closes_no_other_session(
 
 
 def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def close(_: ScriptedSession) -> None:
         raise RecursionError
@@ -180,7 +180,7 @@ def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
 
 
 def test_a_machine_without_processes_refuses_cells_and_runs_them_when_there_are_some(
-    tmp_path: Path, archive: bytes, request_: BundleRequest, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, archive: bytes, request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     section = {"kind": "process", "command": [sys.executable, "-c", READY], "memory_mb": 500, "timeout": 10.0}
     setup = replace(request_, simulator=section)

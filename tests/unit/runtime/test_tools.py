@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.unit.runtime.test_bundles import ScriptedSimulator
 
-from drivecal.contracts.work import Batch, BatchResult, BundleRequest, Cell
+from drivecal.contracts.work import Batch, BatchResult, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.runtime.bundles import ASK_AGAIN_SECONDS, BundleSessions, Tools
 from drivecal.runtime.cache import BundleCache
@@ -20,7 +20,7 @@ class Machine:
     """A worker on a machine with a tool of some version."""
 
     worker: Worker
-    setup: BundleRequest
+    setup: SetupRequest
     version: str | None = "1.0"
     now: float = 0.0
     asked: int = 0
@@ -37,7 +37,7 @@ class Machine:
 
 
 @pytest.fixture
-def machine(tmp_path: Path, request_: BundleRequest, archive: bytes) -> Machine:
+def machine(tmp_path: Path, request_: SetupRequest, archive: bytes) -> Machine:
     tools = Tools(lambda *_: made.answer(), lambda: made.now)
     worker = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: ScriptedSimulator(), tools))
     worker.store(request_.bundle, archive)

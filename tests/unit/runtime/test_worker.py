@@ -6,18 +6,20 @@ import os
 import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
+from tests.support.setups import bare, changed, driven
 
-from drivecal.contracts.work import Batch, Cell, CellResult, DriveRequest
+from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Failure, Rating, RunResult
 from drivecal.plugins import registry
 from drivecal.plugins.runners import TimeSeries
-from drivecal.plugins.setups import setup_of, simulator
+from drivecal.plugins.setups import simulator
 from drivecal.runtime.worker import LONGEST_DETAIL, MOST_RUNNERS, Worker
 
-SETUP = DriveRequest("highway", "S1", "frenet", "single_track", {}, "reference", "a fingerprint")
+SETUP = bare(fingerprint="a fingerprint")
 
 
 class ForeignError(Exception):
@@ -56,13 +58,13 @@ class ScriptedRunner:
         return RunResult(Rating(second, round(second)), {"value": second, "runs": self.runs})
 
 
-def run(worker: Worker, *parameters: tuple[float, float], setup: DriveRequest = SETUP) -> tuple[CellResult, ...]:
+def run(worker: Worker, *parameters: tuple[float, float], setup: SetupRequest = SETUP) -> tuple[CellResult, ...]:
     cells = tuple(Cell(index, {"b": second, "a": first}) for index, (first, second) in enumerate(parameters))
     return worker.run(Batch(setup, cells)).results
 
 
 def test_results_come_in_the_batch_s_order_with_values_by_name() -> None:
-    worker = Worker("worker-1", lambda _: ScriptedRunner())
+    worker = Worker("worker-1", lambda *_: ScriptedRunner())
     batch = Batch(SETUP, (Cell(7, {"b": 3.4, "a": 0.0}), Cell(5, {"a": 5.0, "b": 2.0})))
     result = worker.run(batch)
     assert result.worker == "worker-1"
@@ -75,7 +77,7 @@ def test_results_come_in_the_batch_s_order_with_values_by_name() -> None:
 
 def test_a_cell_that_raises_is_described_and_costs_no_other_cell() -> None:
     results = run(
-        Worker("w", lambda _: ScriptedRunner()), (0.0, 1.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (4.0, 0.0), (0.0, 2.0)
+        Worker("w", lambda *_: ScriptedRunner()), (0.0, 1.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (4.0, 0.0), (0.0, 2.0)
     )
     assert [result.breakdown for result in results] == [None, "error", "memory", "error", "error", None]
     assert [result.score for result in results] == [1, None, None, None, None, 2]
@@ -87,7 +89,7 @@ def test_a_cell_that_raises_is_described_and_costs_no_other_cell() -> None:
 
 
 def test_a_result_that_is_no_number_is_no_result() -> None:
-    [result] = run(Worker("w", lambda _: ScriptedRunner()), (6.0, 0.0))
+    [result] = run(Worker("w", lambda *_: ScriptedRunner()), (6.0, 0.0))
     assert (result.breakdown, result.rating) == ("error", None)
     assert "value is nan" in (result.detail or "")
 
@@ -95,7 +97,7 @@ def test_a_result_that_is_no_number_is_no_result() -> None:
 def test_a_setup_is_prepared_once_and_again_after_an_exception() -> None:
     made: list[str] = []
 
-    def make(setup: DriveRequest) -> ScriptedRunner:
+    def make(setup: SetupRequest, _: Path) -> ScriptedRunner:
         made.append(setup.scenario)
         return ScriptedRunner()
 
@@ -111,7 +113,7 @@ def test_a_setup_is_prepared_once_and_again_after_an_exception() -> None:
 def test_only_so_many_setups_are_kept() -> None:
     made: list[str] = []
 
-    def make(setup: DriveRequest) -> ScriptedRunner:
+    def make(setup: SetupRequest, _: Path) -> ScriptedRunner:
         made.append(setup.scenario)
         return ScriptedRunner()
 
@@ -145,15 +147,9 @@ def test_a_cell_without_a_result_has_no_trace() -> None:
     assert "KeyError: 'P1' (worker.py:" in result.detail
 
 
-def _request(**document: object) -> DriveRequest:
-    """What a coordinator would ask for that has `document` installed where it differs from here."""
-    scenario = registry.catalogue("highway").scenarios["S1"]
-    vehicle = registry.vehicle("single_track")
-    setup = setup_of(scenario, registry.driving_function("frenet"), vehicle, {})
-    theirs = replace(setup, **document)  # type: ignore[arg-type]  # its fields by name
-    return DriveRequest(
-        "highway", "S1", "frenet", "single_track", theirs.vehicle_parameters, "reference", theirs.fingerprint, theirs.document
-    )
+def _request(**parts: object) -> SetupRequest:
+    """What a coordinator would ask for that has other `parts` installed."""
+    return changed(driven(), **parts)
 
 
 MIDDLE = {f"P{index}": 1.0 for index in range(1, 12)}
@@ -169,24 +165,21 @@ def test_a_worker_simulates_with_what_is_installed() -> None:
 
 
 def test_a_worker_with_another_version_refuses_the_whole_setup_and_names_both_versions() -> None:
-    result = Worker("w").run(Batch(_request(simulator="libsumo 0.9", seed=77), (Cell(1, MIDDLE), Cell(2, MIDDLE))))
+    result = Worker("w").run(Batch(_request(sumo="libsumo 0.9"), (Cell(1, MIDDLE), Cell(2, MIDDLE))))
     assert result.results == ()
     refusal = result.refusal or ""
     assert "coordinator" in refusal
-    assert f"simulator is libsumo 0.9 at the coordinator and {simulator()} at the worker" in refusal
-    assert "seed is 77" in refusal
+    assert f"is libsumo 0.9 at the coordinator and {simulator()} at the worker" in refusal
     pickle.loads(pickle.dumps(result))
 
 
 def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
-    for request, named in (
-        (replace(_request(), driving_function="another"), ("'another'", "frenet")),
-        (replace(_request(), scenario="S77"), ("'S77'", "S1, S2")),
-        (replace(_request(), run_fingerprint="0", document={}), ("fingerprint is 0",)),
-    ):
-        result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
-        assert result.results == ()
-        assert all(word in (result.refusal or "") for word in named)
+    request = _request()
+    controller = {**request.simulator["controller"], "driving_function": "another"}
+    unknown = replace(request, simulator={**request.simulator, "controller": controller})
+    result = Worker("w").run(Batch(unknown, (Cell(1, MIDDLE),)))
+    assert result.results == ()
+    assert all(word in (result.refusal or "") for word in ("'another'", "frenet"))
 
 
 def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +193,7 @@ def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatc
 
 
 def test_a_plug_in_that_cannot_be_put_together_is_the_cell_s_fault() -> None:
-    def make(_: DriveRequest) -> ScriptedRunner:
+    def make(*_: object) -> ScriptedRunner:
         raise ValueError("the vehicle has no wheels")
 
     result = Worker("w", make).run(Batch(SETUP, (Cell(1, MIDDLE),)))
@@ -212,7 +205,7 @@ def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
     facts = Worker("w").warm(Batch(_request(), (Cell(1, MIDDLE),)))
     assert facts.pid == os.getpid()
     for trial, named in (
-        (Batch(_request(simulator="libsumo 0.9"), (Cell(1, MIDDLE),)), "libsumo 0.9"),
+        (Batch(_request(sumo="libsumo 0.9"), (Cell(1, MIDDLE),)), "libsumo 0.9"),
         (Batch(_request(), (Cell(1, {}),)), "KeyError: 'P1'"),
     ):
         with pytest.raises(UnavailableError, match=named):

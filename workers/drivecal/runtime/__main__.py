@@ -1,28 +1,41 @@
 """Compiles the kernels of workers, once per image: `NUMBA_CACHE_DIR=FOLDER python -m drivecal.runtime`."""
 
-from drivecal.contracts.work import Batch, Cell, DriveRequest
+from drivecal.bundles.fingerprints import setup_document
+from drivecal.bundles.highway import TaskScenario
+from drivecal.bundles.installed import installed_problems
+from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.domain.setups import fingerprint_of
 from drivecal.plugins import registry
-from drivecal.plugins.setups import setup_of
 from drivecal.runtime.worker import Worker
 
 
 def trial(vehicle_name: str, evaluator_name: str) -> Batch:
     """Returns a batch for built-in plug-ins: the middle of the space in the first scenario."""
-    catalogue, function = registry.catalogue("highway"), registry.driving_function("frenet")
-    vehicle, evaluator = registry.vehicle(vehicle_name), registry.evaluator(evaluator_name)
-    name, scenario = next(iter(catalogue.scenarios.items()))
-    setup = setup_of(scenario, function, vehicle, {})
-    request = DriveRequest(
-        catalogue=catalogue.name,
+    problem = installed_problems()["highway"]
+    manifest, vehicle = problem.manifest, registry.vehicle(vehicle_name)
+    name, declared = next(iter(manifest.scenarios.items()))
+    data = TaskScenario.model_validate(declared).model_dump(mode="json")
+    section = manifest.simulator.model_dump(mode="json") | {"vehicle": vehicle.name}
+    varied = {parameter.name: parameter.nominal for parameter in vehicle.parameters}
+    document = setup_document(manifest, name, problem.files, section=section, data=data, varied=varied)
+    request = SetupRequest(
+        bundle=problem.digest,
+        problem=manifest.problem,
         scenario=name,
-        driving_function=function.name,
-        vehicle=vehicle.name,
-        vehicle_parameters=setup.vehicle_parameters,
-        evaluator=evaluator.name,
-        run_fingerprint=setup.fingerprint,
+        data=data,
+        simulator=section,
+        parameters=tuple(manifest.parameters),
+        integers=(),
+        measures=tuple(manifest.measures),
+        failures=manifest.failures,
+        series=(),
+        run_fingerprint=fingerprint_of(document),
+        document=document,
+        varied=varied,
+        evaluator=evaluator_name,
+        is_driven=True,
     )
-    space = next(iter(function.spaces.values()))
-    middle = {parameter.name: float(parameter.value(parameter.n_values // 2)) for parameter in space}
+    middle = {name: ((entry.lower or 0.0) + (entry.upper or 0.0)) / 2 for name, entry in manifest.parameters.items()}
     return Batch(request, (Cell(0, middle),))
 
 

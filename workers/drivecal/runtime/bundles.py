@@ -9,8 +9,8 @@ import threading
 import time
 import weakref
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from drivecal.adapters.command import run_probe
 from drivecal.adapters.kinds import simulator
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
 from drivecal.bundles.fingerprints import parts_of
-from drivecal.contracts.work import BundleRequest, Cell, CellResult
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.errors import ConflictError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import (
     MOST_SESSIONS,
+    VERSIONS,
     Declared,
     NoMeasuresError,
     RunOutcome,
@@ -35,6 +36,8 @@ from drivecal.runtime.cache import BundleCache
 ASK_AGAIN_SECONDS = 600.0
 """Age of an answer after which the probe runs again: tools may be upgraded while a worker lives."""
 _SHOWN = 150
+_REMEDIES = {"sumo": "the same version of libsumo"}
+"""What to install if a part of a setup (`fingerprints.parts_of`) differs; else the same drivecal and plug-ins."""
 
 
 class OtherToolsError(UnavailableError):
@@ -59,13 +62,13 @@ class Tools:
         self._run, self._clock = run, clock
         self._answers: dict[str, tuple[str, float]] = {}
 
-    def ask(self, setup: BundleRequest, folder: Path) -> str:
+    def ask(self, setup: SetupRequest, folder: Path) -> str:
         """Runs the probe of a bundle in `folder`. Raises UnavailableError if it gives no answer."""
         answer = self._run(setup.simulator, folder)
         self._answers[setup.bundle] = answer, self._clock()
         return answer
 
-    def check(self, setup: BundleRequest, folder: Callable[[], Path]) -> None:
+    def check(self, setup: SetupRequest, folder: Callable[[], Path]) -> None:
         """Raises OtherToolsError if the tools are not those of the setup. The probe runs unless its last answer is recent and agrees."""
         if setup.tools is None:
             return
@@ -109,10 +112,6 @@ IDLE_SECONDS = 600.0
 """Time without a run after which a session is closed: it may hold memory and a licence."""
 
 
-_PARTS = {"controller": ("controller", "the same drivecal"), "sumo": ("library of SUMO", "the same version of libsumo")}
-"""Words for each part of a setup (`fingerprints.parts_of`), and what to install if it differs."""
-
-
 class BundleSessions:
     """Runs cells of bundles in sessions that stay open."""
 
@@ -138,7 +137,7 @@ class BundleSessions:
         self._running = threading.Lock()
         self._watched = False
 
-    def run(self, setup: BundleRequest, cell: Cell) -> CellResult:
+    def run(self, setup: SetupRequest, cell: Cell) -> CellResult:
         """Simulates a cell. A run without measures is a result with a `breakdown`.
 
         Raises UnavailableError if this machine cannot run the simulator, UnsuitableError if none can.
@@ -177,11 +176,11 @@ class BundleSessions:
         for key in [key for key, used in self._used.items() if self._clock() >= used + IDLE_SECONDS]:
             self._drop(key)
 
-    def _run(self, setup: BundleRequest, cell: Cell) -> CellResult:
+    def _run(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         session = self._session(setup)
         began = time.perf_counter()  # a start's time is no run's
-        parameters = {name: cell.parameters[name] for name in setup.parameters}
+        parameters = {name: cell.parameters[name] for name in setup.parameters} | dict(setup.varied)
         parameters |= {name: int(parameters[name]) for name in setup.integers}
         try:
             outcome = session.evaluate(parameters, series=cell.trace)
@@ -205,7 +204,7 @@ class BundleSessions:
             wall_milliseconds=wall_milliseconds,
         )
 
-    def _repeated(self, setup: BundleRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
+    def _repeated(self, setup: SetupRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
         """Runs a cell again. Returns whether the outcome is the same, None if the simulator cannot start again, and the CPU time (ms)."""
         start = time.thread_time_ns()
         try:
@@ -220,19 +219,25 @@ class BundleSessions:
         same = (again.failure, dict(again.measures)) == (outcome.failure, dict(outcome.measures))
         return same, milliseconds_since(start) + 1000 * again.cpu_seconds
 
-    def probe(self, setup: BundleRequest) -> str:
+    def probe(self, setup: SetupRequest) -> str:
         """Returns what the bundle's `probe` answers. Raises UnavailableError if it gives no answer."""
-        try:
-            with self._cache.hold(setup.bundle):
-                return self._tools.ask(setup, self._cache.folder(setup.bundle))
-        except OSError as error:
-            raise _unable(error) from error
+        with self.files(setup.bundle) as folder:
+            return self._tools.ask(setup, folder)
 
     def store(self, digest: str, archive: bytes) -> None:
         """Unpacks a bundle unless it is there. Raises InvalidInputError if the archive is unsafe or has another digest."""
         self._cache.store(digest, archive)
 
-    def _session(self, setup: BundleRequest) -> SimulatorSession:
+    @contextmanager
+    def files(self, digest: str) -> Iterator[Path]:
+        """Holds the files of a bundle. Raises UnavailableError if they are not on this machine."""
+        try:
+            with self._cache.hold(digest):
+                yield self._cache.folder(digest)
+        except OSError as error:
+            raise _unable(error) from error
+
+    def _session(self, setup: SetupRequest) -> SimulatorSession:
         with ExitStack() as hold:
             if setup.key not in self._sessions:
                 hold.enter_context(self._cache.hold(setup.bundle))
@@ -248,11 +253,10 @@ class BundleSessions:
             threading.Thread(target=_watch, args=(weakref.ref(self),), daemon=True).start()
         return self._sessions[setup.key]
 
-    def _opened_alone(self, setup: BundleRequest) -> SimulatorSession:
+    def _opened_alone(self, setup: SetupRequest) -> SimulatorSession:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
-        _refuse_other_adapters(setup, self._simulators(setup.simulator["kind"]).version)
-        _refuse_other_parts(setup)
+        refuse_other_parts(setup, self._simulators(setup.simulator["kind"]).version)
         tried = self._clock() - self._failed_alone.get(setup.key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
@@ -273,10 +277,10 @@ class BundleSessions:
             del self._failed_alone[setup.key]
         return session
 
-    def _opened(self, setup: BundleRequest) -> SimulatorSession:
+    def _opened(self, setup: SetupRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
         chosen = self._simulators(setup.simulator["kind"])
-        parameters = {name: setup.units.get(name, "1") for name in setup.parameters}
+        parameters = {name: setup.units.get(name, "1") for name in (*setup.parameters, *setup.varied)}
         declared = Declared(setup.problem, setup.measures, setup.failures, setup.series, parameters=parameters)
         return chosen.open(setup.simulator, setup.scenario, setup.data, folder, declared)
 
@@ -318,25 +322,22 @@ def _unable(error: OSError) -> UnavailableError:
     return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
-def _refuse_other_adapters(setup: BundleRequest, installed: str) -> None:
-    """Raises UnavailableError if the adapter here is not the one of the setup's document, to which the results would be credited."""
-    requested = setup.document.get("adapter")
-    if requested not in {None, installed}:
-        raise UnavailableError(
-            f"coordinator and worker differ: the adapter {setup.simulator['kind']!r} is {requested} at the coordinator and {installed} at"
-            " the worker; install the same drivecal on both"
-        )
+def refuse_other_parts(setup: SetupRequest, adapter: str | None = None) -> None:
+    """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here: the results are other ones, too.
 
-
-def _refuse_other_parts(setup: BundleRequest) -> None:
-    """Raises UnavailableError if SUMO or the built-in controller of a setup is another one here: their results are other ones, too."""
-    for name, installed in parts_of(setup.simulator).items():
+    Args:
+        setup: the setup.
+        adapter: version of the adapter here, by default the installed one's.
+    """
+    if not setup.document:
+        return
+    installed = {"adapter": adapter or VERSIONS[setup.simulator["kind"]], **parts_of(setup.simulator, setup.data)}
+    for name, version in installed.items():
         requested = setup.document.get(name)
-        if setup.document and installed != requested:
-            words, remedy = _PARTS[name]
+        if version != requested:
             raise UnavailableError(
-                f"coordinator and worker differ: the {words} is {requested} at the coordinator and {installed} at the worker;"
-                f" install {remedy} on both"
+                f"coordinator and worker differ: the {name} of kind {setup.simulator['kind']} is {requested} at the coordinator"
+                f" and {version} at the worker; install {_REMEDIES.get(name, 'the same drivecal and plug-ins')} on both"
             )
 
 

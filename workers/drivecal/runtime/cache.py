@@ -13,6 +13,7 @@ from pathlib import Path
 
 from drivecal.adapters.files import remove
 from drivecal.bundles.archives import folder_digest, unpack
+from drivecal.bundles.installed import installed
 from drivecal.domain.errors import DrivecalError, InvalidInputError, UnavailableError
 
 CACHE = "DRIVECAL_BUNDLE_CACHE"
@@ -66,8 +67,8 @@ class BundleCache:
         self._tidied = False
 
     def has(self, digest: str) -> bool:
-        """Whether a bundle is there."""
-        return (self._folder / digest).is_dir()
+        """Whether a bundle is there, or installed with a package."""
+        return installed(digest) is not None or (self._folder / digest).is_dir()
 
     def folder(self, digest: str) -> Path:
         """Returns the folder of a bundle whose content is that of its digest.
@@ -75,6 +76,8 @@ class BundleCache:
         The content is read again only if a file's size, mode or times are others than at the last check. Raises UnavailableError if the
         bundle is not there, if others could change it, and if it was changed: then it is removed and sent again to the next worker.
         """
+        if (own := installed(digest)) is not None:
+            return own.folder
         folder = self._folder / digest
         self._refuse_missing(digest)
         _refuse_others(self._folder)
@@ -95,6 +98,9 @@ class BundleCache:
     def hold(self, digest: str) -> Iterator[None]:
         """Keeps a bundle from being removed, by any worker of the node, for as long as it lasts. Raises UnavailableError as `folder`."""
         self._refuse_missing(digest)
+        if installed(digest) is not None:
+            yield
+            return
         _refuse_others(self._folder)
         lock = self._lock(digest)
         try:

@@ -15,10 +15,9 @@ from typing import Any
 from drivecal.contracts.work import (
     Batch,
     BatchResult,
-    BundleRequest,
     Cell,
     CellResult,
-    DriveRequest,
+    SetupRequest,
 )
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -52,14 +51,14 @@ class Worker:
     def __init__(
         self,
         name: str,
-        make: Callable[[DriveRequest], Runner] = make_runner,
+        make: Callable[[SetupRequest, Path], Runner] = make_runner,
         bundles: BundleSessions | None = None,
     ) -> None:
         """Creates a worker.
 
         Args:
             name: Its name in results and messages.
-            make: Creates runners of driving functions.
+            make: Creates runners of driving functions from a setup and its files.
             bundles: Runs problem bundles, by default with the adapters.
         """
         self._name = name
@@ -97,7 +96,7 @@ class Worker:
         refusal = tools = None
         unsuitable = False
         try:
-            if isinstance(batch.setup, BundleRequest) and not batch.cells:
+            if not batch.cells and not batch.setup.is_driven:
                 tools = self._bundles.probe(batch.setup)
             for result in self._run_all(batch):  # what an exception ends keeps its results
                 results.append(result)  # noqa: PERF402  # not promised of `extend`
@@ -110,16 +109,17 @@ class Worker:
 
     def _run_all(self, batch: Batch) -> Iterator[CellResult]:
         setup = batch.setup
-        if isinstance(setup, DriveRequest):
+        if setup.is_driven:
             yield from (self._run_cell(setup, cell) for cell in batch.cells)
         else:
             yield from (self._bundles.run(setup, cell) for cell in batch.cells)
 
-    def _run_cell(self, setup: DriveRequest, cell: Cell) -> CellResult:
+    def _run_cell(self, setup: SetupRequest, cell: Cell) -> CellResult:
         start = time.thread_time_ns()
         try:
             runner = self._runner(setup)
-            parameters = [cell.parameters[name] for name in runner.parameters]
+            values = {**setup.simulator["controller"].get("values", {}), **cell.parameters}
+            parameters = [values[name] for name in runner.parameters]
             if cell.trace:
                 return _traced(cell, runner.trace(parameters).to_json(), start)
             result = runner.run(parameters)
@@ -141,16 +141,17 @@ class Worker:
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a plug-in may raise any exception; the worker must survive
             return self._broken(setup, cell, Breakdown.ERROR, error, start)
 
-    def _runner(self, setup: DriveRequest) -> Runner:
+    def _runner(self, setup: SetupRequest) -> Runner:
         key = setup.key
         if key not in self._runners:
-            self._runners[key] = self._make(setup)
+            with self._bundles.files(setup.bundle) as folder:
+                self._runners[key] = self._make(setup, folder)
             if len(self._runners) > MOST_RUNNERS:
                 self._runners.popitem(last=False)
         self._runners.move_to_end(key)
         return self._runners[key]
 
-    def _broken(self, setup: DriveRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
+    def _broken(self, setup: SetupRequest, cell: Cell, cause: Breakdown, error: BaseException, start: int) -> CellResult:
         self._runners.pop(setup.key, None)  # it may be in any state
         return CellResult(cell.id, None, None, {}, None, milliseconds_since(start), cause.value, describe(error))
 

@@ -14,8 +14,8 @@ from starlette.requests import ClientDisconnect
 from drivecal.api.dependencies import Limits
 from drivecal.api.submission import resolved
 from drivecal.campaigns.comparison import resolve_comparison
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.problem import resolve_evaluation
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.configuration.memory import give_back
 from drivecal.contracts import strict_json
 from drivecal.contracts.comparison import ComparisonSpecification

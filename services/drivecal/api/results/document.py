@@ -16,9 +16,10 @@ from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidenc
 from drivecal.api.responses import campaign_answer
 from drivecal.api.tables.front import bound_text, summary
 from drivecal.api.tables.ranking import earlier_best, later_best
+from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import measure
-from drivecal.campaigns.resolve.meanings import Meanings, meanings
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, stored_scale
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of, stored_scale
+from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.contracts.accounting import Accounting
@@ -29,7 +30,7 @@ from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import Parameter, Value
-from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.domain.setups import Setup
 from drivecal.report.sections import settings_of
 from drivecal.storage import campaigns, evaluations, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -84,8 +85,8 @@ def setup_of(connection: Connection, campaign: StoredCampaign) -> CampaignSetup:
     """Returns the parameters, versions and fingerprints that a campaign began with; while it is queued, those of today."""
     begun_with = resolved_spec(campaign)
     documents = setups.documents(connection, list(begun_with.setups.values()))
-    words = meanings(connection, campaign.spec)
-    scenarios = [_scenario(name, begun_with, documents, words) for name in begun_with.weights]
+    words = _descriptions(connection, campaign)
+    scenarios = [_scenario(name, begun_with, documents) for name in begun_with.weights]
     return CampaignSetup(
         evaluator=begun_with.evaluator,
         parameters=[_searched(parameter, begun_with.space.fixed, words) for parameter in begun_with.space.parameters],
@@ -249,28 +250,31 @@ def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
     return Search([CoursePoint(*each) for each in course], ranges, requested, grid, is_exact)
 
 
-def _searched(parameter: Parameter, fixed: Mapping[str, Value], words: Meanings) -> SearchedParameter:
+def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Mapping[str, str]) -> SearchedParameter:
     as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
     held = fixed.get(parameter.name)
     value = held if held is None or isinstance(held, str) else float(held)
-    description = words.parameters.get(parameter.name, "")
+    description = descriptions.get(parameter.name, "")
     return SearchedParameter.model_validate(as_it_is | {"fixed": value, "description": description})
 
 
-def _scenario(
-    name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]], words: Meanings
-) -> ScenarioSetup:
+def _descriptions(connection: Connection, campaign: StoredCampaign) -> dict[str, str]:
+    """Returns the descriptions of parameters; nothing for a problem or driving function that is gone."""
+    function = find_workbench(specification_of(campaign), bundles_of(connection), Diagnostics()).function
+    spaces = {} if function is None else function.spaces
+    return {parameter.name: parameter.description for space in spaces.values() for parameter in space}
+
+
+def _scenario(name: str, begun_with: ResolvedSpec, documents: Mapping[str, Mapping[str, Any]]) -> ScenarioSetup:
     fingerprint = begun_with.setups[name]
-    known: dict[str, Any] = {"title": words.scenarios.get(name, "")}
-    document = documents.get(fingerprint, {})
-    if "files" in document:
-        known |= {"simulator": BundleSetup(name, document).simulator, "files": document["files"]}
-    elif document:
-        made_of = DrivenSetup.from_document(document)
-        known |= {field: getattr(made_of, field) for field in ("scenario_digest", "simulator", "step_seconds", "seed")}
-        known["driving_function"] = f"{made_of.driving_function} {made_of.driving_function_version}"
-        known["vehicle"] = f"{made_of.vehicle} {made_of.vehicle_version}"
-        known["vehicle_parameters"] = dict(made_of.vehicle_parameters)
+    known: dict[str, Any] = {}
+    if fingerprint in documents:
+        setup = Setup(name, documents[fingerprint])
+        data = setup.document["data"]
+        known |= {"simulator": setup.simulator, "files": setup.document["files"], "title": str(data.get("title", ""))}
+        known |= {"driving_function": setup.document.get("controller"), "vehicle": setup.document.get("vehicle")}
+        known |= {"vehicle_parameters": dict(setup.varied) or None}
+        known |= {"step_seconds": data.get("step"), "seed": data.get("seed")} if "task" in data else {}
     return ScenarioSetup(scenario=name, weight=begun_with.weights[name], fingerprint=fingerprint, **known)
 
 

@@ -24,7 +24,7 @@ from drivecal.contracts.evaluation import (
     TraceAnswer,
 )
 from drivecal.contracts.explanation import Explanation
-from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification
+from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import admission, campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
@@ -91,9 +91,7 @@ def _detail(connection: Connection, number: int) -> dict[str, Any]:
     row = results.by_id(connection, number)
     measured = runs.metrics(connection, [] if row.run_id is None else [row.run_id])
     made_by = campaigns.by_sequence(connection, row.campaign_sequence)
-    campaign = CampaignOfEvaluation(
-        id=made_by.id, problem=made_by.spec.get("problem", HIGHWAY), scale=stored_scale(made_by.resolution)
-    )
+    campaign = CampaignOfEvaluation(id=made_by.id, problem=made_by.spec["problem"], scale=stored_scale(made_by.resolution))
     return evaluation_row(row) | {
         "detail": row.detail,
         "metrics": None if row.run_id is None else measured[row.run_id],

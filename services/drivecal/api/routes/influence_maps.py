@@ -9,8 +9,8 @@ from drivecal.api.http.queries import FormQuery, PageQuery, form_of
 from drivecal.api.responses import ROOT
 from drivecal.api.tables.influence import map_rows
 from drivecal.api.tables.paging import FILES, download
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.maps import EXPERT, resolve_map, store_posted_map
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.inventory import InfluenceMapAnswer, InfluenceMapPage
 from drivecal.contracts.specification import InfluenceMapSpecification
 from drivecal.contracts.tables import InfluenceRow, columns_of, file_row

@@ -8,8 +8,10 @@ from fastapi import APIRouter
 
 from drivecal.api.dependencies import DatabaseDependency
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.campaigns.resolve.bundle_bench import Bundle, parameters_of
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
+from drivecal.bundles.archives import files_of
+from drivecal.bundles.highway import TaskScenario
+from drivecal.bundles.installed import installed
+from drivecal.campaigns.resolve.workbench import parameters_of, stored_bundles
 from drivecal.contracts.inventory import (
     BrokenPluginAnswer,
     OptimizerAnswer,
@@ -29,17 +31,16 @@ from drivecal.contracts.inventory import (
     WorkerAnswer,
     WorkerPage,
 )
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import reference_line
 from drivecal.domain.scales import COMFORT
 from drivecal.domain.scenarios import EgoStart, Scenario, TrafficVehicle
-from drivecal.domain.setups import BundleSetup, DrivenSetup
+from drivecal.domain.setups import Setup
 from drivecal.optimizers.repair import supported
 from drivecal.plugins import registry
-from drivecal.storage import processes
+from drivecal.storage import bundles, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.references import setups
@@ -56,8 +57,8 @@ DIGITS = 6
 def scenarios(database: DatabaseDependency, problem: str | None = None) -> ScenarioPage | ProblemScenarioPage:
     """The scenarios of all installed catalogues, and the catalogues that cannot be used; with `problem` those of a pushed problem, by its
     name or digest."""
-    if problem not in {None, HIGHWAY}:
-        manifest = _bundle(database, problem or "").manifest
+    if problem is not None:
+        manifest = stored_bundles(database)(problem).manifest
         return ProblemScenarioPage(
             items=[ProblemScenario(id=name, problem=manifest.problem, data=data) for name, data in manifest.scenarios.items()]
         )
@@ -71,8 +72,14 @@ def scenarios(database: DatabaseDependency, problem: str | None = None) -> Scena
 
 
 @router.get("/scenarios/{scenario_id}")
-def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
-    """A scenario with its road, for drawing traces; `catalogue` chooses among equal ids."""
+def scenario(
+    scenario_id: str, database: DatabaseDependency, catalogue: str | None = None, problem: str | None = None
+) -> ScenarioDetail:
+    """A scenario with its road, for drawing traces, of an installed catalogue or of a `problem` whose scenarios have tasks; `catalogue`
+    chooses among equal ids."""
+    own = None if problem is None else _of_problem(database, problem, scenario_id)
+    if own is not None:
+        return _detail(problem or "", own)
     for offered in registry.catalogues():
         if catalogue in {None, offered.name} and scenario_id in offered.scenarios:
             return _detail(offered.name, offered.scenarios[scenario_id])
@@ -83,8 +90,8 @@ def scenario(scenario_id: str, catalogue: str | None = None) -> ScenarioDetail:
 def parameters(database: DatabaseDependency, problem: str | None = None) -> ParameterSpacePage:
     """The parameter spaces of all installed driving functions, and the functions that cannot be used; with `problem` that of a pushed
     problem, by its name or digest."""
-    if problem not in {None, HIGHWAY}:
-        manifest = _bundle(database, problem or "").manifest
+    if problem is not None:
+        manifest = stored_bundles(database)(problem).manifest
         listed = list(map(_parameter, parameters_of(manifest)))
         return ParameterSpacePage(
             items=[ParameterSpaceAnswer(driving_function=manifest.problem, name=manifest.problem, parameters=listed)]
@@ -130,9 +137,18 @@ def workers(database: DatabaseDependency) -> WorkerPage:
     )
 
 
-def _bundle(database: Database, problem: str) -> Bundle:
-    """Returns a stored problem. Raises NotFoundError."""
-    return stored_bundles(database)(problem)
+def _of_problem(database: Database, problem: str, scenario_id: str) -> Scenario | None:
+    """Returns a scenario with a task, None if the problem has none of this name."""
+    bundle = stored_bundles(database)(problem)
+    data = bundle.manifest.scenarios.get(scenario_id)
+    if data is None or not bundle.manifest.is_driven:
+        return None
+    declared = TaskScenario.model_validate(data)
+    if (own := installed(bundle.digest)) is not None:
+        return declared.on(scenario_id, (own.folder / declared.network).read_bytes())
+    with database.read() as connection:
+        files = files_of(bundles.archive(connection, bundle.digest))
+    return declared.on(scenario_id, files[declared.network].content)
 
 
 def _broken(group: str) -> list[BrokenPluginAnswer]:
@@ -178,19 +194,12 @@ def _parameter(parameter: Parameter) -> ParameterAnswer:
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:
-    if "files" in stored.document:
-        return ReferenceAnswer(
-            scenario=stored.scenario,
-            fingerprint=stored.fingerprint,
-            simulator=BundleSetup(stored.scenario, stored.document).simulator,
-            runs=stored.runs,
-        )
-    setup = DrivenSetup.from_document(stored.document)
+    setup = Setup(stored.scenario, stored.document)
     return ReferenceAnswer(
         scenario=stored.scenario,
         fingerprint=stored.fingerprint,
-        driving_function=f"{setup.driving_function} {setup.driving_function_version}",
-        vehicle=f"{setup.vehicle} {setup.vehicle_version}",
+        driving_function=setup.document.get("controller"),
+        vehicle=setup.document.get("vehicle"),
         simulator=setup.simulator,
         runs=stored.runs,
     )

@@ -23,10 +23,9 @@ from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, trade_off, weighted
 from drivecal.api.tables.paging import Columns, Pages, Row, listed, page_or_file, slices, table_answer
 from drivecal.api.tables.ranking import ranking
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
-from drivecal.campaigns.resolve.workbench import find_workbench
+from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import CampaignFront, baseline_of, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.results import FrontSummary, TradeOff

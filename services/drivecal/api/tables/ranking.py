@@ -14,12 +14,10 @@ from drivecal.analysis.solutions import Ranking
 from drivecal.analysis.trust import Earlier, Later
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
-from drivecal.campaigns.resolve.workbench import find_workbench
+from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.contracts.assignments import assignments
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import Solution
 from drivecal.domain.campaigns import StageName
@@ -107,7 +105,7 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
 
 def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCampaign) -> Earlier | None:
     """Returns the best set of the `earlier` campaign under the weights, the score and the objectives of its rerun; None if there is none,
-    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluator of the built-in problem. Reads all
+    before the end of the rerun, and if setups, space or constraints on sets differ, or the evaluators of scores. Reads all
     answers of the earlier campaign."""
     if not campaign.state.ended or campaign.best is None or campaign.resolution is None or earlier.resolution is None:
         return None
@@ -117,9 +115,11 @@ def earlier_best(database: Database, campaign: StoredCampaign, earlier: StoredCa
         return None
     score = None
     if (ours.evaluator, ours.scale) != (theirs.evaluator, theirs.scale):
-        if ours.goals is not None or campaign.spec.get("problem", HIGHWAY) == HIGHWAY:
-            return None
-        if not _constrained_alike(database, campaign, earlier):
+        if (
+            ours.goals is not None
+            or not _has_formula(database, campaign)
+            or not _constrained_alike(database, campaign, earlier)
+        ):
             return None
         score = f"{campaign.spec['evaluator']}@{campaign.spec['problem']}"
     given: Mapping[str, float] = campaign.spec["weights"]
@@ -156,6 +156,12 @@ def _constrained_alike(database: Database, campaign: StoredCampaign, other: Stor
     return pushes[0] == pushes[1]
 
 
+def _has_formula(database: Database, campaign: StoredCampaign) -> bool:
+    """Returns whether a campaign's score is computed from stored measures alone."""
+    score = stored_bundles(database)(campaign.spec["problem"]).manifest.scores.get(campaign.spec["evaluator"])
+    return score is not None and score.formula is not None
+
+
 def _other_score(database: Database, campaign: StoredCampaign, name: str, own: str) -> CellValue | None:
     """Returns another score for a campaign, None for its `own` evaluator. Raises InvalidInputError if there is none of this name."""
     values = find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known
@@ -180,6 +186,9 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
     if entry is None:
         message = f"{manifest.problem} has no score {shown(score)}"
         raise InvalidInputError(Problem("score", message, f"one of {', '.join(manifest.scores)}"))
+    if entry.formula is None:
+        message = f"{score} is an evaluator's, which rates stored runs in a rerun only"
+        raise InvalidInputError(Problem("score", message, "leave it out, or type: drivecal rerun --evaluator"))
     missing = sorted(Formula(entry.formula).names - set(measures))
     if missing:
         message = f"runs of the campaign have no {', '.join(missing)}"

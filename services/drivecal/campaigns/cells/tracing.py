@@ -1,19 +1,18 @@
 """Repeats an evaluation for its time series, as a single evaluation through the same queue and workers."""
 
-from collections.abc import Mapping
 from datetime import timedelta
 from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.bundle_source import bundles_of, with_tools
-from drivecal.campaigns.resolve.problem import catalogue_scenarios, resolve_evaluation
+from drivecal.campaigns.resolve.problem import resolve_evaluation
+from drivecal.campaigns.resolve.workbench import bundles_of, with_tools
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import HIGHWAY, EvaluationSpecification
+from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.domain.setups import DrivenSetup
+from drivecal.domain.setups import Setup
 from drivecal.storage import campaigns, results, traces
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.types import now
@@ -64,11 +63,11 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
     row = results.by_id(connection, number)
     spec = campaigns.by_sequence(connection, row.campaign_sequence).spec
     stored = setups.by_id(connection, row.setup_id)
-    document = {"parameters": row.parameters.floats, "scenario": row.scenario, "evaluator": spec["evaluator"]}
-    if spec.get("problem", HIGHWAY) == HIGHWAY:
-        document |= _driven(stored.document, spec["catalogue"], row.scenario)
-    else:
-        document["problem"] = spec["problem"]
+    document = {"parameters": row.parameters.floats, "scenario": row.scenario}
+    document |= {name: spec[name] for name in ("problem", "evaluator", "driving_function")}
+    document["vehicle"] = spec["vehicle"] | {"parameters": dict(Setup(row.scenario, stored.document).varied)}
+    if "catalogue" in stored.document["data"]:
+        document["catalogue"] = stored.document["data"]["catalogue"]
     specification = validated(EvaluationSpecification, document)
     tools: Any = stored.document.get("tools")
     problem = resolve_evaluation(specification, with_tools(bundles_of(connection), tools))
@@ -80,15 +79,6 @@ def _specification(connection: Connection, number: int) -> tuple[EvaluationSpeci
             " cannot be repeated; evaluate its parameters again"
         )
     return specification, problem.resolution() | ({} if tools is None else {"tools": tools})
-
-
-def _driven(setup: Mapping[str, Any], catalogue: str | list[str], scenario: str) -> dict[str, Any]:
-    driven = DrivenSetup.from_document(setup)
-    return {
-        "catalogue": catalogue_scenarios(catalogue)[scenario][0],
-        "driving_function": driven.driving_function,
-        "vehicle": {"model": driven.vehicle, "parameters": dict(driven.vehicle_parameters)},
-    }
 
 
 def no_trace(connection: Connection, made: StoredCampaign) -> str:

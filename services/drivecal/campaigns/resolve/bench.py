@@ -1,179 +1,168 @@
 """The bench of a campaign: everything except the parameter set that decides its results."""
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite, nan
-from typing import Protocol
+from typing import Any
 
-from drivecal.contracts.work import DriveRequest, SetupRequest
-from drivecal.domain.errors import ConflictError
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.fingerprints import score_id, setup_document
+from drivecal.bundles.installed import Bundle
+from drivecal.bundles.manifest import ScoreEntry
+from drivecal.bundles.scoring import rate
+from drivecal.contracts.work import SetupRequest
 from drivecal.domain.evaluations import Rating
 from drivecal.domain.parameters import Parameter
-from drivecal.domain.scales import COMFORT, Scale
-from drivecal.domain.scenarios import Scenario
-from drivecal.domain.setups import DrivenSetup, Setup
-from drivecal.plugins.ports import DrivingFunction, Evaluator, SeriesEvaluator, Vehicle
-from drivecal.plugins.setups import setup_of
+from drivecal.domain.scales import Scale
+from drivecal.domain.setups import Setup
+from drivecal.domain.vehicles import VehicleParameter
+from drivecal.plugins import registry
+from drivecal.plugins.ports import Evaluator, SeriesEvaluator
 
-
-class Bench(Protocol):
-    """Scenarios with their simulator, and the score of their results."""
-
-    @property
-    def function(self) -> str:
-        """Name of the function under test, for which influence maps hold."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters with their usual ranges, in the function's order."""
-
-    @property
-    def scenarios(self) -> Collection[str]:
-        """Ids of the scenarios, in order."""
-
-    @property
-    def setups(self) -> Mapping[str, Setup]:
-        """Setups by scenario."""
-
-    @property
-    def requests(self) -> Mapping[str, SetupRequest]:
-        """Run requests to workers by scenario."""
-
-    @property
-    def to_probe(self) -> SetupRequest | None:
-        """A request by which a worker finds what is missing in the setups: the answer of the problem's `probe`. None if nothing is."""
-
-    @property
-    def evaluator_id(self) -> str:
-        """Name and version of the score: with the run fingerprint it names a rating."""
-
-    @property
-    def scale(self) -> Scale:
-        """Scale of the scores."""
-
-    @property
-    def needs_series(self) -> bool:
-        """Whether stored runs lack the time series that a score needs."""
-
-    @property
-    def rates(self) -> bool:
-        """Whether the coordinator rates the results of workers; otherwise workers do."""
-
-    @property
-    def repeated_share(self) -> float | None:
-        """Share of simulated cells that run twice, because nothing says that the simulator is deterministic; None for none."""
-
-    def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
-        """Rates a run by what is stored of it; None if it lacks a metric. A metric is None if it was not finite."""
+REPEATED = 0.02
+"""Share of cells that run twice on a simulator that does not claim to be deterministic."""
 
 
 @dataclass(frozen=True)
-class DrivingBench:
-    """A driving function in a vehicle, driven by workers in scenarios of catalogues and rated there by an evaluator."""
+class Bench:
+    """Scenarios of a problem with their simulator, and one of its scores."""
 
-    catalogued: Mapping[str, tuple[str, Scenario]]
-    """By scenario id, in the catalogue's order: (catalogue's name, scenario)."""
-    driving_function: DrivingFunction
-    vehicle: Vehicle
-    vehicle_parameters: Mapping[str, float]
-    evaluator: Evaluator
+    bundle: Bundle
+    score: str
+    """Name of the score in the manifest."""
+    function: str
+    """Name of the function under test, for which influence maps hold: the problem, or the driving function of its planner."""
+    parameters: tuple[Parameter, ...]
+    """All parameters with their usual ranges, in the function's order."""
+    scenarios: Mapping[str, Mapping[str, Any]]
+    """Data of the scenarios by id, in order."""
+    section: Mapping[str, Any]
+    """The simulator's section, with the plug-ins that the campaign chose."""
+    varied: tuple[VehicleParameter, ...] = ()
+    """Side conditions that robustness studies vary."""
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Values of the side conditions."""
+    evaluator: Evaluator | None = None
+    """Rates the runs; None: the score has a formula."""
+    is_driven: bool = False
+    """Whether the runs need no child process (`SetupRequest.is_driven`)."""
 
     def __post_init__(self) -> None:
         """Raises UnavailableError if a plug-in lacks a shipped file, which reading its version reveals."""
-        self.driving_function.version, self.vehicle.version, self.evaluator.version  # noqa: B018  reading is what may fail
-
-    @property
-    def function(self) -> str:
-        """Name of the driving function."""
-        return self.driving_function.name
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The driving function's first space."""
-        return next(iter(self.driving_function.spaces.values()))
-
-    @property
-    def scenarios(self) -> Collection[str]:
-        """Ids of the scenarios, in the catalogue's order."""
-        return self.catalogued.keys()
+        self.evaluator_id, self.setups  # noqa: B018  reading is what may fail
 
     @cached_property
-    def setups(self) -> dict[str, DrivenSetup]:
+    def setups(self) -> dict[str, Setup]:
         """Setups by scenario."""
-        return {
-            name: setup_of(scenario, self.driving_function, self.vehicle, self.vehicle_parameters)
-            for name, (_, scenario) in self.catalogued.items()
+        manifest, files, tools = self.bundle.manifest, self.bundle.files, self.bundle.tools
+        documents = {
+            name: setup_document(manifest, name, files, section=self.section, data=data, varied=self.values, tools=tools)
+            for name, data in self.scenarios.items()
         }
+        return {name: Setup(name, document) for name, document in documents.items()}
 
     @cached_property
-    def requests(self) -> dict[str, DriveRequest]:
+    def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""
+        manifest = self.bundle.manifest
+        rated = self.is_driven and self.evaluator is not None
+        units = {name: entry.unit for name, entry in manifest.parameters.items()}
+        units |= {name: entry.unit for name, entry in manifest.varied.items()}
         return {
-            name: DriveRequest(
-                catalogue=catalogue,
+            name: SetupRequest(
+                bundle=self.bundle.digest,
+                problem=manifest.problem,
                 scenario=name,
-                driving_function=self.driving_function.name,
-                vehicle=self.vehicle.name,
-                vehicle_parameters=self.setups[name].vehicle_parameters,
-                evaluator=self.evaluator.name,
-                evaluator_version=self.evaluator.version,
+                data=data,
+                simulator=self.section,
+                parameters=tuple(parameter.name for parameter in self.parameters),
+                integers=manifest.integers,
+                measures=tuple(manifest.reported),
+                failures=manifest.failures,
+                series=tuple(manifest.series),
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
+                tools=self.bundle.tools,
+                units=units,
+                varied=self.values,
+                evaluator=self.evaluator.name if rated and self.evaluator else None,
+                evaluator_version=self.evaluator.version if rated and self.evaluator else None,
+                is_driven=self.is_driven,
             )
-            for name, (catalogue, _) in self.catalogued.items()
+            for name, data in self.scenarios.items()
         }
 
     @property
-    def to_probe(self) -> None:
-        """Nothing: plug-ins and the simulator have versions."""
-        return
+    def to_probe(self) -> SetupRequest | None:
+        """The first scenario's request if a worker has to run the bundle's `probe` first: its answer is part of every setup."""
+        if self.bundle.manifest.simulator.probe is None or self.bundle.tools is not None:
+            return None
+        return next(iter(self.requests.values()))
 
-    @property
+    @cached_property
     def evaluator_id(self) -> str:
-        """Name and version of the evaluator."""
-        return evaluator_id(self.evaluator)
+        """Name and version of the score: with the run fingerprint it names a rating."""
+        if self.evaluator is not None:
+            return f"{self.evaluator.name} {self.evaluator.version}"
+        return score_id(self.score, self._entry)
 
-    @property
+    @cached_property
     def scale(self) -> Scale:
-        """Scale of the comfort score."""
-        return COMFORT
+        """Scale of the scores."""
+        return self._entry.scale(self.score)
 
     @property
     def needs_series(self) -> bool:
-        """Whether the evaluator rates time series, which are not stored."""
+        """Whether stored runs lack the time series that the score needs."""
         return isinstance(self.evaluator, SeriesEvaluator)
 
     @property
     def rates(self) -> bool:
-        """Workers rate, because evaluators may need time series."""
-        return False
+        """Whether the coordinator rates the results of workers; otherwise workers do, which have the time series of the run."""
+        return self.evaluator is None or not self.is_driven
 
     @property
     def repeated_share(self) -> float | None:
-        """None: the closed loop is deterministic."""
-        return None
+        """Share of simulated cells that run twice, because nothing says that the simulator is deterministic; None for none."""
+        return None if self.bundle.manifest.simulator.deterministic else REPEATED
 
-    def rate(self, scenario: str, metrics: Mapping[str, float | None], failure: str | None) -> Rating | None:
-        """Rates a run by its metrics; a failed run scores 0 with every evaluator."""
+    def rate(self, scenario: str, measures: Mapping[str, float | None], failure: str | None) -> Rating | None:
+        """Rates a run by what is stored of it.
+
+        Args:
+            scenario: id of the run's scenario.
+            measures: measures of the run; None for values that were not finite.
+            failure: name of the failure that ended the run.
+
+        Returns:
+            the rating; None if the run lacks a measure that the score needs.
+        """
+        if self.evaluator is None:
+            known = {name: value for name, value in measures.items() if value is not None}
+            scored = rate(self._formula, self.scale, known, failure)
+            return None if scored is None else Rating(scored.value, scored.value, scored.undefined, scored.cut)
         scale = self.scale
         if failure is not None:
             return Rating(scale.failed, scale.failed)
-        known = {name: nan if value is None else value for name, value in metrics.items()}
         try:
-            rating = self.evaluator.rate(self.catalogued[scenario][1].rated_as, known)
-        except (KeyError, ValueError):  # a metric that was not measured then, or not finite
+            values = {name: nan if value is None else value for name, value in measures.items()}
+            rating = self.evaluator.rate(self._rated_as(scenario), values)
+        except (KeyError, ValueError):  # a measure that was not reported then, or not finite
             return None
         return Rating(scale.worth(rating.rating), scale.worth(rating.score)) if isfinite(rating.rating) else None
 
+    def _rated_as(self, scenario: str) -> str:
+        """Returns the class of a scenario, by which evaluators rate: its `rated_as`, or its id."""
+        data = self.scenarios[scenario]
+        if "catalogue" in data and self.is_driven:
+            return registry.catalogue(data["catalogue"]).scenarios[scenario].rated_as
+        return str(data.get("rated_as", scenario))
 
-def driving(bench: Bench) -> DrivingBench:
-    """Returns a bench with a vehicle. Raises ConflictError for another one, for which nothing about vehicles can be asked."""
-    if not isinstance(bench, DrivingBench):
-        raise ConflictError(f"{bench.function} has no vehicle parameters")
-    return bench
+    @property
+    def _entry(self) -> ScoreEntry:
+        return self.bundle.manifest.scores[self.score]
 
-
-def evaluator_id(evaluator: Evaluator) -> str:
-    """Name and version of an evaluator, under which ratings are stored."""
-    return f"{evaluator.name} {evaluator.version}"
+    @cached_property
+    def _formula(self) -> Formula:
+        return Formula(self._entry.formula or "")

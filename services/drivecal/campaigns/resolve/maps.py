@@ -8,7 +8,6 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.spaces import (
@@ -19,7 +18,7 @@ from drivecal.campaigns.resolve.spaces import (
     space_from_document,
     space_to_document,
 )
-from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
+from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
 from drivecal.contracts.specification import (
     InfluenceMapSpecification,
     InfluenceSpecification,
@@ -54,7 +53,7 @@ class PostedMap:
     """The space that the bounds were checked against."""
 
 
-def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource = no_bundles) -> PostedMap:
+def resolve_map(specification: InfluenceMapSpecification, bundles: BundleSource = installed_bundles) -> PostedMap:
     """Resolves a posted map. Raises InvalidInputError for every scenario, parameter and bound that does not fit."""
     diagnostics = Diagnostics()
     named = specification.model_dump(include={"problem", "catalogue", "driving_function"})

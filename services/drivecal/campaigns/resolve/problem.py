@@ -13,7 +13,6 @@ import numpy as np
 from drivecal.analysis.goals import Goals
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals
 from drivecal.campaigns.resolve.resolvers import Optimization
@@ -25,14 +24,13 @@ from drivecal.campaigns.resolve.spaces import (
     search_space,
     space_to_document,
 )
-from drivecal.campaigns.resolve.workbench import find_workbench, no_bundles
+from drivecal.campaigns.resolve.workbench import BundleSource, find_workbench, installed_bundles
 from drivecal.contracts.campaign import ExpectedRuns
-from drivecal.contracts.specification import HIGHWAY, CampaignSpecification, EvaluationSpecification, SensitivitySpecification
+from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, SensitivitySpecification
 from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.influence import InfluenceMap
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.domain.scenarios import Scenario
 from drivecal.reduction.narrowing import SearchArea, WholeSpace, common_area, full_area
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
@@ -152,7 +150,7 @@ def _resolution(bench: Bench, space: Sequence[Parameter]) -> dict[str, Any]:
     }
 
 
-def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bundles) -> CalibrationProblem:
+def resolve(specification: CampaignSpecification, bundles: BundleSource = installed_bundles) -> CalibrationProblem:
     """Resolves a campaign's specification. Raises InvalidInputError with every problem.
 
     The resolved specification names a bundle by its digest, so that a later push of the same name changes nothing.
@@ -163,7 +161,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
-    notes += resolvers.note_vehicle(workbench.vehicle, workbench.vehicle_parameters)
+    notes += resolvers.note_varied(workbench.varied, workbench.values)
     notes += resolvers.note_threshold(specification)
     notes += workbench.notes
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
@@ -181,12 +179,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
-        specification, workbench.vehicle, workbench.vehicle_parameters, list(weights), constraints, diagnostics
+        specification, workbench.varied, workbench.values, list(weights), constraints, diagnostics
     )
-    if specification.robustness is not None and specification.problem != HIGHWAY:
-        name = specification.problem if workbench.function is None else workbench.function.name
-        message = f"robustness studies vary the vehicle of {HIGHWAY}; the problem {name} has no vehicle parameters"
-        diagnostics.add("robustness", message, "leave it out, and give the conditions to be robust against as scenarios")
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
@@ -207,7 +201,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = no_bun
     )
 
 
-def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = no_bundles) -> EvaluationProblem:
+def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSource = installed_bundles) -> EvaluationProblem:
     """Resolves a single evaluation. Its values may lie between grid points, within the driving function's limits."""
     diagnostics = Diagnostics()
     workbench = find_workbench(specification, bundles, diagnostics)
@@ -229,14 +223,6 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
     return EvaluationProblem(
         specification, workbench.make(scenarios), parameter_set, notes_off_grid(values, workbench.function)
     )
-
-
-def catalogue_scenarios(catalogue: str | list[str]) -> dict[str, tuple[str, Scenario]]:
-    """The scenarios of a catalogue, or of a list: id to (catalogue's name, scenario). Raises InvalidInputError."""
-    diagnostics = Diagnostics()
-    scenarios = resolvers.find_scenarios(catalogue, diagnostics)
-    diagnostics.raise_if_any()
-    return scenarios
 
 
 def trial() -> Batch:

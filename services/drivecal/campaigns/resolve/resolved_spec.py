@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivecal.analysis.goals import Goals
-from drivecal.campaigns.resolve.bundle_bench import BundleSource
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
 from drivecal.campaigns.resolve.spaces import fixed_from_document, space_from_document
-from drivecal.campaigns.resolve.workbench import no_bundles
+from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
 from drivecal.domain.parameters import ParameterSpace
@@ -31,7 +30,7 @@ class ResolvedSpec:
     """None for the weighted mean of the score."""
 
 
-def problem_of(campaign: StoredCampaign, bundles: BundleSource = no_bundles) -> CalibrationProblem | EvaluationProblem:
+def problem_of(campaign: StoredCampaign, bundles: BundleSource = installed_bundles) -> CalibrationProblem | EvaluationProblem:
     """Resolves a campaign against today's plug-ins and the stored bundles. Raises InvalidInputError if that fails."""
     if campaign.kind == "evaluation":
         return resolve_evaluation(validated(EvaluationSpecification, campaign.spec), bundles)

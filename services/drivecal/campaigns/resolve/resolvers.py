@@ -16,15 +16,15 @@ from drivecal.contracts.specification import (
     CampaignSpecification,
     SensitivitySpecification,
     SeparateThresholds,
-    VehicleSpecification,
 )
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.parameters import Indices, ParameterSet, ParameterSpace, Setting
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.domain.scenarios import Scenario
+from drivecal.domain.vehicles import VehicleParameter
 from drivecal.optimizers.repair import Repair, RepairingOptimizer, create_optimizer, lacking, restore_optimizer, supported
 from drivecal.plugins import registry
-from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin, Vehicle
+from drivecal.plugins.ports import Ability, ConstrainedFunction, Optimizer, OptimizerPlugin
 from drivecal.reduction.narrowing import SearchArea
 from drivecal.sensitivity import thresholds
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -65,8 +65,19 @@ def _repairing(optimizer: Optimizer, area: SearchArea, constraints: Constraints)
     return RepairingOptimizer(optimizer, repair)
 
 
-def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict[str, tuple[str, Scenario]]:
-    """Scenarios by id, in the catalogues' order: (catalogue's name, scenario)."""
+def find_scenarios(
+    catalogue: str | list[str], listed: Sequence[str], diagnostics: Diagnostics
+) -> dict[str, tuple[str, Scenario]]:
+    """Returns scenarios of installed catalogues by id, in the catalogues' order.
+
+    Args:
+        catalogue: a catalogue's name, or ids of scenarios.
+        listed: all ids of the specification, in whose order faults are numbered.
+        diagnostics: gets the faults.
+
+    Returns:
+        the catalogue's name and the scenario, by the scenario's id.
+    """
     if isinstance(catalogue, str):
         loaded = diagnostics.attempt(lambda: registry.catalogue(catalogue))
         return {} if loaded is None else {name: (loaded.name, scenario) for name, scenario in loaded.scenarios.items()}
@@ -74,7 +85,8 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
     for offered in registry.catalogues():
         for name, scenario in offered.scenarios.items():
             every.setdefault(name, []).append((offered.name, scenario))
-    for index, name in enumerate(catalogue):
+    for name in catalogue:
+        index = listed.index(name)
         if name not in every:
             diagnostics.add(f"catalogue[{index}]", f"there is no scenario {name!r}", f"installed: {', '.join(every)}")
         elif len(every[name]) > 1:
@@ -84,26 +96,12 @@ def find_scenarios(catalogue: str | list[str], diagnostics: Diagnostics) -> dict
     return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
-def find_vehicle(specification: VehicleSpecification, diagnostics: Diagnostics) -> tuple[Vehicle | None, dict[str, float]]:
-    """The vehicle and its parameters: nominal by default."""
-    vehicle = diagnostics.attempt(lambda: registry.vehicle(specification.model))
-    if vehicle is None:
-        return None, {}
-    known = {parameter.name: parameter for parameter in vehicle.parameters}
-    for name in specification.parameters:
-        if name not in known:
-            diagnostics.add(f"vehicle.parameters.{name}", f"{vehicle.name} has no such parameter", f"one of {', '.join(known)}")
-    return vehicle, {name: parameter.nominal for name, parameter in known.items()} | specification.parameters
-
-
-def note_vehicle(vehicle: Vehicle | None, values: Mapping[str, float]) -> tuple[str, ...]:
-    """Notes vehicle values beyond the bounds of the model: unusual but valid, perhaps a wrong unit."""
-    if vehicle is None:
-        return ()
+def note_varied(varied: Sequence[VehicleParameter], values: Mapping[str, float]) -> tuple[str, ...]:
+    """Notes values of varied parameters beyond their ranges: unusual but valid, perhaps a wrong unit."""
     return tuple(
-        f"vehicle.parameters.{parameter.name} is {values[parameter.name]:g} {parameter.unit}, beyond the {parameter.minimum:g} to"
-        f" {parameter.maximum:g} {parameter.unit} of {vehicle.name}"
-        for parameter in vehicle.parameters
+        f"vehicle.parameters.{parameter.name} is {values[parameter.name]:g} {parameter.unit}, beyond the usual {parameter.minimum:g} to"
+        f" {parameter.maximum:g} {parameter.unit}"
+        for parameter in varied
         if not parameter.minimum <= values[parameter.name] <= parameter.maximum
     )
 
@@ -177,8 +175,8 @@ def find_start_sets(
 
 def find_robust_sets(
     specification: CampaignSpecification,
-    vehicle: Vehicle | None,
-    nominal: Mapping[str, float],
+    varied: Sequence[VehicleParameter],
+    values: Mapping[str, float],
     scenarios: Sequence[str],
     constraints: Constraints | None,
     diagnostics: Diagnostics,
@@ -197,8 +195,10 @@ def find_robust_sets(
     if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
         message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
         diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
-    if vehicle is not None:
-        diagnostics.attempt(lambda: check_nominal(vehicle.parameters, nominal))
+    if not varied:
+        remedy = "leave it out, declare `varied` in problem.yaml, or give the conditions to be robust against as scenarios"
+        diagnostics.add("robustness", "the problem has no varied parameters", remedy)
+    diagnostics.attempt(lambda: check_nominal(varied, values))
     named = [given_set(given, constraints, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 

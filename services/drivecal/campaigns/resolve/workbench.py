@@ -1,19 +1,24 @@
-"""Finds the problem that a specification names: installed plug-ins of the built-in closed loop, or a stored bundle."""
+"""Finds the problem that a specification names, installed or pushed, with the plug-ins that it chooses."""
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from sqlalchemy import Connection
+
 from drivecal.analysis.goals import CellValue
+from drivecal.bundles.archives import files_digest
+from drivecal.bundles.checks import choices_of
+from drivecal.bundles.expressions import Constraint
+from drivecal.bundles.fingerprints import model_of
+from drivecal.bundles.highway import TaskScenario
+from drivecal.bundles.installed import Bundle, installed
 from drivecal.bundles.manifest import Manifest
 from drivecal.campaigns.resolve import resolvers
-from drivecal.campaigns.resolve.bench import Bench, DrivingBench
-from drivecal.campaigns.resolve.bundle_bench import Bundle, BundleBench, BundleSource, constraints_of, parameters_of
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.goals import KnownValues
-from drivecal.campaigns.resolve.spaces import Parameterised
 from drivecal.contracts.specification import (
-    HIGHWAY,
     CampaignSpecification,
     EvaluationSpecification,
     ProblemSpecification,
@@ -21,17 +26,79 @@ from drivecal.contracts.specification import (
 )
 from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import NotFoundError
-from drivecal.domain.measures import CLOSED_LOOP_MEASURES
 from drivecal.domain.parameters import Parameter, Setting
-from drivecal.domain.scales import COMFORT
+from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
-from drivecal.plugins.ports import Vehicle
+from drivecal.plugins.ports import ConstrainedFunction, DrivingFunction, Evaluator, SeriesEvaluator
+from drivecal.storage import bundles
+from drivecal.storage.engine.database import Database
 
 LONGEST_ANSWER = 200
 """Characters of a probe's answer in a note."""
+MOST_READ = 64
+"""Bundles that a process keeps: their content never changes, and the digest of their files takes a look at all of them."""
+WHOLE = "highway"
+"""Default of `catalogue` and `parameters`: all scenarios, and the problem's own space."""
 
+_read: dict[str, Bundle] = {}
 Wanted = ProblemSpecification | EvaluationSpecification
 """A specification that names a problem."""
+BundleSource = Callable[[str], Bundle]
+"""Returns a problem by name or digest. Raises NotFoundError."""
+
+
+def installed_bundles(name: str) -> Bundle:
+    """Returns an installed problem. Raises NotFoundError."""
+    bundle = installed(name)
+    if bundle is None:
+        raise NotFoundError("problem", name, "push it first: drivecal problem push DIR")
+    return bundle
+
+
+def stored_bundles(database: Database) -> BundleSource:
+    """Returns a source that reads a database, and the installed problems."""
+
+    def find(name: str) -> Bundle:
+        with database.read() as connection:
+            return bundles_of(connection)(name)
+
+    return find
+
+
+def bundles_of(connection: Connection) -> BundleSource:
+    """Returns a source that reads through a connection, and the installed problems."""
+
+    def find(name: str) -> Bundle:
+        if (own := installed(name)) is not None:
+            return own
+        stored = bundles.named(connection, name)
+        bundle = _read.get(stored.digest)
+        if bundle is None:
+            files = files_digest(bundles.archive(connection, stored.digest))
+            bundle = Bundle(stored.digest, files, Manifest.model_validate(stored.manifest))
+            if len(_read) >= MOST_READ:
+                _read.clear()
+            _read[stored.digest] = bundle
+        return bundle
+
+    return find
+
+
+def with_tools(source: BundleSource, tools: str | None) -> BundleSource:
+    """Returns a source whose bundles know what their `probe` answers."""
+    return source if tools is None else lambda name: replace(source(name), tools=tools)
+
+
+@dataclass(frozen=True)
+class Function:
+    """The parameters of a problem, as search spaces are made of them (`spaces.Parameterised`)."""
+
+    name: str
+    spaces: Mapping[str, tuple[Parameter, ...]]
+    """Search spaces by name, the default first."""
+    limits: Mapping[str, tuple[float | None, float | None]]
+    constraints: Mapping[str, Allows]
+    """Constraints by their text."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +108,10 @@ class Workbench:
     settled: Mapping[str, Any]
     """Meaning of the settings of a specification: the digest of a bundle, its scenarios, its score."""
     scenarios: tuple[str, ...] = ()
-    function: Parameterised | None = None
-    vehicle: Vehicle | None = None
-    vehicle_parameters: Mapping[str, float] = field(default_factory=dict)
+    function: Function | None = None
+    varied: tuple[VehicleParameter, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    """Values of the side conditions."""
     make: Callable[[Collection[str]], Bench] | None = None
     """Makes the bench of some scenarios."""
     baseline: Mapping[str, Setting] | None = None
@@ -52,78 +120,141 @@ class Workbench:
     known: KnownValues = field(default_factory=KnownValues)
 
 
-def no_bundles(name: str) -> Bundle:
-    """A source without bundles."""
-    raise NotFoundError("problem", name, "push it first: drivecal problem push DIR")
+def parameters_of(manifest: Manifest) -> tuple[Parameter, ...]:
+    """Returns all parameters of a manifest."""
+    return tuple(Parameter.declared(name, **entry.model_dump()) for name, entry in manifest.parameters.items())
 
 
-def find_workbench(wanted: Wanted, bundles: BundleSource, diagnostics: Diagnostics) -> Workbench:
+def constraints_of(manifest: Manifest) -> dict[str, Allows]:
+    """Returns the constraints of a manifest by their text."""
+    known = choices_of(manifest)
+    return {text: Constraint(text, known).holds_in for text in manifest.constraints}
+
+
+def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostics) -> Workbench:
     """Returns the problem that a specification names, as far as it exists."""
-    if wanted.problem == HIGHWAY:
-        return _installed(wanted, diagnostics)
     try:
-        bundle = bundles(wanted.problem)
+        bundle = source(wanted.problem)
     except NotFoundError as error:
         diagnostics.add("problem", str(error), "push it with `drivecal problem push DIR`; `drivecal problem list` shows them")
         return Workbench({"problem": wanted.problem})
-    return _stored(wanted, bundle, diagnostics)
-
-
-def _installed(wanted: Wanted, diagnostics: Diagnostics) -> Workbench:
-    catalogued = resolvers.find_scenarios(wanted.catalogue, diagnostics)
-    function = diagnostics.attempt(lambda: registry.driving_function(wanted.driving_function))
-    vehicle, values = resolvers.find_vehicle(wanted.vehicle, diagnostics)
-    evaluator = diagnostics.attempt(lambda: registry.evaluator(wanted.evaluator))
-    make = None
-    if function is not None and vehicle is not None and evaluator is not None:
-        driven, driver, rater = vehicle, function, evaluator
-
-        def make(scenarios: Collection[str]) -> Bench:
-            return DrivingBench({name: catalogued[name] for name in scenarios}, driver, driven, values, rater)
-
-    known = KnownValues({COMFORT.name: CellValue(COMFORT)}, CLOSED_LOOP_MEASURES)
-    return Workbench({"problem": HIGHWAY}, tuple(catalogued), function, vehicle, values, make, known=known)
-
-
-@dataclass(frozen=True)
-class BundleFunction:
-    """A bundle's parameters, as spaces are made of them."""
-
-    name: str
-    parameters: tuple[Parameter, ...]
-    constraints: Mapping[str, Allows]
-    """Constraints by their text."""
-
-    @property
-    def spaces(self) -> Mapping[str, tuple[Parameter, ...]]:
-        """The manifest's own space, which every default names."""
-        return {HIGHWAY: self.parameters, self.name: self.parameters}
-
-    @property
-    def limits(self) -> Mapping[str, tuple[float | None, float | None]]:
-        """The manifest's ranges: its author has not claimed that it works beyond them. A push with wider ones keeps all results."""
-        return {
-            parameter.name: (float(parameter.lower), float(parameter.upper))
-            for parameter in self.parameters
-            if not parameter.choices
-        }
-
-
-def _stored(wanted: Wanted, bundle: Bundle, diagnostics: Diagnostics) -> Workbench:
     manifest = bundle.manifest
-    _refuse_driving_settings(wanted, manifest.problem, diagnostics)
-    scenarios = _scenarios(wanted.catalogue, manifest, diagnostics)
-    score = _score(wanted, manifest, diagnostics)
-    function = BundleFunction(manifest.problem, parameters_of(manifest), constraints_of(manifest))
-    make = None if score is None else lambda chosen: BundleBench(bundle, tuple(chosen), score)
-    settled: dict[str, Any] = {"problem": bundle.digest, "evaluator": score}
-    if isinstance(wanted, ProblemSpecification):
-        settled["catalogue"] = list(scenarios)
+    data = _scenarios(wanted.catalogue, manifest, diagnostics)
+    if manifest.is_driven:  # with all defaults, so that equal scenarios have equal fingerprints
+        data = {
+            name: TaskScenario.model_validate(each).model_dump(mode="json") if "task" in each else each
+            for name, each in data.items()
+        }
+    scored = _score(wanted, manifest, diagnostics)
+    section = manifest.simulator.model_dump(mode="json")
+    plugin: DrivingFunction | None = None
+    if manifest.is_driven:
+        plugin = diagnostics.attempt(lambda: registry.driving_function(_driving_function(wanted, section)))
+        varied, values = _vehicle(wanted.vehicle, manifest, section, diagnostics)
+        function = None if plugin is None else _driven(manifest, section, plugin)
+        if plugin is not None:
+            section["controller"]["driving_function"] = plugin.name
+    else:
+        _refuse_driving_settings(wanted, manifest.problem, diagnostics)
+        varied, values = manifest.varied_parameters, _side_conditions(wanted.vehicle, manifest, diagnostics)
+        function = _declared(manifest)
+    if scored is None or function is None:
+        return Workbench({"problem": bundle.digest}, tuple(data), function, varied, values, notes=_notes(bundle))
+    score, evaluator = scored
+    rates_series = isinstance(evaluator, SeriesEvaluator)
+    if rates_series and evaluator is not None and not manifest.is_driven:
+        diagnostics.add("evaluator", f"{evaluator.name} rates time series of drivecal's own runs", "name another evaluator")
+    parameters = next(iter(function.spaces.values()))
+
+    def make(chosen: Collection[str]) -> Bench:
+        listed = {name: data[name] for name in chosen}
+        name, driven = function.name, manifest.is_driven
+        return Bench(bundle, score, name, parameters, listed, section, varied, values, evaluator, driven)
+
+    settled: dict[str, Any] = {"problem": bundle.digest}
+    if manifest.scores[score].evaluator is None:
+        settled["evaluator"] = score
+    if isinstance(wanted, ProblemSpecification) and not any("catalogue" in each for each in data.values()):
+        settled["catalogue"] = list(data)
     scores = {
-        name: CellValue(entry.scale(name), None if name == score else entry.formula) for name, entry in manifest.scores.items()
+        name: CellValue(entry.scale(name), None if name == score else entry.formula)
+        for name, entry in manifest.scores.items()
+        if name == score or entry.formula is not None
     }
-    known = KnownValues() if score is None else KnownValues(scores, manifest.reported)
-    return Workbench(settled, scenarios, function, make=make, baseline=manifest.baseline, notes=_notes(bundle), known=known)
+    return Workbench(
+        settled,
+        tuple(data),
+        function,
+        varied,
+        values,
+        make,
+        baseline=manifest.baseline,
+        notes=_notes(bundle),
+        known=KnownValues(scores, manifest.reported),
+    )
+
+
+def _driving_function(wanted: Wanted, section: Mapping[str, Any]) -> str:
+    """Returns the name of the driving function: the specification's, or the problem's if that is the default."""
+    default = type(wanted).model_fields["driving_function"].default
+    own: str = section["controller"]["driving_function"]
+    return own if wanted.driving_function == default else wanted.driving_function
+
+
+def _declared(manifest: Manifest) -> Function:
+    """Returns the parameters of a manifest. Its ranges are limits: its author has not claimed that it works beyond them."""
+    parameters = parameters_of(manifest)
+    limits = {each.name: (float(each.lower), float(each.upper)) for each in parameters if not each.choices}
+    return Function(manifest.problem, {WHOLE: parameters, manifest.problem: parameters}, limits, constraints_of(manifest))
+
+
+def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunction) -> Function:
+    """Returns the parameters of a driving function; in the manifest's ranges by default if it is the manifest's."""
+    constraints = plugin.constraints if isinstance(plugin, ConstrainedFunction) else {}
+    if plugin.name != section["controller"]["driving_function"]:
+        return Function(plugin.name, plugin.spaces, plugin.limits, constraints)
+    own = _declared(manifest)
+    whole = len(own.spaces[WHOLE]) == len(next(iter(plugin.spaces.values())))
+    further = plugin.spaces if whole else {}
+    spaces = {**own.spaces, **{name: space for name, space in further.items() if name not in own.spaces}}
+    return Function(plugin.name, spaces, plugin.limits, {**constraints, **own.constraints})
+
+
+def _vehicle(
+    wanted: VehicleSpecification, manifest: Manifest, section: dict[str, Any], diagnostics: Diagnostics
+) -> tuple[tuple[VehicleParameter, ...], dict[str, float]]:
+    """Returns the varied parameters of the planner's vehicle, and the values of all its parameters. Puts its model into the section."""
+    own = section["vehicle"]
+    vehicle = diagnostics.attempt(lambda: registry.vehicle(wanted.model))
+    if vehicle is None:
+        return (), {}
+    section["vehicle"] = vehicle.name
+    known = {parameter.name: parameter for parameter in vehicle.parameters}
+    _refuse_unknown(wanted, vehicle.name, known, diagnostics)
+    for name, value in wanted.parameters.items():
+        if value <= 0:
+            diagnostics.add(f"vehicle.parameters.{name}", f"{value:g} is not above 0", "give a positive number")
+    nominal = {name: parameter.nominal for name, parameter in known.items()}
+    if vehicle.name != model_of(own):
+        return vehicle.parameters, nominal | wanted.parameters
+    changes = (
+        {} if isinstance(own, str) else {name: value for name, value in own.items() if value is not None and name in known}
+    )
+    varied = manifest.varied_parameters
+    return varied, nominal | changes | {each.name: each.nominal for each in varied} | wanted.parameters
+
+
+def _side_conditions(wanted: VehicleSpecification, manifest: Manifest, diagnostics: Diagnostics) -> dict[str, float]:
+    """Returns the values of the varied parameters of a problem whose vehicle, if there is one, is its own."""
+    _refuse_unknown(wanted, manifest.problem, manifest.varied, diagnostics)
+    return {name: entry.nominal for name, entry in manifest.varied.items()} | wanted.parameters
+
+
+def _refuse_unknown(wanted: VehicleSpecification, owner: str, known: Collection[str], diagnostics: Diagnostics) -> None:
+    for name in wanted.parameters:
+        if name not in known:
+            remedy = f"one of {', '.join(known)}" if known else "leave it out"
+            diagnostics.add(f"vehicle.parameters.{name}", f"{owner} has no such parameter", remedy)
 
 
 def _notes(bundle: Bundle) -> tuple[str, ...]:
@@ -136,31 +267,52 @@ def _notes(bundle: Bundle) -> tuple[str, ...]:
 
 
 def _refuse_driving_settings(wanted: Wanted, problem: str, diagnostics: Diagnostics) -> None:
-    defaults = {"driving_function": "frenet", "vehicle": VehicleSpecification()}
-    for name, default in defaults.items():
-        if getattr(wanted, name) != default:
-            diagnostics.add(name, f"the problem {problem} has its own simulator", f"leave it out, or give problem: {HIGHWAY}")
+    given = {"driving_function": wanted.driving_function, "vehicle.model": wanted.vehicle.model}
+    defaults = {"driving_function": "frenet", "vehicle.model": VehicleSpecification().model}
+    for name, value in given.items():
+        if value != defaults[name]:
+            diagnostics.add(name, f"the problem {problem} has its own simulator", "leave it out, or name another problem")
 
 
-def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> tuple[str, ...]:
+def _scenarios(catalogue: str | list[str], manifest: Manifest, diagnostics: Diagnostics) -> dict[str, Mapping[str, Any]]:
+    """Returns the data of the chosen scenarios: the manifest's, and those of installed catalogues if drivecal's own planner drives them."""
+    if catalogue in (WHOLE, manifest.problem):
+        return dict(manifest.scenarios)
     listed = [catalogue] if isinstance(catalogue, str) else catalogue
-    if listed in ([HIGHWAY], [manifest.problem]):
-        return tuple(manifest.scenarios)
+    own: dict[str, Mapping[str, Any]] = {name: data for name, data in manifest.scenarios.items() if name in listed}
+    others = catalogue if isinstance(catalogue, str) else [name for name in listed if name not in own]
+    if manifest.is_driven and others and not (isinstance(catalogue, str) and own):
+        found = resolvers.find_scenarios(others, listed, diagnostics)
+        return {**own} | {name: {"catalogue": owner, "scenario": name} for name, (owner, _) in found.items()}
     for index, name in enumerate(listed):
         if name not in manifest.scenarios:
             remedy = f"one of {', '.join(manifest.scenarios)}"
             diagnostics.add(f"catalogue[{index}]", f"{manifest.problem} has no scenario {name!r}", remedy)
-    return tuple(name for name in manifest.scenarios if name in listed)
+    return own
 
 
-def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> str | None:
-    """Returns the campaign's score: the evaluator, or else the first that an objective names, or else the manifest's first."""
-    evaluator = wanted.evaluator
-    if evaluator in manifest.scores:
-        return evaluator
-    if evaluator == "reference":  # the default of the built-in problem
+def _score(wanted: Wanted, manifest: Manifest, diagnostics: Diagnostics) -> tuple[str, Evaluator | None] | None:
+    """Returns the campaign's score, and the evaluator that gives it, None for a formula.
+
+    The score is the one that `evaluator` names, or else the first that an objective names, or else the manifest's first. The name of an
+    installed evaluator replaces the evaluator of the first score that has one.
+    """
+    evaluator, scores = wanted.evaluator, manifest.scores
+    rated = next((name for name, entry in scores.items() if entry.evaluator is not None), None)
+    if evaluator in scores:
+        name = evaluator
+    elif evaluator == type(wanted).model_fields["evaluator"].default:
         objectives = wanted.objectives if isinstance(wanted, CampaignSpecification) else None
-        named = [each.score for each in objectives or () if each.score in manifest.scores]
-        return next((score for score in named if score is not None), next(iter(manifest.scores)))
-    diagnostics.add("evaluator", f"{manifest.problem} has no score {evaluator!r}", f"one of {', '.join(manifest.scores)}")
-    return None
+        named = [each.score for each in objectives or () if each.score in scores]
+        name = next((score for score in named if score is not None), next(iter(scores)))
+    elif rated is not None:
+        found = diagnostics.attempt(lambda: registry.evaluator(evaluator))
+        return None if found is None else (rated, found)
+    else:
+        diagnostics.add("evaluator", f"{manifest.problem} has no score {evaluator!r}", f"one of {', '.join(scores)}")
+        return None
+    chosen = scores[name].evaluator
+    if chosen is None:
+        return name, None
+    found = diagnostics.attempt(lambda: registry.evaluator(chosen))
+    return None if found is None else (name, found)

@@ -5,11 +5,11 @@ from collections.abc import Iterable
 
 from sqlalchemy import Connection
 
-from drivecal.campaigns.resolve.bundle_bench import BundleBench
-from drivecal.campaigns.resolve.bundle_source import bundles_of
+from drivecal.bundles.expressions import Formula
+from drivecal.bundles.scoring import rate
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.workbench import bundles_of
 from drivecal.contracts.evaluation import FailureCause
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import evaluations
 from drivecal.storage.campaigns import StoredCampaign
@@ -49,13 +49,16 @@ def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCau
 def _undefined(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:
     """Rates the runs with the worth of a failed run again, because only the formula knows which of them have no value."""
     spec = campaign.spec
-    if campaign.resolution is None or spec.get("problem", HIGHWAY) == HIGHWAY:
+    if campaign.resolution is None:
         return []
-    begun_with = resolved_spec(campaign)
-    bench = BundleBench(bundles_of(connection)(spec["problem"]), tuple(begun_with.setups), begun_with.scale.name)
+    scale = resolved_spec(campaign).scale
+    text = bundles_of(connection)(spec["problem"]).manifest.scores[scale.name].formula
+    if text is None:
+        return []
+    formula = Formula(text)
     rated = (
-        (run, bench.rate(run.scenario, run.metrics, None))
-        for run in evaluations.scored(connection, campaign.sequence, begun_with.scale.failed, MOST_GROUPS)
+        (run, rate(formula, scale, {name: value for name, value in run.metrics.items() if value is not None}, None))
+        for run in evaluations.scored(connection, campaign.sequence, scale.failed, MOST_GROUPS)
     )
     return [
         FailureCause(kind="unscored", cause=rating.undefined, scenarios=[run.scenario], cells=run.cells, example=run.example)

@@ -13,11 +13,10 @@ from sqlalchemy import Connection
 from drivecal.analysis.front import WinningWeights, extremes, hypervolume, knee, non_dominated, scaled, winning_weights
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective, valued_by
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
-from drivecal.campaigns.resolve.bundle_source import stored_bundles
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
 from drivecal.campaigns.resolve.resolvers import constraints_of
-from drivecal.campaigns.resolve.workbench import find_workbench
+from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError

@@ -14,7 +14,7 @@ from drivecal.analysis.optima import one_per_region_first, regions
 from drivecal.analysis.robustness import Robustness, RobustnessSettings, RobustnessStudy
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.resolve.bench import Bench, driving
+from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives, unit_cube
@@ -171,7 +171,7 @@ class RobustnessStage(StudyStage):
         return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
 
     def _ask(self) -> Round | None:
-        bench, scenarios = driving(self._problem.bench), self._problem.scenarios
+        bench, scenarios = self._problem.bench, self._problem.scenarios
         if self._study is None:
             cells = [
                 RequestedCell(index, scenario, examined.parameters)
@@ -193,7 +193,7 @@ class RobustnessStage(StudyStage):
                     for scenario in scenarios
                 ]
         for values, cells in by_vehicle.items():
-            asked.append((replace(bench, vehicle_parameters={**bench.vehicle_parameters, **dict(values)}), cells))
+            asked.append((replace(bench, values={**bench.values, **dict(values)}), cells))
         return Round(box.number, asked, exact_policy(self._problem))
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:
@@ -207,8 +207,8 @@ class RobustnessStage(StudyStage):
                 cells[answer.individual][answer.scenario] = answer
             if self._goals is not None:
                 self._judged = [self._goals.judge(answered) for answered in cells]
-            bench = driving(self._problem.bench)
-            self._study = RobustnessStudy(self._scores, bench.vehicle.parameters, bench.vehicle_parameters, self._settings)
+            bench = self._problem.bench
+            self._study = RobustnessStudy(self._scores, bench.varied, bench.values, self._settings)
             return
         box = None if self._study is None else self._study.ask()
         if self._study is None or box is None:

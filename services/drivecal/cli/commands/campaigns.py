@@ -36,9 +36,9 @@ from drivecal.client.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.contracts.organising import Deletion
-from drivecal.contracts.specification import HIGHWAY
+from drivecal.contracts.specification import VehicleSpecification
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import NotFoundError
 
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
 TimeoutOption = Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; exit status 6 when they are over.")]
@@ -105,9 +105,6 @@ def rerun(
         first = client.campaign(client.full_id(identifier))
         wanted = first.spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
         changes["weights"] = wanted
-        if from_best and evaluator is not None and first.spec["problem"] == HIGHWAY:
-            message = "stored runs of the built-in problem are rated by another evaluator in the rerun only"
-            raise InvalidInputError(Problem("--from-best", message, "leave it out"))
         if from_best:
             score = (
                 f"{evaluator or first.spec['evaluator']}@{problem or first.spec['problem']}" if evaluator or problem else None
@@ -269,8 +266,7 @@ def pays_text(share: float) -> str:
 
 
 def _print_expected(expected: ExpectedRuns) -> None:
-    built_in = " (built in)" if expected.problem == HIGHWAY else ""
-    problem = f" on the problem {expected.problem}{built_in}" if expected.problem else ""
+    problem = f" on the problem {expected.problem}" if expected.problem else ""
     typer.echo(f"the campaign can run{problem}; it proposes {expected.calibration_proposed:,} cells and simulates at most:")
     runs_of = {"sensitivity": expected.sensitivity_at_most, "calibration": expected.calibration_at_most}
     for stage, runs in (runs_of | {study: getattr(expected, study) for study in STUDIES}).items():
@@ -294,7 +290,7 @@ def kind_text(campaign: Campaign) -> str:
         return campaign.kind
     studies = [study for study in STUDIES if spec.get(study)]
     vehicle = (spec.get("vehicle") or {}).get("model")
-    driven = [vehicle] if vehicle and spec.get("problem", HIGHWAY) == HIGHWAY else []
+    driven = [vehicle] if vehicle not in {None, VehicleSpecification().model} else []
     return ", ".join([" + ".join(studies), *driven]) if studies else "analysis"
 
 

@@ -25,7 +25,7 @@ from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings, value_text
 from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
-from drivecal.contracts.specification import HIGHWAY
+from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import NotFoundError
 from drivecal.domain.scales import told
@@ -39,7 +39,9 @@ TRACE_FILES = (*time_series.SUFFIXES, time_series.MEASUREMENT)
 def evaluate(
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all.")] = None,
-    problem: Annotated[str, typer.Option(help="The problem: highway, or the name or digest of a pushed one.")] = HIGHWAY,
+    problem: Annotated[
+        str, typer.Option(help="The problem: highway, or the name or digest of a pushed one.")
+    ] = DEFAULT_PROBLEM,
     catalogue: Annotated[str, typer.Option(help="The scenario catalogue.")] = "highway",
     vehicle: Annotated[str, typer.Option(help="The vehicle model: single_track, hybrid or a plug-in.")] = "single_track",
     vehicle_parameters: Annotated[
@@ -127,8 +129,8 @@ def trace_of(client: Client, evaluation: str, timeout: float | None = None) -> T
 
 
 def units_of(client: Client, problem: str) -> dict[str, str]:
-    """Returns the units of the series that runs of a pushed problem have; nothing for the built-in one, which has them in its names."""
-    return {} if problem == HIGHWAY else client.problem(problem).series
+    """Returns the units of the series that runs of a problem have."""
+    return client.problem(problem).series
 
 
 def _measurement(client: Client, evaluation: Evaluation, trace: TraceAnswer | SeriesAnswer, problem: str) -> bytes:

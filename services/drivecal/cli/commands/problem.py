@@ -38,7 +38,8 @@ FolderArgument = Annotated[str, typer.Argument(metavar="DIR", help="The folder w
 @problems.command()
 def init(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu, highway.")
+        str,
+        typer.Argument(metavar="KIND", help="The kind of simulation: process, command, python, fmu, highway, highway-planner."),
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name.")],
     folder: Annotated[str | None, typer.Option(metavar="DIR", help="The new folder; else one called NAME.")] = None,
@@ -173,13 +174,19 @@ def _print_problem(problem: ProblemAnswer) -> None:
     print_columns(
         ["parameter", "values", "unit"], [[name, _values(entry), entry["unit"]] for name, entry in problem.parameters.items()]
     )
+    if problem.varied:
+        rows = [[name, f"{entry['nominal']:g}, {_values(entry)}", entry["unit"]] for name, entry in problem.varied.items()]
+        print_columns(["varied", "values", "unit"], rows)
     for condition in problem.constraints:
         typer.echo(f"constraint  {condition}")
     if problem.baseline:
         typer.echo(f"baseline    {parameters_text(problem.baseline)}")
     typer.echo(f"scenarios   {' '.join(problem.scenarios)}")
     typer.echo(f"measures    {', '.join(f'{name} ({unit})' for name, unit in problem.measures.items())}")
-    scores = [[name, score["direction"], score["formula"]] for name, score in problem.scores.items()]
+    scores = [
+        [name, score["direction"], score["formula"] or f"evaluator {score['evaluator']}"]
+        for name, score in problem.scores.items()
+    ]
     print_columns(["score", "direction", "formula"], scores)
 
 

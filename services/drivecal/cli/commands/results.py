@@ -25,7 +25,6 @@ from drivecal.client.documents import read_document
 from drivecal.client.transport import harmless_text
 from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.results import TradeOff, ValuePair
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.tables import FrontRow, Solution, TableName
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.report import PAGE
@@ -244,7 +243,7 @@ def _time_series(client: Client, identifier: str, table: TableName, row: int, qu
     if chosen.iteration is None or chosen.individual is None:
         raise InvalidInputError(Problem("--row", "only other campaigns evaluated this set", "export it from one of them"))
     campaign = client.campaign(identifier)
-    problem = str(campaign.spec.get("problem", HIGHWAY))
+    problem = str(campaign.spec["problem"])
     units, recordings = units_of(client, problem), []
     for scenario, score in chosen.scores.items():
         cell = client.cell(identifier, chosen.iteration, chosen.individual, scenario)

@@ -15,7 +15,6 @@ from drivecal.cli.views.progress import follow
 from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
-from drivecal.contracts.specification import HIGHWAY
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
@@ -51,7 +50,7 @@ def wanted_of(campaign: Campaign, stage: StudyName, given: Mapping[str, Any]) ->
 
 
 def _bench(campaign: Campaign) -> dict[str, Any]:
-    return {"problem": HIGHWAY} | {name: campaign.spec[name] for name in BENCH if name in campaign.spec}
+    return {name: campaign.spec[name] for name in BENCH if name in campaign.spec}
 
 
 def known(client: Client, campaign: Campaign, wanted: Wanted) -> Campaign | None:

@@ -21,6 +21,7 @@ def check_fmus(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[str
     An FMU that cannot be read is left to the worker's FMPy, which says why, or reads it.
     """
     parameters = {name: entry.unit for name, entry in manifest.parameters.items()}
+    parameters |= {name: entry.unit for name, entry in manifest.varied.items()}
     problems: list[Problem] = []
     notes: list[str] = []
     for field, section in fmu_sections(manifest):

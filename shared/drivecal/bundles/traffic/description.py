@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from drivecal.bundles.highway import Declared, HighwayScenario, OpenScenario
+from drivecal.bundles.highway import Declared, Described, HighwayScenario, OpenScenario, TaskScenario
 from drivecal.bundles.highway_checks import declared_scenario
 from drivecal.bundles.traffic.elements import refusal
 from drivecal.bundles.traffic.entities import Files
@@ -48,7 +48,7 @@ class Description:
         return _with_origin(problem, self.origins)
 
 
-def network_of(scenario: Declared, files: Files) -> str:
+def network_of(scenario: Described, files: Files) -> str:
     """Returns the path of a scenario's network in the bundle. Raises InvalidInputError with the field `openscenario`."""
     if isinstance(scenario, HighwayScenario):
         return scenario.network
@@ -63,6 +63,8 @@ def described(scenario: Declared, files: Files, maps: Maps, step: float) -> Desc
 
     Raises InvalidInputError with the fields of the scenario; the messages have file, line and element.
     """
+    if isinstance(scenario, TaskScenario):
+        raise TypeError("files do not complete a scenario with a task")
     description = Description(scenario) if isinstance(scenario, HighwayScenario) else _complete(scenario, files, maps, step)
     complete = description.scenario
     if complete.routes is None:

@@ -24,7 +24,7 @@ POINT_SPACING = 5.0
 LONGEST_BENT_EDGE = 300.0
 """Metres, as in networks of motorways: vehicles pass from edge to edge."""
 DECIMALS = 4
-NETWORKS = Path(__file__).parent / "networks"
+NETWORKS = Path(__file__).parents[1] / "problem"
 
 
 def edge_ranges(road: RoadDesign, line: Floats) -> list[tuple[float, float, float]]:

@@ -1,13 +1,16 @@
-"""Plug-in of the built-in catalogue, S1..S6 with their networks. Light enough for the coordinator."""
+"""The built-in motorway as a problem, and its scenarios S1..S6 as a catalogue. Light enough for the coordinator."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
-from importlib import resources
+from pathlib import Path
 from types import MappingProxyType
 
+from drivecal.bundles.highway import TaskScenario
+from drivecal.bundles.installed import installed_problems
 from drivecal.domain.scenarios import Scenario
-from drivecal.highway.scenarios.definitions import DEFINITIONS
+
+FOLDER = Path(__file__).parents[1] / "problem"
+"""The problem `highway` as `drivecal problem push` takes problems: `problem.yaml` and the networks of its scenarios."""
 
 
 class HighwayCatalogue:
@@ -18,15 +21,10 @@ class HighwayCatalogue:
     @cached_property
     def scenarios(self) -> Mapping[str, Scenario]:
         """Scenarios by id, in the order of the paper's Section IV-A."""
-        return MappingProxyType({scenario.id: _on_its_road(scenario) for scenario in DEFINITIONS})
-
-
-def _on_its_road(scenario: Scenario) -> Scenario:
-    from drivecal.roads.carriageway import carriageway  # scipy is not for those who only name the catalogue
-
-    name = f"{scenario.id}.net.xml"
-    network = (resources.files("drivecal.highway.scenarios") / "networks" / name).read_bytes()
-    return replace(scenario, network=network, road=carriageway(network, scenario.route, name))
+        declared = installed_problems()[self.name].manifest.scenarios
+        scenarios = {name: TaskScenario.model_validate(data) for name, data in declared.items()}
+        networks = {name: (FOLDER / scenario.network).read_bytes() for name, scenario in scenarios.items()}
+        return MappingProxyType({name: scenario.on(name, networks[name]) for name, scenario in scenarios.items()})
 
 
 HIGHWAY = HighwayCatalogue()

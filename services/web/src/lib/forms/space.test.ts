@@ -4,7 +4,7 @@ import { parameterRows, pastedSet, scenarioRows, withBaseline, withBaselineOf, w
 
 const parameter = (name: string, changes: Partial<ShapeParameter>): ShapeParameter => ({ name, kind: "continuous", unit: "1", meaning: "", lower: 0, upper: 2, step: null, choices: [], ...changes });
 const SHAPE: Shape = {
-  name: "heater", digest: "d", description: "", simulator: "command", constraints: [],
+  name: "heater", digest: "d", description: "", simulator: "command", driving: null, varied: false, constraints: [],
   parameters: [
     parameter("gain", { unit: "W/K" }), parameter("stage", { kind: "grid", lower: 0.5, upper: 2.5, step: 0.5 }),
     parameter("rooms", { kind: "integer", lower: 1, upper: 6 }), parameter("mode", { kind: "choice", lower: 0, upper: 2, choices: ["eco", "normal", "boost"] }),

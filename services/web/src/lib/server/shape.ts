@@ -1,9 +1,10 @@
-/** A problem as forms and tables need it, whether it is built in or was pushed. */
+/** A problem as forms and tables need it, whether it is installed or was pushed. */
 
+import { get } from "./api";
 import type { ParameterSpacePage, ProblemAnswer, ScenarioPage } from "./types";
 
-export const HIGHWAY = "highway";
-const FUNCTION = "frenet";
+/** Of a campaign that names none. */
+export const DEFAULT_PROBLEM = "highway";
 
 export type Kind = "grid" | "continuous" | "integer" | "choice";
 
@@ -25,17 +26,22 @@ export interface ShapeScore {
   direction: "maximise" | "minimise";
   range: readonly [number, number];
   unit: string;
-  formula: string;
+  /** Null of a score that an evaluator gives. */
+  formula: string | null;
+  evaluator: string | null;
   tolerance: number;
   failed: number | null;
 }
 
 export interface Shape {
   name: string;
-  /** Null of the built-in problem. */
-  digest: string | null;
+  digest: string;
   description: string;
   simulator: string;
+  /** The driving function of drivecal's own planner; null of other simulators. */
+  driving: string | null;
+  /** Whether it has side conditions to be robust against. */
+  varied: boolean;
   parameters: ShapeParameter[];
   constraints: readonly string[];
   baseline: Readonly<Record<string, number | string>> | null;
@@ -46,17 +52,18 @@ export interface Shape {
   goals: { scores: readonly string[]; measures: readonly string[] };
 }
 
-/** A pushed problem. */
 export function shapeOf(problem: ProblemAnswer): Shape {
   return {
     name: problem.name,
     digest: problem.digest,
     description: problem.description,
     simulator: String(problem.simulator["kind"]),
+    driving: isDriven(problem) ? String((problem.simulator["controller"] as Record<string, unknown>)["driving_function"]) : null,
+    varied: Object.keys(problem.varied).length > 0,
     constraints: problem.constraints,
     baseline: problem.baseline,
     parameters: Object.entries(problem.parameters).map(([name, entry]) => declared(name, entry)),
-    scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: dataText(data) })),
+    scenarios: Object.entries(problem.scenarios).map(([id, data]) => ({ id, title: typeof data["title"] === "string" ? data["title"] : dataText(data) })),
     scores: Object.entries(problem.scores).map(([name, entry]) => ({ name, ...(entry as Omit<ShapeScore, "name">) })),
     goals: { scores: Object.keys(problem.scores), measures: Object.keys(problem.measures) },
   };
@@ -77,24 +84,28 @@ function declared(name: string, entry: Readonly<Record<string, unknown>>): Shape
   };
 }
 
-/** The built-in problem, by what is installed: the parameters of a driving function and the scenarios of a catalogue, or of the one with a scenario of the list. */
-export function highwayShape(spaces: ParameterSpacePage, scenarios: ScenarioPage, driving: unknown = FUNCTION, catalogue: unknown = HIGHWAY, parameters: unknown = HIGHWAY): Shape {
+/** A problem of drivecal's own planner with the plug-ins that a campaign chooses: another driving function, space or catalogue. */
+export function withPlugins(shape: Shape, spaces: ParameterSpacePage, scenarios: ScenarioPage, wanted: Readonly<Record<string, unknown>>): Shape {
+  if (shape.driving === null) return shape;
+  const driving = wanted["driving_function"] ?? shape.driving;
   const own = spaces.items.filter((entry) => entry.driving_function === driving);
-  const space = own.find((entry) => entry.name === parameters) ?? own[0];
-  const listed = Array.isArray(catalogue) ? scenarios.items.find((entry) => catalogue.includes(entry.id))?.catalogue : catalogue;
-  const scores = ["reference", "learned"].map((name): ShapeScore => ({ name, direction: "maximise", range: [0, 7], unit: "points", formula: "comfort", tolerance: 1, failed: 0 }));
+  const space = own.find((entry) => entry.name === wanted["parameters"] && entry.name !== DEFAULT_PROBLEM) ?? (driving === shape.driving ? undefined : own[0]);
+  const listed = scenarios.items.filter((entry) => entry.catalogue === wanted["catalogue"] && entry.catalogue !== DEFAULT_PROBLEM);
   return {
-    name: HIGHWAY,
-    digest: null,
-    description: "A trajectory planner on a motorway in traffic, built in",
-    simulator: HIGHWAY,
-    constraints: [],
-    baseline: null,
-    parameters: (space?.parameters ?? []).map((entry) => ({ name: entry.name, kind: entry.kind as Kind, unit: entry.unit, meaning: entry.description, lower: entry.lower, upper: entry.upper, step: entry.kind === "grid" ? entry.step : null, choices: entry.choices })),
-    scenarios: scenarios.items.filter((entry) => entry.catalogue === listed).map((entry) => ({ id: entry.id, title: entry.title })),
-    scores,
-    goals: { scores: scenarios.scores, measures: Object.keys(scenarios.measures) },
+    ...shape,
+    parameters: space?.parameters.map((entry) => ({ name: entry.name, kind: entry.kind as Kind, unit: entry.unit, meaning: entry.description, lower: entry.lower, upper: entry.upper, step: entry.kind === "grid" ? entry.step : null, choices: entry.choices })) ?? shape.parameters,
+    scenarios: listed.length > 0 ? listed.map((entry) => ({ id: entry.id, title: entry.title })) : shape.scenarios,
   };
+}
+
+/** Whether drivecal's own planner drives the scenarios, so that a replay needs their roads. */
+export function isDriven(problem: Pick<ProblemAnswer, "scenarios" | "simulator">): boolean {
+  return problem.simulator["kind"] === "highway" && Object.values(problem.scenarios).every((data) => "task" in data);
+}
+
+/** A problem by its name or digest. */
+export function problemOf(name: string, signal?: AbortSignal): Promise<ProblemAnswer> {
+  return get<ProblemAnswer>(`/problems/${encodeURIComponent(name)}`, signal);
 }
 
 /** The data of a scenario on one line. */

@@ -1,11 +1,17 @@
 /** Time series of an evaluation. They are not stored with runs: the first to ask has the run simulated once more. */
 
-import { ask } from "./api";
+import { ask, get } from "./api";
 import type { Reported } from "../charts/series";
+import type { Scene } from "../charts/drive";
 import type { Trace } from "../charts/geometry";
 import type { PendingTrace, ProblemAnswer, ReplayAnswer, SeriesAnswer } from "./types";
 
 const AGAIN_MILLISECONDS = 700;
+/** The road and the vehicles of a scenario of drivecal's own planner. */
+export function sceneOf(problem: string, scenario: string, signal: AbortSignal): Promise<Scene> {
+  return get<Scene>(`/scenarios/${encodeURIComponent(scenario)}?${new URLSearchParams({ problem })}`, signal);
+}
+
 export const SIMULATING = "Simulating it once more for its time series …";
 
 /** A drive on a road, or the series that a simulator of the user's own reports. */
