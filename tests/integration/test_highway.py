@@ -217,42 +217,6 @@ def control(observation, parameters):
         assert session.evaluate({"x": 0}) == expected
 
 
-@pytest.mark.slow
-def test_a_faulty_program_costs_its_cell_and_is_started_again(tmp_path: Path) -> None:
-    bundle = motorway(tmp_path / "bundle")
-    (bundle / "program.py").write_text("""
-import json, sys
-x = 0
-for line in sys.stdin:
-    message = json.loads(line)
-    if "drivecal" in message:
-        answer = {"ready": True}
-    elif "run" in message:
-        x = message["parameters"]["x"]
-        answer = {"ready": x != 6}
-    elif message["time"] < 1:
-        answer = 0.0
-    elif x == 1:
-        sys.exit(4)
-    else:
-        answer = {0: {"acceleration": 0.5}, 2: {"brake": 1}, 3: None, 4: float("nan"), 5: {"acceleration": "x"}}[x]
-    print(json.dumps(answer), flush=True)
-    if x == 7:
-        print("more", flush=True)
-""")
-    controller = {"kind": "process", "command": ["python3", "./program.py"], "signals": ["time"], "output": ["acceleration"]}
-    with driven(bundle, drive(duration=5.0), controller) as session:
-        expected = session.evaluate({"x": 0})
-        assert "exit code 4" in lost(session, {"x": 1}, Breakdown.ERROR)
-        assert "brake" in lost(session, {"x": 2}, Breakdown.ERROR)
-        lost(session, {"x": 3}, Breakdown.ERROR)
-        assert "nan" in lost(session, {"x": 4}, Breakdown.ERROR)
-        assert "'x' for acceleration" in lost(session, {"x": 5}, Breakdown.ERROR)
-        assert "ready" in lost(session, {"x": 6}, Breakdown.ERROR)
-        lost(session, {"x": 7}, Breakdown.ERROR)
-        assert session.evaluate({"x": 0}) == expected
-
-
 def test_a_program_that_is_not_there_refuses_the_worker(folder: Path) -> None:
     for command in (["./missing"], ["no-such-program"]):
         with pytest.raises(UnavailableError), driven(folder, drive(), CONTROLLERS["process"] | {"command": command}):

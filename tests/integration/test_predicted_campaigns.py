@@ -183,41 +183,6 @@ def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tup
     assert get(database, study).cells.requested == 0
 
 
-def test_predictions_are_explained_by_lot_and_stored_answers(predicted: tuple[Database, StoredCampaign]) -> None:
-    database, campaign = predicted
-    rows = rows_of(database, campaign)
-    by_id = {row.id: row for row in rows}
-    stored = {lot.id: lot for lot in lots_of(database, campaign)}
-    released = next(row for row in rows if row.outcome is Outcome.PREDICTED and row.iteration > 0)
-    drawn = next(row for row in rows if row.sampled and row.lot == released.lot)
-    refused = next(row for row in rows if row.confidence is not None and row.lot is None and row.outcome is Outcome.SIMULATED)
-    unasked = next(row for row in rows if row.iteration == 0 and row.individual == 0)
-    with database.read() as connection:
-        told = [explain(connection, row.id) for row in (released, drawn, refused, unasked)]
-    assert [explanation.reason for explanation in told] == ["predicted", "checked", "simulated", "simulated"]
-    for explanation, row in zip(told[:3], (released, drawn, refused), strict=True):
-        prediction = explanation.prediction
-        assert prediction is not None
-        assert (prediction.score, prediction.confidence) == (row.predicted_score, row.confidence)
-        weights = [neighbour.weight for neighbour in prediction.neighbours]
-        assert weights == sorted(weights, reverse=True)
-        for neighbour in prediction.neighbours:
-            known = by_id[neighbour.evaluation]
-            assert (known.scenario, known.score) == (row.scenario, neighbour.score)
-            assert (known.iteration, known.outcome) <= (row.iteration, Outcome.SIMULATED)
-            assert known.parameters.floats == neighbour.parameters
-    lot, shown = stored[released.lot or 0], told[0].prediction
-    assert shown is not None
-    assert shown.lot is not None
-    assert (shown.lot.size, shown.lot.sample, shown.lot.errors, shown.lot.verdict) == (
-        lot.size,
-        lot.sample,
-        lot.errors,
-        "released",
-    )
-    assert told[3].prediction is None
-
-
 def test_a_simulation_that_confirms_a_predicted_set_is_explained_by_its_prediction(
     predicted: tuple[Database, StoredCampaign],
 ) -> None:

@@ -15,7 +15,6 @@ from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
 from tests.support.runs import dispatcher, everything, influenced, post_map, rows_of, run, step_until, submit
 
-from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.verification import verify
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
@@ -161,18 +160,6 @@ def test_a_reference_without_a_result_answers_no_cell_of_its_lot(database: Datab
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
-def test_lots_of_references_and_of_predictions_stand_beside_each_other(database: Database) -> None:
-    campaign = run(database, ask(database, population=400, step=0.05, mode="both"), ComputedBackend(answer=nearly))
-    kinds = Counter(lot.kind for lot in lots_of(database, campaign, None))
-    assert set(kinds) == {Outcome.REUSED, Outcome.PREDICTED}
-    assert sum(released.lots for released in campaign.released.values()) <= kinds[Outcome.PREDICTED]
-    assert sum(rate.lots for rate in campaign.error_rate.values()) == kinds[Outcome.REUSED]
-    rows = rows_of(database, campaign)
-    of = {lot.id: lot.kind for lot in lots_of(database, campaign, None)}
-    assert all(of[row.lot] is row.outcome for row in rows if row.lot and row.outcome in {Outcome.REUSED, Outcome.PREDICTED})
-    assert [check for check in verify(database, full=True) if check.problems] == []
-
-
 @pytest.mark.slow
 def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_same_verdicts(tmp_path: Path) -> None:
     def begin(database: Database) -> StoredCampaign:
@@ -193,26 +180,3 @@ def test_a_dispatcher_killed_at_any_moment_draws_the_same_samples_and_gives_the_
     assert len(ends) > tries(2, 5)
     assert all(end == ends[0] for end in ends)
     assert {lot.verdict for lot in ends[0][1]} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
-
-
-def test_cells_of_lots_are_explained(inspected: tuple[Database, StoredCampaign]) -> None:
-    database, campaign = inspected
-    rows = rows_of(database, campaign)
-    stored = {lot.id: lot for lot in lots_of(database, campaign)}
-    rejected = [row for row in rows if row.lot and stored[row.lot].verdict is LotVerdict.REJECTED]
-    chosen = [
-        next(row for row in rows if row.outcome is Outcome.REUSED),
-        next(row for row in rejected if row.audited),
-        next(row for row in rejected if not row.audited),
-        next(row for row in rows if row.lot and row not in rejected and not row.audited and row.outcome is Outcome.SIMULATED),
-    ]
-    with database.read() as connection:
-        told = [explain(connection, row.id) for row in chosen]
-    assert [explanation.reason for explanation in told] == ["reused", "checked", "simulated", "simulated"]
-    for explanation, row in zip(told, chosen, strict=True):
-        lot = stored[row.lot or 0]
-        assert explanation.lot is not None
-        assert explanation.prediction is None
-        assert (explanation.lot.size, explanation.lot.errors, explanation.lot.verdict) == (lot.size, lot.errors, lot.verdict)
-    lot = stored[chosen[2].lot or 0]
-    assert all(str(number) in told[2].sentence for number in (lot.size, lot.sample, lot.errors, lot.acceptance))

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from tests.support.computed import IGNORED, ComputedBackend, computed
 from tests.support.runs import EXPERT_SPACE, SMALL, nothing_matters, post_map, rows_of, run, submit
-from tests.support.values import numbers
 
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.explanation import Explanation
@@ -39,52 +38,6 @@ def test_every_reused_cell_is_explained_by_its_donor_and_what_differs(database: 
     repeated = next(row for row in rows if row.outcome is Outcome.REPEATED)
     again = _explain(database, repeated)
     assert (again.reason, again.differences, again.stored) == ("repeated", [], None)
-
-
-def _blocks(scenario: str, one: dict[str, float], other: dict[str, float]) -> int:
-    return sum(one[name] != other[name] for name in one if IGNORED.get(scenario) != name)
-
-
-@pytest.mark.slow
-def test_every_simulated_cell_names_the_nearest_set_that_the_campaign_saw(database: Database) -> None:
-    used = post_map(database, TRUE_MAP)
-    earlier = rows_of(database, run(database, submit(database, stored_map=used)))
-    campaign = run(database, submit(database, stored_map=used, optimizer={"population": 16, "iterations": 4, "seed": 9}))
-    run(database, submit(database, stored_map=used, optimizer={"population": 16, "iterations": 4, "seed": 5}))  # seen by nobody
-    rows = rows_of(database, campaign)
-    simulated = [row for row in rows if row.outcome is Outcome.SIMULATED and not row.audited]
-    assert len(simulated) > 20
-    stored = [row for row in earlier if row.outcome is Outcome.SIMULATED]
-    for cell in simulated[:: len(simulated) // 20]:
-        own = [
-            row
-            for row in rows
-            if row.outcome is Outcome.SIMULATED and (row.iteration, row.individual) < (cell.iteration, cell.individual)
-        ]
-        visible = [row for row in stored + own if row.scenario == cell.scenario]
-        found = _explain(database, cell)
-        assert (found.reason, found.stored) == ("simulated", len(visible))
-        expected = min(  # every blocking parameter differs by one or two halves of its range, 1
-            visible,
-            key=lambda row: (
-                _blocks(cell.scenario, numbers(cell.parameters), numbers(row.parameters)),
-                sum(
-                    (numbers(cell.parameters)[name] - value) ** 2
-                    for name, value in numbers(row.parameters).items()
-                    if IGNORED.get(cell.scenario) != name
-                ),
-                row.campaign_sequence,
-                row.iteration,
-                row.individual,
-            ),
-        )
-        assert found.reference is not None
-        assert found.reference.evaluation == expected.id
-        assert (
-            sum(difference.blocks for difference in found.differences)
-            == _blocks(cell.scenario, numbers(cell.parameters), numbers(expected.parameters))
-            > 0
-        )
 
 
 def test_the_first_cell_of_all_finds_nothing_stored(database: Database) -> None:
