@@ -14,6 +14,7 @@ EXCEPT = {
     "services/drivecal/campaigns/resolve/bench.py": "the bench of the built-in problem",
     "services/drivecal/cli/commands/demo.py": "shows the built-in problem",
     "services/drivecal/execution/scheduling/batching.py": "remembers seven batches",
+    "services/drivecal/storage/retention/marking.py": "an array has seven columns",
     "shared/drivecal/contracts/inventory.py": "`manoeuvre` is a field of the API, of scenarios of the built-in problem",
     "services/drivecal/api/routes/inventory.py": "fills in that field",
     "shared/drivecal/contracts/tables.py": "files have columns for seven bins, those of the comfort score",
