@@ -13,6 +13,7 @@ from drivecal.execution.scheduling.batching import BatchPolicy, batch_size
 from drivecal.execution.scheduling.in_flight import WITNESSES
 from drivecal.execution.scheduling.reservation import LONG_SECONDS, SMALL_SECONDS
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
+from drivecal.storage.admission import MOST_MAPS
 from drivecal.storage.engine.database import PROMPT
 
 PROMISES = (Path(__file__).parents[2] / "docs" / "pages" / "concepts" / "guarantees.md").read_text(encoding="utf-8")
@@ -31,7 +32,7 @@ def test_numbers_in_promises_are_those_of_the_code() -> None:
         ("At most eight campaigns", 8, LIMITS["running_campaigns"]),
         ("problems: 64 MB", 64, LIMITS["problem_mb"]),
         ("over 10,000,000 cells", 10_000_000, LIMITS["largest_campaign"]),
-        ("more than 1,000 posted influence maps", 1_000, LIMITS["posted_maps"]),
+        ("more than 1,000 posted influence maps", 1_000, MOST_MAPS),
         ("or pushed problems", 1_000, LIMITS["pushed_problems"]),
         ("More than 1,000 queued", 1_000, LIMITS["queued_campaigns"]),
         ("or 100 event streams", 100, LIMITS["event_streams"]),

@@ -81,19 +81,6 @@ def test_ctrl_c_detaches_and_cancels_nothing(api: RunningApi, submitted: str) ->
     assert api.http.get(f"/api/v1/campaigns/{submitted}").json()["state"] == "queued"
 
 
-def test_several_campaigns_stand_in_one_table(run: Run, api: RunningApi, submitted: str) -> None:
-    carry_out(api.database, submitted)
-    (row,) = json.loads(run("top", submitted[:8], "--json").stdout)["items"]
-    assert (row["id"], row["state"], row["best_by_iteration"]) == (submitted, "succeeded", [3.5])
-    assert row["outcomes"]["simulated"] == row["progress"]["done"] == 10
-    queued = run("submit", "-", stdin="name: waiting").stdout.split()[1]
-    header, first, *others = run("top", "--limit", "200").stdout.splitlines()
-    assert header.split()[:3] == ["id", "state", "stage"]
-    assert first.split()[1] == "queued", "what is active comes first"
-    assert {queued[:8], submitted[:8]} <= {line.split()[0] for line in (first, *others)}
-    assert run("top", "0" * 32).exit_code == 5
-
-
 def test_tables_are_exported_whole(run: Run, api: RunningApi, submitted: str, tmp_path: Path) -> None:
     carry_out(api.database, submitted)
     rows = list(csv.DictReader(io.StringIO(run("export", submitted).stdout)))

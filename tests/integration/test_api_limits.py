@@ -20,6 +20,7 @@ from tests.support.values import MIDDLE
 from drivecal.api.http import protocol
 from drivecal.client.client import Client
 from drivecal.domain.errors import InvalidInputError, UnavailableError
+from drivecal.storage import admission
 from drivecal.storage.engine.tables import campaigns
 
 SMALL: dict[str, Any] = {"sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
@@ -29,9 +30,7 @@ PLACES = 5
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def api(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(
-        new_database(request, request.param, tmp_path_factory.mktemp("limits")), queued_campaigns=PLACES, posted_maps=PLACES
-    ) as running:
+    with serving(new_database(request, request.param, tmp_path_factory.mktemp("limits")), queued_campaigns=PLACES) as running:
         yield running
 
 
@@ -103,13 +102,16 @@ def test_the_client_waits_for_room_as_long_as_it_is_asked_to_and_then_gives_up(
 
 
 @pytest.mark.slow("postgresql")
-def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(api: RunningApi) -> None:
+def test_influence_maps_are_kept_up_to_a_limit_however_many_come_at_once(
+    api: RunningApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(admission.admit_map, "__defaults__", (PLACES,))
     document = {"scenarios": {"S1": {"P1": {"influential": False}}}}
     with ThreadPoolExecutor(10) as pool:
         responses = list(pool.map(lambda _: post(api, document, path="influence-maps"), range(10)))
     assert sorted(response.status_code for response in responses) == [201] * PLACES + [413] * (10 - PLACES)
     refused = next(response for response in responses if response.status_code == 413)
-    assert "DRIVECAL_POSTED_MAPS" in problem(refused, 413)["detail"]
+    assert problem(refused, 413)["errors"]
     assert len(api.http.get("/api/v1/influence-maps").json()["items"]) == PLACES
 
 

@@ -94,10 +94,10 @@ def test_an_analysis_of_scores_beyond_the_comfort_scale_ends(database: Database)
 
 
 def test_differences_of_scores_cannot_exceed_their_range() -> None:
-    given = {"sensitivity": None, "reduction": {"tolerance": 101.0}, "robustness": {"eta": 50.0, "within": 250.0}}
+    given = {"sensitivity": None, "reduction": {"tolerance": 101.0}, "robustness": {"eta": 250.0}}
     with pytest.raises(InvalidInputError) as raised:
         resolve(CampaignSpecification.model_validate(given))
-    assert [problem.field for problem in raised.value.problems] == ["robustness.within", "reduction.tolerance"]
+    assert [problem.field for problem in raised.value.problems] == ["robustness.eta", "reduction.tolerance"]
 
 
 def test_the_default_tolerance_of_predictions_is_the_scores() -> None:

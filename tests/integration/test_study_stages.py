@@ -146,9 +146,7 @@ def test_a_campaign_killed_in_its_studies_ends_like_one_that_was_not(tmp_path: P
     for name in ("calm", "killed"):
         opened = migrated(f"sqlite:///{tmp_path / name}.db")
         stored_map = post_map(opened, nothing_matters())
-        campaign = submit(
-            opened, stored_map=stored_map, robustness={**ROBUST, "refinements": 2}, validation={"samples": 10, "references": 3}
-        )
+        campaign = submit(opened, stored_map=stored_map, robustness=ROBUST, validation={"samples": 10, "references": 3})
         while not get(opened, campaign).state.ended:
             working = dispatcher(opened, ComputedBackend(draw.randrange(99), driven=heavy))
             for _ in range(draw.randrange(1, 10) if name == "killed" else 9_999):

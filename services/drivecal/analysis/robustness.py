@@ -15,7 +15,7 @@ from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
-Condition = Literal["max", "mean", "per_factor"]
+Condition = Literal["max", "mean"]
 SIGNIFICANT = 12
 """Digits of a drawn value: enough for any vehicle, few enough to be read and typed again."""
 
@@ -24,18 +24,15 @@ SIGNIFICANT = 12
 class RobustnessSettings:
     """The study of Section IV-D: boxes of half width k `delta`, k = 1 .. `steps`, `samples` vehicles each.
 
-    `condition`: `max` |dF_j| <= eta in the score's unit for every vehicle and scenario j (the paper's study); `mean` and `per_factor` are
-    Section II-C's relative ones, < eta, with max(|F_j|, `least`) below the line (`least`: 1 point): the mean over the vehicles, or each of
-    them. `eta`: one number, or one for each scenario. `refinements`: how often the width between the last box that holds and the first that
-    does not is halved afterwards.
+    `condition`: `max` |dF_j| <= eta in the score's unit for every vehicle and scenario j (the paper's study); `mean` is Section II-C's
+    relative one, < eta in the mean over the vehicles, with max(|F_j|, `least`) below the line (`least`: 1 point).
     """
 
     delta: float = 0.01
     steps: int = 10
     samples: int = 30
-    eta: float | tuple[float, ...] = 1.0
+    eta: float = 1.0
     condition: Condition = "max"
-    refinements: int = 0
     seed: int = 1
     least: float = 1.0
 
@@ -92,8 +89,7 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
 
 def holds(deviations: Floats, settings: RobustnessSettings) -> bool:
     """Whether the condition holds in every scenario. A vehicle without a result cannot be vouched for: it does not hold then."""
-    eta = np.broadcast_to(np.asarray(settings.eta, dtype=np.float64), deviations.shape)
-    within = deviations <= eta if settings.condition == "max" else deviations < eta
+    within = deviations <= settings.eta if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 
 
@@ -147,7 +143,7 @@ class Robustness:
 
 
 class RobustnessStudy:
-    """Ask/tell: growing boxes for all solutions at once, each until its condition fails; then, if requested, the bisection of delta_max.
+    """Ask/tell: growing boxes for all solutions at once, each until its condition fails.
 
     A new study with the same answers continues in the same way.
     """
@@ -197,40 +193,15 @@ class RobustnessStudy:
         return [self._robustness(trials) for trials in self._trials]
 
     def _robustness(self, trials: Sequence[Trial]) -> Robustness:
-        steps = trials[: self._settings.steps]
-        degree = next((index for index, trial in enumerate(steps) if not trial.holds), len(steps))
         inside = [trial.radius for trial in trials if trial.holds]
-        return Robustness(degree, degree == self._settings.steps, max(inside, default=0.0), tuple(trials))
+        return Robustness(len(inside), len(inside) == self._settings.steps, max(inside, default=0.0), tuple(trials))
 
     def _next_radii(self) -> dict[int, float]:
-        step, settings = self._boxes + 1, self._settings
-        if step <= settings.steps:
-            standing = {
-                solution: step * settings.delta
-                for solution, trials in enumerate(self._trials)
-                if all(trial.holds for trial in trials)
-            }
-            if standing:
-                return standing
-        halvings = max((len(trials) - self._growing(trials) for trials in self._trials), default=0)
-        if halvings >= settings.refinements:
+        step = self._boxes + 1
+        if step > self._settings.steps:
             return {}
-        return {
-            solution: self._middle(trials)
-            for solution, trials in enumerate(self._trials)
-            if not all(trial.holds for trial in trials[: self._growing(trials)])
-        }
-
-    def _growing(self, trials: Sequence[Trial]) -> int:
-        """Number of trials in growing boxes, up to the first failure of the condition."""
-        failed = next((index for index, trial in enumerate(trials) if not trial.holds), len(trials))
-        return min(failed + 1, len(trials), self._settings.steps)
-
-    @staticmethod
-    def _middle(trials: Sequence[Trial]) -> float:
-        failed = min(trial.radius for trial in trials if not trial.holds)
-        inside = max((trial.radius for trial in trials if trial.holds and trial.radius < failed), default=0.0)
-        return 0.5 * (inside + failed)
+        radius = step * self._settings.delta
+        return {solution: radius for solution, trials in enumerate(self._trials) if all(trial.holds for trial in trials)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,6 @@ class Limits:
 
     queued_campaigns: int
     largest_campaign: int
-    posted_maps: int
     pushed_problems: int
     problem_bytes: int
     event_streams: Places
@@ -68,7 +67,6 @@ class Limits:
         return cls(
             queued_campaigns=settings.queued_campaigns,
             largest_campaign=settings.largest_campaign,
-            posted_maps=settings.posted_maps,
             pushed_problems=settings.pushed_problems,
             problem_bytes=settings.problem_mb * 2**20,
             event_streams=streams,

@@ -55,8 +55,6 @@ class Settings(BaseSettings):
     """Largest number of waiting campaigns and evaluations; further ones are refused (429)."""
     largest_campaign: Annotated[int, Field(ge=1, le=10**12)] = 10_000_000
     """Cells that one campaign may propose, those of its sensitivity analysis included, before it is refused (413)."""
-    posted_maps: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
-    """Influence maps of users that are kept before further ones are refused (413)."""
     pushed_problems: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
     """Pushed problems that are kept before further ones are refused (413); each content counts."""
     problem_mb: Annotated[int, Field(ge=1, le=64)] = 64
@@ -76,8 +74,6 @@ class Settings(BaseSettings):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     running_campaigns: Annotated[int, Field(ge=1, le=1000)] = 8
     """Campaigns at a time; the others wait, those of higher priority the shortest. Single evaluations do not count."""
-    event_days: Annotated[int, Field(ge=1, le=36_500)] = 30
-    """Days that events are kept; the last event of each campaign stays."""
 
     @field_validator("home", "tokens_file", "database_password_file")
     @classmethod

@@ -93,7 +93,6 @@ def _dispatch(settings: Settings, database: Database, heartbeat: Heartbeat, stop
             WorkPool(backend, StoredLeases(database)),
             heartbeat.tell,
             running_campaigns=settings.running_campaigns,
-            event_days=settings.event_days,
             when_idle=load_predictors,
         )
         dispatcher.run(stop)

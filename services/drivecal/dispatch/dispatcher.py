@@ -122,6 +122,8 @@ WRITE_SECONDS = 0.25
 POLL_SECONDS = 0.1
 TIDY_SECONDS, BUSY_TIDY_SECONDS = 60.0, 1.0
 """Intervals of tidying, and while there is more to remove than goes in a transaction."""
+EVENTS_KEPT = timedelta(days=30)
+"""Age of events after which they are forgotten; the last one of each campaign stays."""
 IDLE_SECONDS = 15.0
 """Time without a campaign after which the dispatcher prepares for the next: longer than it takes to start a server and submit."""
 TRACES_KEPT, MOST_TRACES = timedelta(days=1), 200
@@ -141,17 +143,15 @@ class Dispatcher:
         tell: Callable[[Sequence[WorkerInfo], str | None], None] = lambda _workers, _trouble: None,
         *,
         running_campaigns: int = 8,
-        event_days: int = 30,
         when_idle: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`running_campaigns` limits concurrent campaigns, without single evaluations; `event_days` is how long events are kept.
+        """`running_campaigns` limits concurrent campaigns, without single evaluations.
         `when_idle` is called once, after `IDLE_SECONDS` without a campaign: it prepares what a later one may need."""
         self._database = database
         self._pool = pool
         self._tell = tell
         self._running_campaigns = running_campaigns
-        self._event_age = timedelta(days=event_days)
         self._when_idle: Callable[[], None] | None = when_idle
         self._clock = clock
         self._active: dict[int, Active] = {}
@@ -205,7 +205,7 @@ class Dispatcher:
     def _tidy(self) -> bool:
         """Removes what is old, and some of what is out of use; True if there may be more of it."""
         with self._database.transaction() as connection:
-            events.prune(connection, now() - self._event_age)
+            events.prune(connection, now() - EVENTS_KEPT)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
             return removal.remove_some_keys(connection)
 

@@ -10,6 +10,8 @@ from drivecal.storage.engine.tables import bundles, campaigns, influence_maps
 KEY = 0x64726332
 """First key of the advisory lock on PostgreSQL; the second is a hash of the schema."""
 RETRY_SECONDS = 30
+MOST_MAPS = 1_000
+"""Influence maps of users that are kept."""
 
 
 def alone(connection: Connection) -> None:
@@ -64,12 +66,12 @@ def earlier(connection: Connection, idempotency_key: str | None, body_digest: st
     return None if row is None else row.sequence
 
 
-def admit_map(connection: Connection, most: int, source: str) -> None:
+def admit_map(connection: Connection, source: str, most: int = MOST_MAPS) -> None:
     """Raises TooLargeError if `most` influence maps of a source are kept already; otherwise as `admit`."""
     alone(connection)
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
     if kept >= most:
-        instead = "use one of those (GET /influence-maps), or let the server keep more (DRIVECAL_POSTED_MAPS)"
+        instead = "use one of those (GET /influence-maps)"
         raise TooLargeError(
             Problem("", f"{kept:,} posted influence maps are kept already, as many as this server takes", instead)
         )

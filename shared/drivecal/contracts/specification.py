@@ -244,20 +244,16 @@ class RobustnessSpecification(Model):
 
     Boxes of half width k `delta`, k = 1 .. `steps`, in shares of the vehicle parameters' ranges (the paper's Table 8), `samples` vehicles
     in each. `condition`: `max` allows a change of at most `eta` (in units of the score) in every scenario and vehicle (as in the paper);
-    `mean` over the vehicles and `per_factor` for each are relative and strict. `eta` may be a list: one number for each simulated scenario.
+    `mean` over the vehicles is relative and strict.
     """
 
     delta: Annotated[float, Field(gt=0, le=1)] = 0.01
     steps: Annotated[int, Field(ge=1, le=100)] = 10
     samples: Annotated[int, Field(ge=1, le=10_000)] = 30
-    eta: Annotated[float, Field(gt=0)] | Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)] = 1.0
-    condition: Literal["max", "mean", "per_factor"] = "max"
-    refinements: Annotated[int, Field(ge=0, le=30)] = 0
-    """Number of halvings of the last, failed step to find delta_max."""
+    eta: Annotated[float, Field(gt=0)] = 1.0
+    condition: Literal["max", "mean"] = "max"
     solutions: Annotated[int, Field(ge=0, le=1000)] = 20
     """The most sets that are examined beside `sets`, of those that share the best objective: one from every region of the space first."""
-    within: Annotated[float, Field(ge=0)] = 0.0
-    """Sets whose objective is worse by no more than this count as the best, too."""
     sets: Annotated[list[Values], Field(max_length=1000)] = []
     """Sets to be examined in any case."""
     of: Annotated[str, StringConstraints(min_length=1, max_length=64)] | None = None

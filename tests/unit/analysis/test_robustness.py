@@ -71,11 +71,9 @@ def test_a_nominal_value_outside_its_bounds_is_refused_by_name() -> None:
     [
         ("max", 1.0, False), ("max", 2.0, True),
         ("mean", 0.25, False), ("mean", 0.2501, True),
-        ("per_factor", 0.5, False), ("per_factor", 0.51, True),
-        ("per_factor", (0.1, 0.51), True), ("per_factor", (0.51, 0.1), False),
     ],
 )  # fmt: skip
-def test_the_conditions_compare_what_the_paper_says(condition: Any, eta: float | tuple[float, ...], expected: bool) -> None:
+def test_the_conditions_compare_what_the_paper_says(condition: Any, eta: float, expected: bool) -> None:
     chosen = RobustnessSettings(condition=condition, eta=eta)
     scores = np.array([[5.0, 2.0], [5.0, 4.0]])
     assert holds(deviation(np.array([5.0, 4.0]), scores, chosen.condition), chosen) is expected
@@ -87,10 +85,10 @@ def test_one_point_is_still_robust_and_a_relative_bound_is_strict() -> None:
 
 
 def test_a_score_of_zero_divides_by_one() -> None:
-    assert deviation(np.array([0.0]), np.array([[2.0], [0.0]]), "per_factor").tolist() == [2.0]
+    assert deviation(np.array([0.0]), np.array([[2.0], [0.0]]), "mean").tolist() == [1.0]
 
 
-@pytest.mark.parametrize("condition", ["max", "mean", "per_factor"])
+@pytest.mark.parametrize("condition", ["max", "mean"])
 def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: Any) -> None:
     chosen = RobustnessSettings(condition=condition, eta=100.0)
     away = deviation(np.array([5.0, 4.0]), np.array([[5.0, 4.0], [5.0, np.nan]]), chosen.condition)
@@ -128,19 +126,8 @@ def test_past_ten_on_request() -> None:
     assert [one.degree for one in found] == [15, 20]
 
 
-@given(st.lists(st.floats(0.0005, 0.2), min_size=1, max_size=5), st.integers(1, 8))
-@settings(max_examples=examples(50))
-def test_bisection_closes_in_on_the_widest_box(limits: list[float], refinements: int) -> None:
-    chosen = RobustnessSettings(samples=2, refinements=refinements)
-    for limit, found in zip(limits, run(limits, chosen)[0].result(), strict=True):
-        assert found.radius <= limit
-        if not found.at_least:
-            assert limit - found.radius <= chosen.delta / 2**refinements * (1 + 1e-9)
-        assert found.degree == min(10, int(np.floor(round(limit / chosen.delta, 9))))
-
-
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
-    chosen = RobustnessSettings(samples=3, refinements=2)
+    chosen = RobustnessSettings(samples=3)
     nominal = np.array([[6.0, 5.0], [4.0, 4.0]])
     first, boxes = RobustnessStudy(nominal, TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:

@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from drivecal.api.dependencies import Accept, DatabaseDependency, LimitsDependency
+from drivecal.api.dependencies import Accept, DatabaseDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import FormQuery, PageQuery, form_of
 from drivecal.api.responses import ROOT
@@ -22,13 +22,11 @@ router = APIRouter(prefix="/influence-maps", tags=["influence maps"], route_clas
 
 
 @router.post("", status_code=201)
-def post(
-    specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency, limits: LimitsDependency
-) -> InfluenceMapAnswer:
+def post(specification: InfluenceMapSpecification, response: Response, database: DatabaseDependency) -> InfluenceMapAnswer:
     """Stores a map, its bounds checked against the grid of its parameters. Campaigns name it in `sensitivity: {map: ID}`."""
     posted = resolve_map(specification, stored_bundles(database))
     with database.transaction() as connection:
-        admission.admit_map(connection, limits.posted_maps, EXPERT)
+        admission.admit_map(connection, EXPERT)
         stored = store_posted_map(connection, posted)
     answer = _answer(stored, with_rows=True)
     response.headers["Location"] = answer.links["self"]

@@ -110,8 +110,7 @@ class CalibrationProblem:
             return 0
         searched = self.optimization is not None or wanted.of is not None
         solutions = len(self.robust_sets) + (wanted.solutions if searched else 0)
-        boxes = wanted.steps + wanted.refinements
-        return solutions * len(self.scenarios) * (1 + boxes * wanted.samples)
+        return solutions * len(self.scenarios) * (1 + wanted.steps * wanted.samples)
 
     def _validation_runs(self) -> int:
         wanted = self.specification.validation
@@ -179,7 +178,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
     robust_sets = resolvers.find_robust_sets(
-        specification, workbench.varied, workbench.values, list(weights), constraints, diagnostics
+        specification, workbench.varied, workbench.values, constraints, diagnostics
     )
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:

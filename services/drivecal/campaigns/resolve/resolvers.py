@@ -177,7 +177,6 @@ def find_robust_sets(
     specification: CampaignSpecification,
     varied: Sequence[VehicleParameter],
     values: Mapping[str, float],
-    scenarios: Sequence[str],
     constraints: Constraints | None,
     diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
@@ -192,9 +191,6 @@ def find_robust_sets(
         diagnostics.add("robustness.solutions", "0 examines no set", "give at least 1, or name sets in robustness.sets")
     if specification.optimizer is not None and wanted.of is not None:
         diagnostics.add("robustness.of", "this campaign searches its own solutions", "leave it out, or give optimizer: null")
-    if isinstance(wanted.eta, list) and len(wanted.eta) != len(scenarios):
-        message = f"{len(wanted.eta)} numbers for {len(scenarios)} scenarios"
-        diagnostics.add("robustness.eta", message, f"one number, or one for each of {', '.join(scenarios)}")
     if not varied:
         remedy = "leave it out, declare `varied` in problem.yaml, or give the conditions to be robust against as scenarios"
         diagnostics.add("robustness", "the problem has no varied parameters", remedy)
@@ -206,9 +202,7 @@ def find_robust_sets(
 def check_units(specification: CampaignSpecification, scale: Scale, diagnostics: Diagnostics) -> None:
     """Adds a problem for every difference of scores that is wider than their range."""
     wanted = specification.robustness
-    eta = [] if wanted is None else wanted.eta if isinstance(wanted.eta, list) else [wanted.eta]
-    given = {f"robustness.eta[{index}]" if len(eta) > 1 else "robustness.eta": value for index, value in enumerate(eta)}
-    given |= {} if wanted is None else {"robustness.within": wanted.within}
+    given = {} if wanted is None else {"robustness.eta": wanted.eta}
     given |= {} if specification.reduction.tolerance is None else {"reduction.tolerance": specification.reduction.tolerance}
     for field, value in given.items():
         if value > scale.span:

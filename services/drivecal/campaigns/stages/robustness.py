@@ -47,9 +47,8 @@ def settings_of(wanted: RobustnessSpecification, scale: Scale) -> RobustnessSett
         delta=wanted.delta,
         steps=wanted.steps,
         samples=wanted.samples,
-        eta=tuple(wanted.eta) if isinstance(wanted.eta, list) else wanted.eta,
+        eta=wanted.eta,
         condition=wanted.condition,
-        refinements=wanted.refinements,
         seed=wanted.seed,
         least=scale.tolerance,
     )
@@ -152,7 +151,7 @@ class RobustnessStage(StudyStage):
         enough = 0
         if ranking:
             first = ranking[0]
-            least = first.sign * first.objective - self._wanted.within - EQUAL
+            least = first.sign * first.objective - EQUAL
             good = (each.violation == first.violation and first.sign * each.objective >= least for each in ranking)
             enough = sum(1 for _ in takewhile(bool, good))
         return ranking[: min(enough, MOST_BEST)], ranking[enough : enough + MOST_WORSE]
@@ -167,8 +166,7 @@ class RobustnessStage(StudyStage):
 
     @property
     def _at_most(self) -> int:
-        boxes = self._settings.steps + self._settings.refinements
-        return len(self._examined) * len(self._problem.scenarios) * (1 + boxes * self._settings.samples)
+        return len(self._examined) * len(self._problem.scenarios) * (1 + self._settings.steps * self._settings.samples)
 
     def _ask(self) -> Round | None:
         bench, scenarios = self._problem.bench, self._problem.scenarios

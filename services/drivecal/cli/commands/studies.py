@@ -103,7 +103,6 @@ def validate(
         int | None, typer.Option(min=1, help="Sets of the first Latin hypercube, else 200; predictions by scenario, else all.")
     ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
-    largest: Annotated[int | None, typer.Option(min=1, help="Sets of the largest Latin hypercube; else 20000.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
@@ -114,7 +113,7 @@ def validate(
     """
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier))
-        given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references, "largest": largest}
+        given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
         wanted = wanted_of(campaign, "validation", given)
         wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
         maker = None if again else known(client, campaign, wanted)
@@ -147,18 +146,12 @@ def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> N
 def robustness(
     identifier: CampaignArgument,
     solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
-    within: Annotated[
-        float | None,
-        typer.Option(min=0, help="Examine sets whose objective is worse by no more than this, too; else 0."),
-    ] = None,
     delta: Annotated[
         float | None, typer.Option(help="Half the width of the first box, in shares of the vehicle's ranges; else 0.01.")
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, max=100, help="Boxes; else 10.")] = None,
     samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
     eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
-    condition: Annotated[str | None, typer.Option(help="max, mean or per_factor; else max.")] = None,
-    refinements: Annotated[int | None, typer.Option(min=0, max=30, help="Halvings of the last step; else none.")] = None,
     vehicle: Annotated[
         str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
     ] = None,
@@ -170,16 +163,7 @@ def robustness(
     """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     if vehicle is not None and compare is not None:
         raise typer.BadParameter("name a vehicle model or another campaign, not both")
-    given = {
-        "solutions": solutions,
-        "within": within,
-        "delta": delta,
-        "steps": steps,
-        "samples": samples,
-        "eta": eta,
-        "condition": condition,
-        "refinements": refinements,
-    }
+    given = {"solutions": solutions, "delta": delta, "steps": steps, "samples": samples, "eta": eta}
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier))
         wanted = wanted_of(campaign, "robustness", given)
@@ -202,8 +186,6 @@ def robustness(
         print_robustness(here.rows, here.maker.spec["robustness"])
     else:
         robustness_differences.print_difference(here, beside)
-    if hint := few_text(here):
-        typer.echo(hint)
 
 
 def _source(campaign: Campaign) -> str:
@@ -232,18 +214,6 @@ def _study_of(client: Client, campaign: Campaign) -> Campaign:
 
 def _study(client: Client, maker: Campaign) -> MadeStudy:
     return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
-
-
-def few_text(study: MadeStudy) -> str:
-    """Returns why fewer sets were examined than wanted, and which option adds more; empty otherwise."""
-    wanted = study.maker.spec.get("robustness") or {}
-    count, within = len(study.rows), wanted.get("within") or 0
-    if not count or wanted.get("sets") or count >= wanted.get("solutions", 0):
-        return ""
-    sets = "only 1 set has" if count == 1 else f"only {count} sets have"
-    if within:
-        return f"{sets} an objective within {within:g} of the best; a larger --within takes more"
-    return f"{sets} the best objective; --within 0.5 takes those that are worse by up to 0.5, too"
 
 
 def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:

@@ -13,9 +13,9 @@ from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.tables import RobustnessRow
 from drivecal.report.blocks import fixed
 
-BOXES = ("delta", "steps", "samples", "eta", "condition", "refinements", "seed")
+BOXES = ("delta", "steps", "samples", "eta", "condition", "seed")
 """Settings that decide what a degree means; `seed` draws the vehicles."""
-CHOICE = ("of", "solutions", "within", "sets")
+CHOICE = ("of", "solutions", "sets")
 """Settings that decide which sets are examined."""
 Settings = dict[str, tuple[Any, Any]]
 
@@ -50,7 +50,7 @@ def settings_that_differ(here: Mapping[str, Any], there: Mapping[str, Any]) -> S
     """Returns differing settings by name, as (this study's, the other study's). A study that examines named sets alone repeats another one:
     how these were chosen is no difference."""
     repeated = 0 in {here.get("solutions"), there.get("solutions")}
-    skipped = {"solutions", "within", "sets"} if repeated else set()
+    skipped = {"solutions", "sets"} if repeated else set()
     return {name: (value, there.get(name)) for name, value in here.items() if value != there.get(name) and name not in skipped}
 
 

@@ -32,9 +32,8 @@ export function pieces(row: RobustnessRow): Piece[] {
 
 /** What the condition of a study was, in words. */
 export function condition(settings: Readonly<Record<string, unknown>>): string {
-  const eta = Array.isArray(settings["eta"]) ? (settings["eta"] as unknown[]).join(", ") : String(settings["eta"] ?? 1);
+  const eta = String(settings["eta"] ?? 1);
   if (settings["condition"] === "mean") return `the mean relative change over the vehicles below ${eta}`;
-  if (settings["condition"] === "per_factor") return `the relative change in every vehicle below ${eta}`;
   return `no score changes by more than ${eta}`;
 }
 

@@ -3,7 +3,7 @@ import { sideBySide } from "../charts/robust";
 import { calibrates, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
 import type { Campaign, RobustnessRow } from "../server/types";
 
-const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", refinements: 2, of: "abc" };
+const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", of: "abc" };
 
 test("a campaign without an optimizer is told by its studies", () => {
   const study = { kind: "calibration", spec: { optimizer: null, robustness: ROBUSTNESS, validation: null } };
@@ -14,7 +14,7 @@ test("a campaign without an optimizer is told by its studies", () => {
 });
 
 test("a study says how it is made", () => {
-  expect(settingsText("robustness", ROBUSTNESS)).toBe("up to 10 boxes, each wider by 0.01, then 2 halvings, with 30 simulated vehicles in each; condition: no score changes by more than 1; up to 9.5 % of all vehicles in a box that holds may still break it (95 % confidence)");
+  expect(settingsText("robustness", ROBUSTNESS)).toBe("up to 10 boxes, each wider by 0.01, with 30 simulated vehicles in each; condition: no score changes by more than 1; up to 9.5 % of all vehicles in a box that holds may still break it (95 % confidence)");
   expect(settingsText("validation", { samples: 200, references: 30, largest: 20_000 })).toContain("30 variants of each set");
   expect(settingsText("validation", { samples: 500, references: 30, largest: 20_000, of: "a" })).toMatch(/500 released predictions/);
   expect([sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, of: "other" }), sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, delta: 0.02 })]).toEqual([true, false]);

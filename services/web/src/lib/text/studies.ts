@@ -8,7 +8,7 @@ export type StudyStage = Study["stage"];
 
 const STAGES: readonly StudyStage[] = ["robustness", "validation"];
 /** What decides what a degree means; `seed` draws the vehicles. */
-const BOXES = ["delta", "steps", "samples", "eta", "condition", "refinements", "seed"] as const;
+const BOXES = ["delta", "steps", "samples", "eta", "condition", "seed"] as const;
 
 type Known = Pick<Campaign, "kind" | "spec">;
 
@@ -34,9 +34,8 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
   const value = (name: string): number => Number(settings[name] ?? 0);
   if (stage === "validation" && settings["of"]) return `at most ${count(value("samples"))} released predictions of each scenario, simulated`;
   if (stage === "validation") return `${count(value("references"))} variants of each set, of Latin hypercubes from ${count(value("samples"))} to ${count(value("largest"))} sets`;
-  const halvings = value("refinements") > 0 ? `, then ${value("refinements")} halvings` : "";
   const failing = settings["condition"] === "mean" ? "" : `; up to ${percent(1 - 0.05 ** (1 / value("samples")))} of all vehicles in a box that holds may still break it (95 % confidence)`;
-  return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}${halvings}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
+  return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
 }
 
 /** Whether the degrees of two robustness studies mean the same. */
@@ -73,7 +72,7 @@ function mapOf(campaign: Pick<Campaign, "links">): string | undefined {
 
 /** The settings of a study that a user may choose, with the defaults that differ from the schema's. */
 export function studySettings(campaign: Pick<Campaign, "links">, stage: StudyStage): { schema: string; names: readonly string[]; defaults: Readonly<Record<string, unknown>> } {
-  if (stage === "robustness") return { schema: "RobustnessSpecification", names: ["delta", "steps", "samples", "eta", "condition", "refinements", "solutions", "within", "seed"], defaults: {} };
+  if (stage === "robustness") return { schema: "RobustnessSpecification", names: ["delta", "steps", "samples", "eta", "condition", "solutions", "seed"], defaults: {} };
   if (mapOf(campaign) === undefined) return { schema: "ValidationSpecification", names: ["samples", "seed"], defaults: { samples: EVERY } };
   return { schema: "ValidationSpecification", names: ["samples", "references", "largest", "seed"], defaults: {} };
 }
