@@ -137,35 +137,7 @@ def test_a_token_is_revoked_without_a_restart(tmp_path: Path) -> None:
         assert api.http.get("/readyz").json()["problems"] == []
 
 
-@pytest.fixture(scope="module")
-def tokenless(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path_factory.mktemp('tokenless') / 'drivecal.db'}") as running:
-        yield running
-
-
-def ask(api: RunningApi, method: str, path: str, **headers: str) -> httpx.Response:
-    return api.http.request(method, path, headers=headers, json=SMALL if method == "POST" else None)
-
-
 def problem(response: httpx.Response) -> dict[str, Any]:
     assert response.headers["content-type"] == "application/problem+json"
     document: dict[str, Any] = response.json()
     return document
-
-
-@pytest.mark.parametrize(("method", "path"), routes())
-def test_without_tokens_no_name_of_a_stranger_reaches_any_route(tokenless: RunningApi, method: str, path: str) -> None:
-    assert problem(ask(tokenless, method, path, Host="attacker.example:8000"))["status"] == 421
-    if method in {"POST", "DELETE"}:
-        assert problem(ask(tokenless, method, path, Origin="https://attacker.example"))["status"] == 403
-
-
-def test_without_tokens_a_web_page_is_given_nothing(tokenless: RunningApi) -> None:
-    preflight = {"Origin": "https://attacker.example", "Access-Control-Request-Method": "POST"}
-    for method in ("OPTIONS", "GET"):
-        response = ask(tokenless, method, "/api/v1/campaigns", **preflight)
-        assert not [name for name in response.headers if name.startswith("access-control-")]
-    before = tokenless.http.get("/api/v1/campaigns").json()
-    form = tokenless.http.post("/api/v1/campaigns", content=b"{}", headers={"Content-Type": "text/plain"})
-    assert form.status_code == 415
-    assert tokenless.http.get("/api/v1/campaigns").json() == before

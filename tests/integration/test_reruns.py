@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.runs import WITH_ANALYSIS, dispatcher, influenced, run
+from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.values import numbers
 
 from drivecal.api import submission
@@ -25,12 +25,11 @@ from drivecal.contracts.specification import (
 )
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.highway.manoeuvres import Manoeuvre
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Evaluator
-from drivecal.storage import campaigns, results
+from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -151,30 +150,3 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)
     assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])
-
-
-@pytest.mark.parametrize("begun", [False, True])
-@pytest.mark.parametrize(
-    ("weights", "expected"),
-    [({}, None), ({"S2": 0}, [0.5, 1.5]), ({"S1": 0, "S2": 0}, [1.5]), ({"S2": 0, "S3": 7}, [0.5, 1.5])],
-)
-def test_a_rerun_keeps_each_scenarios_own_eta(
-    database: Database, weights: dict[str, float], expected: list[float] | None, *, begun: bool
-) -> None:
-    document = {
-        "catalogue": ["S1", "S2", "S3"], "weights": {"S2": 0}, "sensitivity": None, "robustness": {"eta": [0.5, 1.5]},
-        "optimizer": {"population": 10, "iterations": 2},
-    }  # fmt: skip
-    specification = CampaignSpecification.model_validate(document)
-    queued = submission.submit(database, LIMITS, specification, None)
-    with database.transaction() as connection:
-        if begun:
-            campaigns.set_resolution(connection, queued.sequence, resolve(specification).resolution())
-        campaigns.request_action(connection, queued.id, "cancel")
-    dispatcher(database, ComputedBackend()).step()
-    changes = RerunSpecification.model_validate({"weights": weights})
-    if expected is None:
-        with pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "robustness.eta"):
-            submission.rerun(database, LIMITS, queued.id, changes, None)
-    else:
-        assert submission.rerun(database, LIMITS, queued.id, changes, None).spec["robustness"]["eta"] == expected

@@ -8,10 +8,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.support.serve import until
-from tests.support.server import free_port
-
-from drivecal.storage.engine.database import Database
 
 
 def environment(folder: Path, **settings: str) -> dict[str, str]:
@@ -34,28 +30,6 @@ def test_a_missing_password_ends_a_role_with_one_line_that_names_the_file(tmp_pa
     assert done.returncode == 1
     assert f"database_password_file: {tmp_path / 'password'}" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_an_api_says_unasked_that_its_database_is_not_migrated_and_when_it_is(tmp_path: Path) -> None:
-    database = Database.open(f"sqlite:///{tmp_path / 'drivecal.db'}")
-    log = tmp_path / "log"
-    port = str(free_port())
-    with log.open("wb") as stream:
-        words = [sys.executable, "-m", "drivecal.api", "--port", port]
-        process = subprocess.Popen(words, env=environment(tmp_path), cwd=tmp_path, stderr=stream)
-    try:
-        until(lambda: "campaigns wait:" in log.read_text(), "the reason")
-        database.upgrade()
-        until(lambda: "the database can be used now" in log.read_text(), "that it is there now")
-    finally:
-        process.terminate()
-        process.wait(60)
-        database.dispose()
-    listens, waits, *_, goes_on = log.read_text().splitlines()  # a look in the middle of the upgrade has another reason
-    assert f"127.0.0.1 port {port}" in listens
-    assert "`drivecal db upgrade`" in waits
-    assert goes_on.endswith("the database can be used now")
 
 
 @pytest.mark.parametrize("words", [("head",), ("worker", "127.0.0.1:9")], ids=lambda words: words[0])

@@ -5,8 +5,6 @@ import gc
 import logging
 import socket
 import sys
-import threading
-from collections.abc import Callable
 from importlib.metadata import version
 from threading import Timer
 
@@ -16,40 +14,8 @@ from drivecal.configuration import logs, memory
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import check_exposure
-from drivecal.domain.errors import DatabaseError, DrivecalError, InvalidInputError
+from drivecal.domain.errors import DrivecalError, InvalidInputError
 from drivecal.plugins import registry
-from drivecal.storage.engine.database import PROMPT, Database
-
-LOOK_SECONDS = 2.0
-
-
-def tell_of_database(url: str) -> None:
-    """Checks the database at `url` in another thread until it can be used. The API answers meanwhile."""
-    database = Database.open(url, PROMPT)
-
-    def run() -> None:
-        watch(database.check, threading.Event().wait)
-        database.dispose()
-
-    threading.Thread(target=run, name="await database", daemon=True).start()
-
-
-def watch(check: Callable[[], None], pause: Callable[[float], object]) -> None:
-    """Returns once `check` raises no DatabaseError any more. Logs each reason once, and the end of the trouble."""
-    logged = None
-    while True:
-        try:
-            check()
-        except DatabaseError as error:
-            if str(error) != logged:
-                logged = str(error)
-                log.error("campaigns wait: %s", logged)  # noqa: TRY400  # the sentence says it all; a traceback would bury it
-            pause(LOOK_SECONDS)
-        else:
-            if logged is not None:
-                log.info("the database can be used now")
-            return
-
 
 LOADING_BEGINS = 1.0
 """Seconds after the start. Catalogues measure their roads with SciPy, which takes a second: longer than a page should wait."""
@@ -83,7 +49,6 @@ def main() -> int:
         return 1
     if arguments.socket is None:  # else `drivecal serve` says so
         log.info("drivecal %s listens at %s port %d", version("drivecal"), *listener.getsockname()[:2])
-    tell_of_database(settings.database_url)
     gc.collect()
     gc.freeze()  # what is loaded stays: looking through all of it again and again would stop the API for half a second each time
     loading = Timer(LOADING_BEGINS, registry.catalogues)

@@ -14,7 +14,7 @@ from drivecal.api.http.limits import BodyLimit, Concurrency
 from drivecal.api.http.requests import RequestRecords
 from drivecal.api.live.streams import EventHub
 from drivecal.api.metrics import Meters
-from drivecal.api.responses import ROOT, ResponseCache
+from drivecal.api.responses import ROOT
 from drivecal.api.results import routes as results
 from drivecal.api.routes import (
     campaigns,
@@ -55,7 +55,6 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.tokens = tokens
         app.state.limits = limits = Limits.of(settings)
         meters.event_streams.set_function(lambda: limits.event_streams.taken)
-        app.state.remembered = ResponseCache()
         with database.transaction() as connection:
             add_installed(connection)
         async with EventHub(database).running() as app.state.event_hub:

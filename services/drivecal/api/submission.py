@@ -13,7 +13,6 @@ from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison,
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
-from drivecal.campaigns.resolve.resolved_spec import specification_of
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.campaigns.stages.robustness import check_source
 from drivecal.campaigns.stages.validation import check_predictions, runs_at_most
@@ -154,7 +153,6 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
-    _match_tolerances(database, first, document)
     problem = _checked(database, limits, validated(CampaignSpecification, document))
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
@@ -328,30 +326,6 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
     if used is not None:
         document["sensitivity"] = {"map": used.id}
     return document
-
-
-def _match_tolerances(database: Database, first: StoredCampaign, document: dict[str, Any]) -> None:
-    """Moves the numbers of `robustness.eta` to the scenarios that a rerun simulates: a list is in the order of the first campaign's.
-
-    Raises InvalidInputError for a scenario without a number.
-    """
-    robustness = document.get("robustness")
-    if robustness is None or not isinstance(robustness.get("eta"), list):
-        return
-    bundles = stored_bundles(database)
-    if first.resolution is None:
-        before: Sequence[str] = resolve(specification_of(first), bundles).scenarios
-    else:
-        before = list(first.resolution["weights"])
-    numbers = dict(zip(before, robustness["eta"], strict=True))
-    one_for_all = validated(CampaignSpecification, document | {"robustness": robustness | {"eta": 1.0}})
-    scenarios = resolve(one_for_all, bundles).scenarios
-    missing = [scenario for scenario in scenarios if scenario not in numbers]
-    if missing:
-        message = f"the first campaign has no number for {', '.join(missing)}, which it did not simulate"
-        remedy = "give these scenarios the weight 0, or submit a new campaign with a number for each scenario"
-        raise InvalidInputError(Problem("robustness.eta", message, remedy))
-    document["robustness"] = robustness | {"eta": [numbers[scenario] for scenario in scenarios]}
 
 
 def _merged(before: Mapping[str, Any] | None, changes: Mapping[str, Any]) -> dict[str, Any]:

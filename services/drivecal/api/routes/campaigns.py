@@ -3,14 +3,14 @@
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, Header, Response
 
 from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
-from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, ResponseCache, campaign_answer, etag, list_etag, matches
+from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, campaign_answer, etag, list_etag, matches
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.organising import CampaignChanges, Deletion, Referring
 from drivecal.contracts.specification import CampaignSpecification, RerunSpecification
@@ -61,10 +61,9 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
 
 
 @router.get("/{campaign_id}", response_model=Campaign, responses=NOT_MODIFIED)
-def read(campaign_id: str, request: Request, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
+def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """A campaign. With its `ETag` as `If-None-Match` the answer is 304 while nothing changes."""
     moment = now()
-    remembered: ResponseCache = request.app.state.remembered
     with database.read() as connection:
         seen, heartbeat_at = revision_queries.campaign_revision(connection, campaign_id)
         silent = silence(heartbeat_at, moment)
@@ -74,12 +73,8 @@ def read(campaign_id: str, request: Request, database: DatabaseDependency, if_no
             headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
         if matches(if_none_match, tag):
             return Response(status_code=304, headers=headers)
-        body = remembered.find(seen.id, tag)
-        stored = campaigns.by_sequence(connection, seen.sequence) if body is None else None
-    if stored is not None:
-        body = campaign_answer(stored, moment, silent).model_dump_json().encode()
-        remembered.keep(seen.id, tag, body)
-    return Response(body, headers=headers, media_type="application/json")
+        stored = campaigns.by_sequence(connection, seen.sequence)
+    return Response(campaign_answer(stored, moment, silent).model_dump_json(), headers=headers, media_type="application/json")
 
 
 @router.patch("/{campaign_id}")
