@@ -147,7 +147,16 @@ def code(text: object) -> str:
 
 def prose(docstring: str | None) -> str:
     """Returns a docstring as paragraphs, its own line breaks removed."""
-    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(docstring or "").split("\n\n"))
+    return "\n\n".join(" ".join(named(part).split()) for part in inspect.cleandoc(docstring or "").split("\n\n"))
+
+
+def named(paragraph: str) -> str:
+    """Returns a paragraph, one of arguments or attributes without its heading and with their names as code."""
+    heading, _, rest = paragraph.partition("\n")
+    if heading not in {"Args:", "Attributes:", "Raises:"}:
+        return paragraph
+    entries = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", rest, re.MULTILINE)
+    return f"{'Raises ' * (heading == 'Raises:')}" + " ".join(f"`{name}`: {text}" for name, text in entries)
 
 
 def field_notes(model: type) -> dict[str, str]:

@@ -66,8 +66,14 @@ class Client(Transport):
         timeout: float = 30.0,
         transport: httpx.BaseTransport | None = None,
     ) -> None:
-        """Connects to the `url` with the `token`, as on the command line if they are omitted; an empty token sends none. `transport`: sends
-        the requests in the place of a connection."""
+        """Connects to a server.
+
+        Args:
+            url: Address of the server; by default that of the settings, as on the command line.
+            token: Token to send; by default that of the settings, and an empty one sends none.
+            timeout: Seconds to wait for an answer.
+            transport: Sends the requests in the place of a connection.
+        """
         if url is None or token is None:
             settings = load_settings(url=url)
             url, token = settings.url, settings.token if token is None else token
@@ -101,7 +107,12 @@ class Client(Transport):
         return with_full_ids(plain(specification), self.full_id, self.full_map_id)
 
     def submit(self, specification: Document, key: str | None = None) -> Campaign:
-        """Queues a campaign. Submitting again with the same `key` gives the same campaign."""
+        """Queues a campaign.
+
+        Args:
+            specification: A mapping, a model, or the path of a YAML or JSON file.
+            key: Submitting again with the same key gives the same campaign; by default each submission has its own.
+        """
         return self._post(Campaign, "campaigns", document=self._specified(specification), key=key or uuid.uuid4().hex)
 
     def expected_runs(self, specification: Document) -> ExpectedRuns:
@@ -129,14 +140,22 @@ class Client(Transport):
     ) -> Iterator[Campaign]:
         """Yields the campaign now and after each change until it has ended. Tolerates a restart of the server.
 
-        Calls `told` with each event, or with later events only if `from_beginning` is False. Raises TimeoutError when the monotonic clock
-        passes `deadline`.
+        Args:
+            identifier: Id of the campaign.
+            deadline: Moment of the monotonic clock after which TimeoutError is raised.
+            told: Is called with each event.
+            from_beginning: Whether `told` gets the events before this call, too.
         """
         return iter(Following(self, identifier, deadline, told, from_beginning=from_beginning))
 
     def wait(self, identifier: str, timeout: float | None = None, *, progress: bool = True) -> Campaign:
-        """Returns the campaign once it has ended. In a notebook the cell displays it meanwhile, unless `progress` is False. Raises
-        TimeoutError after `timeout` seconds; the campaign continues."""
+        """Returns the campaign once it has ended.
+
+        Args:
+            identifier: Id of the campaign.
+            timeout: Seconds after which TimeoutError is raised; the campaign continues.
+            progress: Whether a notebook displays the campaign meanwhile.
+        """
         deadline = None if timeout is None else time.monotonic() + timeout
         states = self.watch(identifier, deadline, from_beginning=False)
         *_, campaign = displayed(states) if progress else states
@@ -154,9 +173,14 @@ class Client(Transport):
         return self._answer(response, Campaign, place), response.headers.get("etag", ""), wait
 
     def events(self, identifier: str, last_id: int | None = None) -> Iterator[Sent]:
-        """Yields the events of a campaign, all of them or those after the event `last_id`; None is a sign of life.
+        """Yields the events of a campaign; None is a sign of life. The stream ends when the campaign has ended or the server stops.
 
-        The stream ends when the campaign has ended or the server stops. Raises OverloadError if the server has no place for a stream.
+        Args:
+            identifier: Id of the campaign.
+            last_id: Id of the last known event; by default the stream begins with the first event.
+
+        Raises:
+            OverloadError: The server has no place for a stream.
         """
         headers = {"Accept": "text/event-stream"} | ({} if last_id is None else {"Last-Event-ID": str(last_id)})
         timeout = httpx.Timeout(self._http.timeout.connect, read=READ_SECONDS)
@@ -190,7 +214,13 @@ class Client(Transport):
         return self._post(Campaign, "campaigns", identifier, action)
 
     def rerun(self, identifier: str, changes: Document, key: str | None = None) -> Campaign:
-        """Queues a new campaign on the references and the influence map of an ended one; a mapping without weights keeps its weights."""
+        """Queues a new campaign on the references and the influence map of an ended one.
+
+        Args:
+            identifier: Id of the ended campaign.
+            changes: Changes of its specification; a mapping without weights keeps its weights.
+            key: Submitting again with the same key gives the same campaign.
+        """
         if isinstance(changes, Mapping) and "weights" not in changes:
             changes = {"weights": self.campaign(identifier).spec.get("weights", {}), **changes}
         return self._post(Campaign, "campaigns", identifier, "rerun", document=changes, key=key or uuid.uuid4().hex)
@@ -202,8 +232,14 @@ class Client(Transport):
         limit: int | None = None,
         score: str | None = None,
     ) -> RankedSets:
-        """Returns the best parameter sets, under the campaign's weights or others: `{"S1": 2, "S2": 1}` or `S1=2,S2=1`, and under its
-        score, another of its problem, or `NAME@PUSH`: one that another push declares. The `items` of the answer are its rows."""
+        """Returns the best parameter sets; the `items` of the answer are its rows.
+
+        Args:
+            identifier: Id of the campaign.
+            weights: Weights of the scenarios, `{"S1": 2, "S2": 1}` or `S1=2,S2=1`; by default the campaign's.
+            limit: Largest number of sets.
+            score: Another score of the problem, or `NAME@PUSH`: one that another push declares.
+        """
         return self._get(
             RankedSets, "campaigns", identifier, "solutions", weights=weights_text(weights), limit=limit, score=score
         )
@@ -217,7 +253,14 @@ class Client(Transport):
         return DownloadedTable(b"".join(self.table(identifier, table, "parquet", **query)))
 
     def table(self, identifier: str, table: Table, form: Literal["csv", "parquet"], **query: Any) -> Iterator[bytes]:
-        """Yields a whole table in pieces as they arrive."""
+        """Yields a whole table in pieces as they arrive.
+
+        Args:
+            identifier: Id of the campaign.
+            table: Name of the table.
+            form: Format of the file.
+            query: Parameters of the REST call, e.g. `where=["scenario=S1"]`.
+        """
         weights = query.get("weights")
         given = query if weights is None else query | {"weights": weights_text(weights)}
         yield from self._pieces(("campaigns", identifier, *table.split("/")), given | {"format": form})
@@ -246,7 +289,13 @@ class Client(Transport):
     def front(
         self, identifier: str, weights: Mapping[str, float] | str | None = None, *, everything: bool = False
     ) -> Rows[FrontRow]:
-        """Returns a campaign's front, best first under given `weights` of the objectives; with `everything` of all that is stored."""
+        """Returns the sets that no other set dominates.
+
+        Args:
+            identifier: Id of the campaign.
+            weights: Weights of the objectives, by which the sets are ordered.
+            everything: Whether all stored sets of the same setups and space count, by any campaign.
+        """
         return self._rows_of(identifier, "front", FrontRow, weights=weights_text(weights), everything=everything or None)
 
     def front_summary(
@@ -269,7 +318,15 @@ class Client(Transport):
         *,
         everything: bool = False,
     ) -> TradeOff:
-        """Returns the differences of two sets of a front, by their ranks under the same `weights`."""
+        """Returns the differences of two sets of a front.
+
+        Args:
+            identifier: Id of the campaign.
+            first: Rank of the first set.
+            second: Rank of the set that is compared with it.
+            weights: Weights of the objectives, under which the ranks count.
+            everything: As for `front`.
+        """
         query = {"first": first, "second": second, "weights": weights_text(weights), "everything": everything or None}
         return self._get(TradeOff, "campaigns", identifier, "front", "trade-off", **query)
 
@@ -314,7 +371,14 @@ class Client(Transport):
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
-        """Returns the number of the evaluation by which the set at a place, counted from 0, is ranked in a scenario."""
+        """Returns the number of the evaluation by which a set is ranked in a scenario.
+
+        Args:
+            identifier: Id of the campaign.
+            iteration: Iteration of the set, from 0.
+            individual: Place of the set in its iteration, from 0.
+            scenario: Name of the scenario.
+        """
         query = {"iteration": iteration, "individual": individual, "scenario": scenario}
         return self._get(CellAnswer, "campaigns", identifier, "cell", **query).evaluation
 
@@ -378,7 +442,15 @@ class Client(Transport):
         tags: Sequence[str] = (),
         archived: Archived = "without",
     ) -> CampaignPage:
-        """Returns a page of campaigns, newest first: those with all of the `tags`, by default without archived ones."""
+        """Returns a page of campaigns, newest first.
+
+        Args:
+            state: Only campaigns in this state.
+            limit: Largest number of campaigns.
+            cursor: `next_cursor` of the page before.
+            tags: Only campaigns with all of these tags.
+            archived: Whether archived campaigns are listed.
+        """
         query: dict[str, Any] = {"tag": list(tags) or None, "archived": None if archived == "without" else archived}
         return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor, **query)
 
@@ -393,9 +465,19 @@ class Client(Transport):
         comment: str | None = None,
         archived: bool | None = None,
     ) -> Campaign:
-        """Changes the given labels of a campaign; `tags` replaces all tags, `add_tags` and `remove_tags` leave others as they are.
+        """Changes the given labels of a campaign.
 
-        Raises ConflictError if a campaign that runs is archived.
+        Args:
+            identifier: Id of the campaign.
+            name: Another name.
+            tags: Tags that replace all tags.
+            add_tags: Further tags.
+            remove_tags: Tags that are taken away.
+            comment: Another comment.
+            archived: Whether lists leave the campaign out.
+
+        Raises:
+            ConflictError: A campaign that runs is archived.
         """
         lists = {"tags": tags, "add_tags": add_tags, "remove_tags": remove_tags}
         changes: dict[str, Any] = {label: list(value) for label, value in lists.items() if value is not None}
@@ -417,13 +499,23 @@ class Client(Transport):
         return self._get(SavedViewList, "views", campaign=campaign).items
 
     def report(self, identifier: str, form: Literal["html", "zip"] = "html") -> bytes:
-        """Returns the report of a campaign or a comparison: one HTML page, or a ZIP archive of the page, its figures (SVG, PNG) and tables
-        (CSV)."""
+        """Returns the report of a campaign.
+
+        Args:
+            identifier: Id of the campaign.
+            form: One HTML page, or a ZIP archive of the page, its figures (SVG, PNG) and tables (CSV).
+        """
         return b"".join(self._pieces(("campaigns", identifier, "report"), {"format": form}))
 
     def review(self, identifier: str, rank: int | None = None, front: int | None = None, against: str | None = None) -> str:
-        """Returns the review sheet of a set, an HTML page: of a `rank` in the solutions or on the `front`, by default the first of the
-        front if there are several objectives. `against`: another set beside it, a rank, a campaign's id, or `ID:RANK`."""
+        """Returns the review sheet of a set, an HTML page.
+
+        Args:
+            identifier: Id of the campaign.
+            rank: Rank of the set in the solutions, by default the first.
+            front: Rank of the set on the front, by default the first if there are several objectives.
+            against: Another set beside it: a rank, a campaign's id, or `ID:RANK`.
+        """
         place = ("campaigns", identifier, "review")
         if against is not None:
             other, *other_rank = against.split(":", 1)
@@ -445,8 +537,18 @@ class Client(Transport):
         *,
         everything: bool = False,
     ) -> bytes:
-        """Returns a set as a DCM, CDFX or CSV file: of a `rank` in the solutions or on the `front`, as for `review`, under these `weights`
-        or this `score`. `labels`: names in the file, by parameter; others keep their own."""
+        """Returns a set as a calibration file.
+
+        Args:
+            identifier: Id of the campaign.
+            form: Format of the file.
+            rank: Rank of the set in the solutions, as for `review`.
+            front: Rank of the set on the front, as for `review`.
+            weights: Weights under which the rank counts.
+            score: Score under which the rank counts.
+            labels: Names in the file, by parameter; others keep their own.
+            everything: As for `front`.
+        """
         place = ("campaigns", identifier, "calibration-file")
         listed = [f"{name}={label}" for name, label in (labels or {}).items()]
         chosen_by = {"set": rank, "front": front, "weights": weights, "score": score, "everything": everything or None}
