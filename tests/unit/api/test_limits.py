@@ -71,8 +71,8 @@ def test_a_body_that_fits_is_passed_on() -> None:
 
 @pytest.mark.parametrize("declared", [b"11", b"500000000", b"9" * 30, b"-1", b"1e1", b"\xb2", b""])
 def test_a_body_declared_too_large_is_not_read(declared: bytes) -> None:
-    status, headers, content = answer([part(b"0")], {b"content-length": declared})
-    assert (status, headers["connection"], content) == (413, "close", b"")
+    status, _, content = answer([part(b"0")], {b"content-length": declared})
+    assert (status, content) == (413, b"")
 
 
 def test_a_body_that_turns_out_too_large_is_read_no_further() -> None:

@@ -48,7 +48,7 @@ class BodyLimit:
         detail = f"the body is larger than {largest:,} bytes; send a smaller one"
         declared = request.headers.get("content-length", "0")
         if not declared.isdecimal() or len(declared) > 20 or int(declared) > largest:
-            await problem_response(request, 413, detail, headers=CLOSE)(scope, receive, send)
+            await problem_response(request, 413, detail)(scope, receive, send)  # uvicorn throws the body away as it comes
             return
 
         async def counting() -> Message:

@@ -18,6 +18,8 @@ least 40 of them."""
 SECONDS_IDLE = 15
 """Seconds that a connection stays open for the next request."""
 SECONDS_TO_STOP = 5
+SECONDS_TO_READ = 2.0
+"""Time in which a refused client may read the refusal. A socket that is closed with unread bytes is reset, and the answer lost."""
 LARGEST_LIVE_MESSAGE = 4_096
 """Bytes that a page may send at once over a WebSocket."""
 
@@ -25,11 +27,18 @@ LARGEST_LIVE_MESSAGE = 4_096
 class Protocol(H11Protocol):
     """A connection of a client."""
 
+    _is_refused = False
+
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's own
         """Answers 503 if too many connections are open."""
         super().connection_made(transport)
         if len(self.connections) > MOST_CONNECTIONS:
             self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
+
+    def data_received(self, data: bytes) -> None:
+        """Receives data, and throws away those of a refused client."""
+        if not self._is_refused:
+            super().data_received(data)
 
     def send_400_response(self, msg: str) -> None:
         """Refuses invalid HTTP and large heads like every other bad request."""
@@ -45,7 +54,9 @@ class Protocol(H11Protocol):
         content = problem_content(status, detail)
         head = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\nContent-Type: {MEDIA_TYPE}\r\nContent-Length: {len(content)}\r\n{headers}"
         self.transport.write(head.encode() + b"Connection: close\r\n\r\n" + content)
-        self.transport.close()
+        self.transport.write_eof()
+        self._is_refused = True
+        self.loop.call_later(SECONDS_TO_READ, self.transport.close)
 
 
 class Server(uvicorn.Server):
