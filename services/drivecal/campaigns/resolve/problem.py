@@ -177,9 +177,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
-    robust_sets = resolvers.find_robust_sets(
-        specification, workbench.varied, workbench.values, constraints, diagnostics
-    )
+    robust_sets = resolvers.find_robust_sets(specification, workbench.varied, workbench.values, constraints, diagnostics)
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"
