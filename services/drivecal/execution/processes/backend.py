@@ -16,7 +16,7 @@ from typing import Any
 from drivecal.cluster.machine import cpus
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.processes.child import RemoteAnswer, RemoteCall
+from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.execution.supervised import CallFailedError, SupervisedBackend, WorkerDiedError, WorkerLimits
 from drivecal.execution.worker_process import WorkerProcess
 

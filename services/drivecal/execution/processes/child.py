@@ -5,31 +5,12 @@ import queue
 import signal
 import sys
 import threading
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
 
 from drivecal.cluster.guard import end_with_parent
 from drivecal.domain.errors import DrivecalError
+from drivecal.execution.processes.calls import RemoteAnswer, RemoteCall
 from drivecal.runtime.worker import Worker, describe
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteCall:
-    """A call of a method of `drivecal.runtime.worker.Worker`. Number 0 wants no answer."""
-
-    number: int
-    method: str
-    arguments: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class RemoteAnswer:
-    """The value of a call, or the description of its error."""
-
-    number: int
-    value: Any
-    error: str | None = None
 
 
 def main() -> int:
