@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from decimal import Decimal
 from typing import Any
 
@@ -54,7 +53,7 @@ def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Datab
     ("ensure", "given"),
     [
         (parameter_sets.ensure, sample_sets(500)),
-        (setups.ensure, [replace(SETUP, scenario=f"S{number}") for number in range(6)]),
+        (setups.ensure, [Setup(f"S{number}", {**SETUP.document, "scenario": f"S{number}"}) for number in range(6)]),
     ],
     ids=["sets", "setups"],
 )
