@@ -283,7 +283,8 @@ class _Needs:
             for number in np.unique(ours[:, 1]):
                 here = ours[ours[:, 1] == number]
                 self._cells[here[np.isin(here[:, 3], kept_sets.get(int(number), ())), 0]] = True
-        listed = np.concatenate(own) if own else np.zeros((0, 7), dtype=np.int64)
+        none = np.zeros((0, len(query.selected_columns)), dtype=np.int64)
+        listed = np.concatenate(own) if own else none
         return _Cells(listed[:, 0], listed[:, 1], listed[:, 4], listed[:, 5], self._pairs(listed), listed[:, -1] == 1)
 
     def read_runs(self) -> None:
