@@ -11,7 +11,6 @@ from drivecal.storage import audits, evaluations, results
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import ratings, reference_keys, runs
 
-SIMULATED = Outcome.SIMULATED
 KEY, OTHER_KEY = b"k" * 16, b"o" * 16
 
 
@@ -34,18 +33,6 @@ def test_audits_are_counted_for_the_campaign(database: Database) -> None:
     with database.transaction() as connection:
         sequence, _ = audited(connection)
         assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=3, different=2, wrong=1)]
-
-
-def test_an_audit_of_a_donor_without_a_result_counts_for_nothing(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
-        other = campaign(connection).sequence
-        simulate(connection, other, [cell(0, setup, sets[0])], score=5)
-        donor = evaluations.own_exact(connection, other, "S1", setup, sets)[sets[0]]
-        simulate(connection, sequence, [cell(1, setup, sets[1], donor=donor, inspected=True)], score=5)
-        assert audits.count(connection, sequence, EVALUATOR) == [AuditCount("S1", audited=1, different=0, wrong=0)]
-        assert audits.count(connection, sequence, "learned 1") == []
 
 
 def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Database) -> None:

@@ -233,19 +233,6 @@ def test_a_database_with_rows_is_not_restored_into(used: Database, tmp_path: Pat
 
 
 @pytest.mark.slow("postgresql")
-def test_another_programs_database_is_not_restored_into(
-    used: Database, target_url: Callable[[str], str], tmp_path: Path
-) -> None:
-    backup.write(used, tmp_path / "backup.db", silent)
-    target = Database.open(target_url("postgresql"))
-    with target.transaction() as connection:
-        connection.execute(text("CREATE TABLE moz_places (id INTEGER)"))
-    with pytest.raises(DatabaseError, match="moz_places"):
-        backup.restore(tmp_path / "backup.db", target, silent)
-    target.dispose()
-
-
-@pytest.mark.slow("postgresql")
 def test_empty_tables_of_another_program_beside_drivecals_outlive_a_restore(
     database: Database, empty_url: str, tmp_path: Path
 ) -> None:
@@ -362,19 +349,6 @@ def test_a_backup_is_one_file_that_can_be_read_where_nothing_can_be_written(used
     with closing(sqlite3.connect(f"file:{folder / 'backup.db'}?mode=ro&immutable=1", uri=True)) as plain:
         assert plain.execute("PRAGMA journal_mode").fetchone() == ("delete",)
         assert plain.execute("SELECT count(*) FROM runs").fetchone()[0] > 200
-
-
-@pytest.mark.slow("postgresql")
-def test_rows_are_copied_in_portions(used: Database, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivecal.storage.maintenance.backup.CHUNK", 100)
-    told: list[tuple[str, int, int]] = []
-    target = Database.open(f"sqlite:///{tmp_path / 'copy.db'}")
-    target.upgrade()
-    with used.read() as source, target.transaction() as connection:
-        rows = copy_rows(source, connection, lambda *one: told.append(one))
-    assert max(done for table, done, _ in told if table == "runs") == rows["runs"]
-    assert len([one for one in told if one[0] == "runs"]) == -(-rows["runs"] // 100)
-    target.dispose()
 
 
 @pytest.fixture(autouse=True)

@@ -102,17 +102,6 @@ def test_no_more_than_the_limit_are_kept_and_the_known_ones_may_come_again(datab
             admission.admit_problem(connection, B, 1)
 
 
-def test_archives_are_backed_up_byte_by_byte(database: Database, tmp_path: Path) -> None:
-    archive = bytes(range(256)) * 1000
-    stored, _ = push(database, A, archive=archive)
-    backup.write(database, tmp_path / "backup.db", lambda *_: None)
-    opened = Database.open(f"sqlite:///{tmp_path / 'backup.db'}")
-    with opened.read() as connection:
-        assert bundles.by_name(connection, "acc") == stored
-        assert bundles.archive(connection, A) == archive
-    opened.dispose()
-
-
 def pushed(database: Database) -> str:
     """Stores a problem as the API does. Returns its digest."""
     buffer = BytesIO()

@@ -11,12 +11,12 @@ from drivecal.api.responses import campaign_answer
 from drivecal.contracts.campaign import Baseline, Best, CellCounts, ErrorRate, Progress
 from drivecal.domain.actions import Action
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
+from drivecal.domain.errors import ConflictError, NotFoundError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import CampaignHeading, Snapshot
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.references import influence_maps, runs
+from drivecal.storage.references import runs
 
 QUEUED, RUNNING, PAUSED = CampaignState.QUEUED, CampaignState.RUNNING, CampaignState.PAUSED
 CANCELLING, CANCELLED, SUCCEEDED = CampaignState.CANCELLING, CampaignState.CANCELLED, CampaignState.SUCCEEDED
@@ -42,11 +42,6 @@ def test_a_campaign_that_is_not_there_is_not_found_whatever_is_asked_for(databas
             campaigns.request_action(connection, unknown, "cancel")
     with database.read() as connection, pytest.raises(NotFoundError):
         campaigns.by_sequence(connection, 10**6)
-
-
-def test_campaigns_without_a_key_are_never_the_same(database: Database) -> None:
-    with database.transaction() as connection:
-        assert campaign(connection).id != campaign(connection).id
 
 
 def test_fifty_parallel_posts_with_one_key_make_one_campaign(database: Database) -> None:
@@ -81,22 +76,6 @@ def test_the_list_is_newest_first_and_pages_are_complete_whatever_comes_in_betwe
     assert [[one.name for one in page] for page in (first, second, third)] == [["4", "3"], ["2", "1"], ["0"]]
     assert last is None
     assert [one.name for one in singles] == ["single"]
-
-
-def test_the_list_can_be_narrowed_to_a_state(database: Database) -> None:
-    with database.transaction() as connection:
-        first, _ = campaign(connection, "first"), campaign(connection, "second")
-        campaigns.start(connection, first.sequence)
-        found, _ = campaigns.page(connection, state=RUNNING)
-    assert [one.name for one in found] == ["first"]
-
-
-def test_a_cursor_of_another_list_is_refused_by_name(database: Database) -> None:
-    with (
-        database.read() as connection,
-        pytest.raises(InvalidInputError, check=lambda error: error.problems[0].field == "cursor"),
-    ):
-        campaigns.page(connection, cursor="WzEsMl0")
 
 
 def test_active_campaigns_are_those_that_have_not_ended_oldest_first(database: Database) -> None:
@@ -166,16 +145,6 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
     assert stored.notes == ("S2 has weight 0",)
 
 
-def test_a_campaign_says_why_it_does_not_go_on(database: Database) -> None:
-    with database.transaction() as connection:
-        first, second = campaign(connection).sequence, campaign(connection).sequence
-        campaigns.degrade(connection, [first], "no workers")
-        campaigns.degrade(connection, [], "nothing")
-        assert [campaigns.by_sequence(connection, one).degraded for one in (first, second)] == ["no workers", None]
-        campaigns.degrade(connection, [first, second], None)
-        assert [campaigns.by_sequence(connection, one).degraded for one in (first, second)] == [None, None]
-
-
 def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database: Database) -> None:
     with database.transaction() as connection:
         paused, ended = campaign(connection), campaign(connection)
@@ -186,31 +155,6 @@ def test_a_campaign_that_rests_or_has_ended_waits_for_nothing_any_more(database:
         assert campaigns.pause(connection, paused.sequence)
         assert campaigns.end(connection, ended.sequence, SUCCEEDED)
         assert [campaigns.get(connection, one.id).degraded for one in (paused, ended)] == [None, None]
-
-
-def test_a_campaign_names_its_map_and_the_campaign_it_repeats(database: Database) -> None:
-    with database.transaction() as connection:
-        influence_map = influence_maps.insert(
-            connection, name="m", source="expert", driving_function="frenet", parameters="highway", scenarios={}
-        )
-        first = campaigns.insert(connection, name="first", spec={}, influence_map_id=influence_map.id)
-        second = campaigns.insert(connection, name="second", spec={}, rerun_of=first.id)
-    with database.transaction() as connection:
-        campaigns.set_influence_map(connection, second.sequence, influence_map.id)
-        assert campaigns.get(connection, second.id).influence_map_id == influence_map.id
-    assert (first.influence_map_id, second.rerun_of) == (influence_map.id, first.id)
-
-
-def test_a_campaign_ends_once(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence = campaign(connection).sequence
-        campaigns.start(connection, sequence)
-        campaigns.request_action(connection, campaigns.by_sequence(connection, sequence).id, "cancel")
-        assert campaigns.end(connection, sequence, CampaignState.FAILED, "no workers")
-        assert not campaigns.end(connection, sequence, SUCCEEDED)
-        stored = campaigns.by_sequence(connection, sequence)
-    assert (stored.state, stored.error, stored.requested_action) == (CampaignState.FAILED, "no workers", None)
-    assert stored.ended_at is not None
 
 
 def test_a_state_changes_only_from_what_was_expected(database: Database) -> None:

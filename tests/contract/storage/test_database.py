@@ -155,12 +155,6 @@ def _write_without_a_pause(url: str, seconds: float, begun: Event, ends: Event) 
     database.dispose()
 
 
-def test_json_columns_keep_the_order_of_names(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaigns.insert(connection, name="order", spec={"S10": 1, "S2": 2, "B": 3, "A": 4})
-        assert list(campaigns.get(connection, stored.id).spec) == ["S10", "S2", "B", "A"]
-
-
 def test_a_database_that_is_not_migrated_is_refused_with_the_remedy(empty_url: str) -> None:
     with pytest.raises(DatabaseError, match="`drivecal db upgrade`"):
         Database.open(empty_url).check()
@@ -176,14 +170,6 @@ def test_another_programs_database_is_refused_and_left_as_it_was(empty_url: str)
     with database.read() as connection:
         if connection.dialect.name == "sqlite":
             assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
-
-
-def test_another_programs_alembic_database_is_refused(empty_url: str) -> None:
-    database = Database.open(empty_url)
-    with database.transaction() as connection:
-        connection.execute(text("CREATE TABLE alembic_version (version_num TEXT)"))
-    with pytest.raises(DatabaseError, match="alembic_version"):
-        database.upgrade()
 
 
 def test_a_database_of_a_newer_drivecal_is_refused(empty_url: str) -> None:

@@ -37,14 +37,15 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
         (simulated,) = simulate(connection, first, [cell(0, setup, sets[0])], score=6, rating=5.75)
         run = results.by_id(connection, simulated).run_id
         assert run is not None
-        donor = Donor(simulated, run, 6, 5.75, None)
+        donor = Donor(simulated, run, 6, 5.75, "collision")
         cells = [cell(0, setup, sets[0], plan=REPEATED, donor=donor), cell(1, setup, sets[1], plan=REUSED, donor=donor)]
         audited = cell(2, setup, sets[2], donor=donor, inspected=True)
         ids = evaluations.insert(connection, second, [*cells, audited])
         copies = [results.by_id(connection, one) for one in ids[:2]]
         waiting = results.pending(connection, second)
     assert [one.outcome for one in copies] == [REPEATED, REUSED]
-    assert {(one.score, one.rating, one.run_id, one.reference) for one in copies} == {(6, 5.75, run, simulated)}
+    found = {(copy.score, copy.rating, copy.failure, copy.run_id, copy.reference) for copy in copies}
+    assert found == {(6, 5.75, "collision", run, simulated)}
     assert [(one.id, one.plan, one.reference, one.audited) for one in waiting] == [(ids[2], SIMULATED, simulated, True)]
 
 
@@ -64,18 +65,6 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
         (REPEATED, ids[0], False),
         (SIMULATED, ids[0], True),
     ]
-
-
-def test_a_failure_of_a_donor_is_copied_with_its_score(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
-        (simulated,) = simulate(connection, sequence, [cell(0, setup, one)])
-        run = results.by_id(connection, simulated).run_id
-        assert run is not None
-        donor = Donor(simulated, run, 0, 0.0, "collision")
-        (copy,) = evaluations.insert(connection, sequence, [cell(1, setup, one, plan=REPEATED, donor=donor)])
-        assert results.by_id(connection, copy).failure == "collision"
 
 
 def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Database) -> None:

@@ -108,19 +108,6 @@ def test_an_ended_campaign_has_no_leases(database: Database) -> None:
         assert sorted(connection.scalars(select(table.c.evaluation_id))) == other
 
 
-def _take_in_vain(database: Database, ids: list[int]) -> None:
-    with database.transaction() as connection:
-        leases.take(connection, dict.fromkeys(ids, 0), HOUR)
-        raise ZeroDivisionError
-
-
-def test_a_lease_that_is_not_committed_is_none(database: Database) -> None:
-    ids = pending(database, 2)
-    with pytest.raises(ZeroDivisionError):
-        _take_in_vain(database, ids)
-    assert take(database, ids) == dict.fromkeys(ids, 1)
-
-
 def test_two_connections_lease_different_cells_and_neither_waits(backend: Backend, database: Database) -> None:
     if backend == "sqlite":
         pytest.skip("there is one writer at a time")
@@ -132,16 +119,6 @@ def test_two_connections_lease_different_cells_and_neither_waits(backend: Backen
         second = leases.take(other, dict.fromkeys(ids, 0), HOUR)
     assert sorted(first) == ids[:25]
     assert sorted(second) == ids[25:]
-
-
-def test_expiry_counts_from_the_moment_of_leasing(database: Database) -> None:
-    [only] = pending(database, 1)
-    begin = now()
-    take(database, [only], seconds=90.0)
-    with database.read() as connection:
-        expires = connection.scalar(select(table.c.expires_at))
-    assert expires is not None
-    assert begin + timedelta(seconds=90) <= expires <= now() + timedelta(seconds=90)
 
 
 @pytest.mark.slow("postgresql")

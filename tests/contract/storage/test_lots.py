@@ -100,15 +100,6 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
         assert trusted == {reference: donor}
 
 
-def test_a_rejected_lot_releases_nothing(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence = campaign(connection).sequence
-        (number,) = lots.insert(connection, sequence, [LOT])
-        lots.conclude(connection, {number: (LotVerdict.REJECTED, 1)})
-        (lot,) = lots.of_campaign(connection, sequence)
-    assert lot.released == 0
-
-
 def test_samples_are_simulated_compared_and_known_with_their_weight(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup = campaign(connection).sequence, setup_id(connection)

@@ -16,7 +16,7 @@ from drivecal.contracts.organising import Archived
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, evaluations, labels, results, saved_views
+from drivecal.storage import campaigns, evaluations, labels, saved_views
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
@@ -155,16 +155,6 @@ def test_a_deleted_campaign_is_gone_and_what_it_simulated_still_answers_others(
     assert runs(database) == stock
     assert get(database, again).best == first.best
     assert [problem for check in verify(database, full=True) for problem in check.problems] == []
-
-
-@pytest.mark.slow("postgresql")
-def test_a_cell_of_a_deleted_campaign_that_answered_another_one_is_still_there(database: Database) -> None:
-    first, other = carried_out(database), carried_out(database, optimizer=SMALL["optimizer"] | {"seed": 5})
-    deleted(database, first)
-    with database.read() as connection:
-        references = {row.reference for row in results.stream(connection, other.sequence) if row.reference is not None}
-        origins = {number: results.by_id(connection, number).campaign_sequence for number in references}
-    assert first.sequence in origins.values()
 
 
 @pytest.mark.parametrize("use", ["rerun of it", "study of it", "use of its influence map"])

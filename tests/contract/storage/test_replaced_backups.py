@@ -10,7 +10,6 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from sqlalchemy import text
 from tests.support.storage import campaign
 
 from drivecal.domain.errors import DatabaseError
@@ -47,20 +46,6 @@ def names_in(file: Path) -> set[str]:
     with closing(sqlite3.connect(file)) as plain:
         assert plain.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         return {name for (name,) in plain.execute("SELECT name FROM campaigns")}
-
-
-@pytest.mark.slow("postgresql")
-def test_the_log_of_an_earlier_backup_does_not_change_the_new_one(database: Database, tmp_path: Path) -> None:
-    file = tmp_path / "backup.db"
-    with database.transaction() as connection:
-        campaign(connection, "first")
-    backup.write(database, file, silent)
-    log = killed_while_serving(file)
-    with database.transaction() as connection:
-        connection.execute(text("UPDATE campaigns SET name = 'second'"))
-    backup.write(database, file, silent, force=True)
-    assert not log.exists()
-    assert names_in(file) == {"second"}
 
 
 @pytest.mark.slow("postgresql")

@@ -53,14 +53,6 @@ def test_a_cursor_that_is_not_of_this_list_is_refused_by_name(database: Database
         results.page(connection, 1, cursor=cursor)
 
 
-def test_a_cursor_of_a_stage_that_does_not_exist_ends_the_list(database: Database) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
-        evaluations.insert(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
-        assert results.page(connection, sequence, cursor=encode_cursor(77, 0, 0, "S1")) == ([], None)
-
-
 @pytest.mark.parametrize("unknown", [0, -1, 1, 2**63, 10**30])
 def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknown: int) -> None:
     with database.read() as connection, pytest.raises(NotFoundError, check=lambda error: error.kind == "evaluation"):
@@ -110,18 +102,6 @@ def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Dat
         asked = [results.is_requested(connection, sequence, StageName.SENSITIVITY, iteration) for iteration in (3, 4, 5)]
         assert asked == [False, True, True]
         assert not results.is_requested(connection, sequence, CALIBRATION, 4)
-
-
-def test_cells_get_their_keys_once_a_map_is_known(database: Database) -> None:
-    key = b"k" * 16
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
-        (simulated,) = simulate(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, one, Outcome.SIMULATED)])
-        assert evaluations.own_references(connection, sequence, "S1", setup, [key]) == {}
-        evaluations.set_reference_keys(connection, {})
-        evaluations.set_reference_keys(connection, {simulated: key})
-        assert evaluations.own_references(connection, sequence, "S1", setup, [key])[key].evaluation == simulated
 
 
 def test_the_best_simulated_set_has_a_score_of_its_own_in_every_scenario(database: Database) -> None:

@@ -33,17 +33,6 @@ def test_results_are_found_by_setup_parameter_set_and_evaluator(database: Databa
         assert [(one.scenario, one.runs) for one in setups.counts(connection)] == [("S1", 6000), ("S2", 1)]
 
 
-def test_runs_after_the_watermark_are_not_seen(database: Database) -> None:
-    with database.transaction() as connection:
-        setup = setup_id(connection)
-        sets = sample_set_ids(connection, 2)
-        assert runs.largest_id(connection) == 0
-        runs.insert_results(connection, [new_run(setup, sets[0])])
-        watermark = runs.largest_id(connection)
-        runs.insert_results(connection, [new_run(setup, sets[1])])
-        assert list(runs.look_up_exact(connection, setup, sets, EVALUATOR, watermark)) == [sets[0]]
-
-
 def test_the_first_result_of_a_cell_stays_and_an_equal_one_agrees(database: Database) -> None:
     with database.transaction() as connection:
         first = new_run(setup_id(connection), *sample_set_ids(connection, 1), evaluation=7)
@@ -144,11 +133,3 @@ def test_no_results_are_no_error(database: Database) -> None:
     with database.transaction() as connection:
         assert runs.insert_results(connection, []) == []
         assert runs.look_up_exact(connection, 1, [], EVALUATOR, 10) == {}
-
-
-def test_the_metrics_of_runs_are_read_back_bit_by_bit(database: Database) -> None:
-    with database.transaction() as connection:
-        setup = setup_id(connection)
-        stored = runs.insert_results(connection, [new_run(setup, one) for one in sample_set_ids(connection, 2)])
-        expected = {"peak_lateral_acceleration_mps2": 0.1 + 0.2, "offset_m": 1e-300}
-        assert runs.metrics(connection, [stored[0].id, 10**9]) == {stored[0].id: expected}

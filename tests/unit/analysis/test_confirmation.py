@@ -90,16 +90,3 @@ def test_the_confirmed_best_is_the_best_of_those_that_have_scores_of_their_own(
     assert len(set(confirmation.tried)) == len(confirmation.tried)
     assert best.objective == max(one.objective for one in [best, *others] if not one.reused)
     assert not any(one.reused and one.order < best.order for one in others), "nothing that only seems better is left"
-
-
-def test_nothing_is_tried_where_no_reference_answered() -> None:
-    _, confirmation = confirmed([copied(1, 5, own=True), copied(2, 7, own=True)], {}, limit=10)
-    assert confirmation.tried == []
-
-
-@pytest.mark.parametrize("tried", [(), (2,), (2, 3)])
-def test_a_standing_names_the_next_set_to_doubt(tried: tuple[int, ...]) -> None:
-    ranking = Ranking({"S1": 1})
-    ranking.add([copied(1, 4), copied(2, 7), copied(3, 6), copied(4, 5, own=True)])
-    found = ranking.doubtful(tried)
-    assert (None if found is None else found.parameter_set) == {(): 2, (2,): 3, (2, 3): None}[tried]

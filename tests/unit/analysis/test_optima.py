@@ -32,12 +32,6 @@ def test_distances_are_root_mean_squares() -> None:
     assert np.allclose(distances(points, others), cdist(points, others) / np.sqrt(11), atol=1e-7)
 
 
-def test_a_region_of_many_sets_is_one_whatever_their_order() -> None:
-    line = np.random.default_rng(1).permutation(np.linspace(0, 1, 2_000))[:, None]
-    assert set(regions(line, 0.0006).tolist()) == {0}
-    assert len(set(regions(line, 0.0004).tolist())) == 2_000
-
-
 def test_each_set_has_the_distance_of_the_nearest_other() -> None:
     away = to_nearest(np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[0.0, 0.2], [0.5, 0.5]]))
     assert np.allclose([np.nan if distance is None else distance for distance in away], [0.2 / np.sqrt(2), 0.5])

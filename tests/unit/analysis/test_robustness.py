@@ -121,11 +121,6 @@ def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() ->
     assert driven == 4 * (1 + 4 + 10 + 10)  # nobody is driven on after its condition failed
 
 
-def test_past_ten_on_request() -> None:
-    found = run([0.155, 5.0], RobustnessSettings(samples=2, steps=20))[0].result()
-    assert [one.degree for one in found] == [15, 20]
-
-
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
     chosen = RobustnessSettings(samples=3)
     nominal = np.array([[6.0, 5.0], [4.0, 4.0]])

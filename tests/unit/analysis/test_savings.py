@@ -46,14 +46,6 @@ CALIBRATION = [
 ]
 
 
-def test_what_was_simulated_to_confirm_the_best_set_saved_nothing() -> None:
-    found = account("c", "succeeded", ["S1", "S2"], CALIBRATION, None, confirmed={"S1": {Outcome.REUSED: 60}})
-    first, second = found.scenarios
-    assert (first.reused, first.confirmed, second.confirmed) == (360, 60, 0)
-    assert first.reused_saved_seconds == pytest.approx(3.0)
-    assert found.saved_seconds == pytest.approx(0.4 + 3.0 + 0.9)
-
-
 def test_the_account_of_a_campaign_with_its_own_map() -> None:
     found = account("c", "succeeded", ["S1", "S2"], ANALYSIS + CALIBRATION, MapOrigin("m", "c", ANALYSIS + CALIBRATION))
     assert {name: value for name, value in found.sensitivity.model_dump().items() if value} == {

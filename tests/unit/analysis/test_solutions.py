@@ -27,12 +27,6 @@ def _ranking(cells: list[CellScore], weights: dict[str, float]) -> list[Evaluate
     return ranking.ranking()
 
 
-def test_the_objective_is_the_weighted_sum_with_weights_normalised_to_one() -> None:
-    (only,) = _ranking(_cells({1: {"S1": 6, "S2": 3}}), {"S1": 2, "S2": 1})
-    assert only.objective == pytest.approx(5.0)
-    assert only.scores == {"S1": 6, "S2": 3}
-
-
 def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
     cells = _cells({1: {"S1": 7, "S2": None}, 2: {"S1": 1, "S2": 1}})
     assert [one.parameter_set for one in _ranking(cells, {"S1": 1, "S2": 1})] == [2]

@@ -20,8 +20,3 @@ def test_no_two_streams_begin_alike() -> None:
     plain = [first(np.random.Generator(np.random.PCG64(seed))) for seed in SEEDS]
     assert len({*keyed, *plain}) == len(keyed) + len(plain)
     assert first(generator("a", 1, 0)) == keyed[5]
-
-
-def test_a_list_that_ends_with_zeros_is_the_stream_of_the_plain_seed() -> None:
-    """The reason for the spawn key."""
-    assert first(np.random.Generator(np.random.PCG64([1, 0]))) == first(np.random.Generator(np.random.PCG64(1)))

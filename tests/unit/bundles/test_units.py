@@ -43,8 +43,3 @@ def test_powers_are_read_from_any_order_and_sign(given: dict[str, int]) -> None:
     product = ".".join(f"{symbol}{power}" for symbol, power in reversed(given.items()))
     quotient = "1" + "".join(f"/{symbol}^{-power}" for symbol, power in given.items())
     assert powers(product) == powers(quotient) == given
-
-
-@given(st.text(max_size=30))
-def test_any_text_is_the_same_as_itself(text: str) -> None:
-    assert same(text, text)

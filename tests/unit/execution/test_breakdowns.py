@@ -40,15 +40,6 @@ def crash(of: Scheduler, sent: Dispatch) -> None:
     assert of.lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died") == []
 
 
-def test_a_dispatch_tells_how_often_each_cell_broke_down() -> None:
-    one = scheduler(SMALL)
-    one.add(Work(setup(), cells(4)), "a", 0)
-    sent = send(one)
-    assert dict(sent.breakdowns) == {1: 0, 2: 0, 3: 0, 4: 0}
-    crash(one, sent)
-    assert dict(send(one).breakdowns) == {1: 1}
-
-
 def test_a_cell_with_earlier_breakdowns_is_sent_alone_from_the_start() -> None:
     one = scheduler(SMALL)
     one.add(Work(setup(), cells(20), breakdowns={7: 1}), "a", 0)
@@ -79,15 +70,6 @@ def test_however_often_a_cell_broke_down_it_never_had_more_attempts_than_there_a
     sent = send(one)
     [done] = one.finished(sent.batch_id, answers(sent))
     assert done.attempts == min(earlier + 1, ATTEMPTS)
-
-
-def test_attempts_count_the_breakdowns_and_the_try_that_succeeds() -> None:
-    one = scheduler()
-    one.add(Work(setup(), cells(1), breakdowns={1: 1}), "a", 0)
-    crash(one, send(one))
-    sent = send(one)
-    [done] = one.finished(sent.batch_id, answers(sent))
-    assert (done.attempts, done.result.breakdown) == (3, None)
 
 
 def test_breakdowns_are_told_once_to_whoever_writes_them_down() -> None:
@@ -166,26 +148,6 @@ def test_a_dispatch_that_was_not_sent_is_not_charged() -> None:
         first = send(one)
         assert ids(first)[0] == 1
     assert ids(send(one))[0] == 1001
-
-
-def test_suspects_that_were_not_sent_are_suspects_as_before() -> None:
-    one = scheduler()
-    one.add(Work(setup(), cells(2), breakdowns={2: 2}), "a", 0)
-    sent = send(one)
-    one.take_back(sent.batch_id)
-    again = send(one)
-    assert (ids(again), again.alone, dict(again.breakdowns)) == ([2], True, {2: 2})
-    assert one.take_breakdowns() == {}
-
-
-def test_a_dispatch_that_was_taken_back_is_not_expected_any_more() -> None:
-    one = scheduler()
-    one.add(Work(setup(), cells(1)), "a", 0)
-    sent = send(one)
-    one.take_back(sent.batch_id)
-    assert one.finished(sent.batch_id, answers(sent)) == []
-    assert one.lost(sent.batch_id, W, Breakdown.CRASH, "it died") == []
-    assert one.held("a") == 1
 
 
 def test_cells_that_were_withdrawn_while_a_dispatch_was_out_do_not_return_with_it() -> None:

@@ -165,16 +165,6 @@ def test_a_worker_goes_on_with_the_setup_that_it_has_loaded() -> None:
     assert sum(plant.loads.values()) <= 6 + 2 * 3  # every setup once, and a few times more where one helps the other out
 
 
-def test_no_setup_is_left_to_the_end() -> None:
-    plant = Plant(4)
-    plant.add("a", "S1", cells(4000))
-    plant.run(until=1.0)
-    plant.add("a", "S2", cells(4000, first=10_001))
-    so_far = len(plant.order)
-    plant.run(until=2.0)
-    assert {scenario for _, scenario, _ in plant.order[so_far:]} == {"S1", "S2"}
-
-
 @pytest.mark.faults("1-2", "1-7", "3-1", "3-2", "3-16")
 @pytest.mark.parametrize("workers", [1, 2, 7, 16])
 @pytest.mark.parametrize("tags", [1, 3])

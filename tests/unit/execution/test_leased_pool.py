@@ -60,15 +60,6 @@ def test_a_poison_cell_gives_its_lease_back_with_every_breakdown() -> None:
     assert {one.lease for one in completed.values()} <= {1, 2, ATTEMPTS}
 
 
-def test_earlier_breakdowns_count() -> None:
-    backend = FakeBackend()
-    pool = WorkPool(backend, MemoryLeases())
-    poison = cells([Behaviour.CRASH])
-    pool.submit(Work(setup(), poison, breakdowns={poison[0].id: ATTEMPTS - 1}), tag="a")
-    [failed] = drain(pool)
-    assert (failed.attempts, backend.attempts[poison[0].id]) == (ATTEMPTS, 1)
-
-
 def test_refused_cells_give_their_leases_back_without_a_breakdown() -> None:
     leases = MemoryLeases()
     backend = FakeBackend(2, refusing={1: "it has another version"})
@@ -77,21 +68,6 @@ def test_refused_cells_give_their_leases_back_without_a_breakdown() -> None:
     assert len(drain(pool)) == 50
     assert max(leases.numbers.values()) > 1
     assert set(leases.breakdowns.values()) == {0}
-
-
-@pytest.mark.parametrize("failure", ["before", "after"])
-def test_what_cannot_be_leased_waits_and_is_sent_once_when_it_can(failure: str) -> None:
-    leases = MemoryLeases(fails=[failure] * 3)
-    backend = FakeBackend()
-    pool = WorkPool(backend, leases)
-    with pytest.raises(UnavailableError):
-        pool.submit(Work(setup(), cells([Behaviour.WELL] * 30)), tag="a")
-    assert not backend.attempts
-    assert pool.held("a") == 30
-    completed = patient_drain(pool)
-    assert len(completed) == 30
-    assert set(backend.attempts.values()) == {1}
-    assert {one.result.id: one.lease for one in completed} == leases.held
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -34,17 +34,6 @@ def test_a_block_that_raises_is_measured_too() -> None:
     assert sum(measures.snapshot()["seconds"]["lease"]["buckets"]) == 1
 
 
-def test_every_call_of_a_decorated_function_is_measured() -> None:
-    measures = Measures()
-
-    @measures.timed("lookup")
-    def double(number: int) -> int:
-        return 2 * number
-
-    assert [double(1), double(2)] == [2, 4]
-    assert sum(measures.snapshot()["seconds"]["lookup"]["buckets"]) == 2
-
-
 def test_a_snapshot_is_a_document_that_later_events_leave_alone() -> None:
     measures = Measures()
     measures.count("breakdowns", "crash")

@@ -18,13 +18,6 @@ from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
-def test_every_cell_comes_back_with_its_own_result() -> None:
-    pool = WorkPool(FakeBackend())
-    pool.submit(Work(setup(), [Cell(index, {"value": index / 10}) for index in range(50)]), tag="a")
-    found = {completed.result.id: completed.result.rating for completed in drain(pool)}
-    assert found == {index: index / 10 for index in range(50)}
-
-
 def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None:
     for poison, cause in ((Behaviour.CRASH, "crash"), (Behaviour.HANG, "hang"), (Behaviour.MEMORY, "memory")):
         backend = FakeBackend()
@@ -67,17 +60,6 @@ def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     assert next(size for _, name, size in backend.sizes if name == "S1") == 1  # a probe: nothing was known
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4, 16])
-def test_workers_finish_together(workers: int) -> None:
-    backend = FakeBackend(workers, {"S1": 0.0071, "S2": 0.0043})
-    pool = WorkPool(backend)
-    pool.submit(Work(setup("S1"), cells([Behaviour.WELL] * 250 * workers)), tag="a")
-    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 250 * workers, first=100_001)), tag="a")
-    drain(pool)
-    work = 250 * workers * (0.0071 + 0.0043)
-    assert work / (backend.now * workers) >= 0.97
-
-
 def test_the_setups_of_a_generation_are_spread_over_the_workers() -> None:
     backend = FakeBackend(3)
     pool = WorkPool(backend)
@@ -90,16 +72,6 @@ def test_the_setups_of_a_generation_are_spread_over_the_workers() -> None:
         pool.submit(*works, tag="a")
         assert {scenario for _, scenario, _ in backend.sizes[begun : begun + 3]} == {"S1", "S2", "S3"}
         drain(pool)
-
-
-def test_higher_priorities_go_first() -> None:
-    backend = FakeBackend()
-    pool = WorkPool(backend)
-    pool.submit(Work(setup("S1"), cells([Behaviour.WELL] * 100)), tag="a")
-    pool.submit(Work(setup("S3"), cells([Behaviour.WELL], first=301)), tag="c", priority=1)
-    drain(pool)
-    order = [scenario for _, scenario, _ in backend.sizes]
-    assert order.index("S3") <= 4  # after those that were under way
 
 
 def test_a_cell_cannot_be_in_flight_twice() -> None:
@@ -126,17 +98,6 @@ def test_withdrawn_cells_are_dropped_but_those_under_way_come_back() -> None:
     assert Counter(entry.tag for entry in completed)["b"] == 300
     assert pool.held("a") == 0
     assert len({entry.result.id for entry in completed}) == len(completed) < 600
-
-
-def test_a_withdrawn_cell_whose_worker_dies_is_not_called_failed() -> None:
-    backend = FakeBackend()
-    pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
-    assert pool.withdraw("a") > 0
-    backend.kill(0)
-    backend.kill(1)
-    assert drain(pool) == []
-    assert pool.held("a") == 0
 
 
 def test_results_of_a_batch_that_was_given_up_change_nothing() -> None:

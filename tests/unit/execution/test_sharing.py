@@ -136,16 +136,6 @@ def test_exclusive_cells_are_simulated_themselves(exclusive: tuple[bool, bool]) 
     assert ids(send(one)) + ids(send(one)) == [1, 2]
 
 
-def test_a_withdrawn_follower_leaves_its_leader_alone() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0])
-    sent = send(one)
-    add(one, "b", 2, [1.0])
-    assert one.withdraw("b") == 0
-    assert (one.held("a"), one.held("b")) == (1, 0)
-    assert [done.tag for done in finish(one, sent)] == ["a"]
-
-
 def test_a_follower_takes_the_place_of_a_leader_that_is_withdrawn_while_it_waits() -> None:
     one = scheduler()
     add(one, "a", 1, [1.0, 2.0])
@@ -187,25 +177,6 @@ def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> N
     suspect = send(one)
     assert (ids(suspect), suspect.alone, dict(suspect.breakdowns)) == ([2], True, {2: 2})
     assert {done.result.id: done.attempts for done in finish(one, suspect)} == {2: 3, 11: 3}
-
-
-def test_suspects_that_come_together_share_as_well() -> None:
-    one = scheduler()
-    one.add(Work(setup(), cells(3, 1, [1.0, 1.0, 1.0]), breakdowns={1: 1, 3: 2}), "a", 0)
-    sent = send(one)
-    assert dict(sent.breakdowns) == {1: 2}
-    assert len(finish(one, sent)) == 3
-    assert one.next_batch(V, idle=True) is None
-
-
-def test_followers_are_not_lost_with_a_leader_that_is_dropped() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0])
-    sent = send(one)
-    add(one, "b", 2, [1.0])
-    assert one.drop(sent.batch_id, {1}) is None
-    assert (one.held("a"), one.held("b")) == (0, 1)
-    assert ids(send(one)) == [2]
 
 
 @given(

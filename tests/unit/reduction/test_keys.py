@@ -80,22 +80,6 @@ def test_the_keyed_look_up_agrees_with_the_naive_scan_on_random_tables() -> None
     assert 0.1 * TABLES < hits < 0.9 * TABLES, "the cases must hold both hits and misses"
 
 
-def test_one_set_below_and_one_above_are_no_references_of_each_other() -> None:
-    influence_map = InfluenceMap({"S1": {"P1": Influence(influential=True, lower=Decimal(3), upper=Decimal(5))}})
-    keys = ReferenceKeys(influence_map, "S1", ["P1"]).keys(np.array([[1], [2], [6], [3], [5]]) * 10**9)
-    below, also_below, above, at_lower, at_upper = keys
-    assert below == also_below
-    assert len({below, above, at_lower, at_upper}) == 4
-
-
-def test_of_values_outside_its_ranges_a_map_says_nothing() -> None:
-    nowhere = {"S1": {"P1": Influence(influential=False)}}
-    keys = ReferenceKeys(InfluenceMap(nowhere, {"P1": (Decimal(0), Decimal(1))}), "S1", ["P1"])
-    inside, other_inside, outside, other_outside = keys.keys(np.array([[0], [1], [2], [-1]]) * 10**9)
-    assert inside == other_inside
-    assert len({inside, outside, other_outside}) == 3
-
-
 def test_a_parameter_of_which_the_map_says_nothing_is_influential_everywhere() -> None:
     one, other = ReferenceKeys(InfluenceMap({}), "S1", ["P1"]).keys(np.array([[1], [2]]))
     assert one != other

@@ -159,13 +159,6 @@ def test_predicted_ratings_follow_the_ratings_of_near_sets() -> None:
     assert (np.abs(told.ratings - told.scores) <= 0.3 + 1e-12).all()
 
 
-def test_weights_of_known_sets_sum_to_one_and_prefer_near_sets() -> None:
-    weights = learned().weights(SETS[450])
-    assert weights.sum() == pytest.approx(1.0)
-    distance = np.abs(SETS[:400, :2] - SETS[450, :2]).sum(axis=1)
-    assert distance[np.argsort(weights)[-10:]].mean() < distance.mean() / 2
-
-
 def test_a_single_known_score_is_predicted_everywhere() -> None:
     forest = Forest()
     forest.fit(SETS[:5], np.full(5, 3.0), np.full(5, 3.2))
@@ -205,14 +198,6 @@ def test_mean_and_variance_are_those_of_the_votes() -> None:
         weights = forest.weights(SETS[400 + place])
         assert mean == pytest.approx(weights @ SCORES[:400])
         assert variance == pytest.approx(weights @ (SCORES[:400] - mean) ** 2)
-
-
-def test_features_are_positions_in_the_searched_ranges_in_the_order_of_the_columns() -> None:
-    searched = [Parameter("P1", Decimal(0), Decimal(10), 11), Parameter("P2", Decimal(-1), Decimal(1), 3)]
-    space = ParameterSpace(tuple(searched))
-    sets = space.parameter_sets(np.array([[5, 0], [10, 2]]))
-    assert FeatureSpace(space, ("P1", "P2"))(sets).tolist() == [[0.5, 0.0], [1.0, 1.0]]
-    assert FeatureSpace(space, ("P2", "P1"))(sets).tolist() == [[0.0, 0.5], [1.0, 1.0]]
 
 
 def test_sets_of_other_parameters_are_no_training_data() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -63,15 +61,3 @@ def test_a_few_known_scores_are_enough() -> None:
     told = forest.predict(SETS[5:9])
     assert (told.scores.tolist(), told.confidence.tolist()) == ([3.25] * 4, [1.0] * 4)
     assert [part.shape for part in forest.known_errors()] == [(0,), (0,)]
-
-
-def bits() -> str:
-    told = learned().predict(SETS[400:])
-    return " ".join(part.tobytes().hex() for part in (told.scores, told.confidence, told.mean, told.variance))
-
-
-@pytest.mark.slow
-def test_predictions_have_the_same_bits_in_another_process() -> None:
-    script = "from tests.unit.reduction.test_regression_forest import bits;print(bits())"
-    there = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # this test itself
-    assert there.stdout.strip() == bits()

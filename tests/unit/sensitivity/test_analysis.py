@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from decimal import Decimal
-from hashlib import sha256
 from math import isnan
 from typing import Any, Literal
 
@@ -205,27 +204,6 @@ def test_no_parameter_is_without_influence_unless_an_analysis_of_its_whole_range
         last = parameter.confirmations[-1]
         assert (last.lower, last.upper, last.verdict.influential) == (0, 30, False)
     assert len(overruled) <= 1
-
-
-@pytest.mark.parametrize(
-    ("design", "seed", "phases", "digest"),
-    [
-        ("lines", 1, ["intervals", "confirmation", "confirmation", "global"], "4336bea94597b2b0"),
-        ("paper", 2, ["intervals", "confirmation", "confirmation", "confirmation", "global"], "ec0aa1a5f7c556dc"),
-    ],
-)
-def test_the_phases_of_an_analysis_that_an_earlier_release_began_are_unchanged(
-    design: Literal["lines", "paper"], seed: int, phases: list[str], digest: str
-) -> None:
-    analysis = SensitivityAnalysis(SIX, ["S1"], replace(SETTINGS, design=design, seed=seed))
-    seen, points = [], sha256()
-    while (phase := analysis.ask()) is not None:
-        if "global" not in seen:
-            points.update(phase.points["S1"].astype("<i8").tobytes())
-        seen.append(phase.name)
-        analysis.tell({"S1": rare(phase.points["S1"])})
-    assert seen == [*phases, "confirmation"], "what only the global analysis found is confirmed after all else"
-    assert points.hexdigest()[:16] == digest
 
 
 def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() -> None:

@@ -114,22 +114,6 @@ def test_under_the_step_law_the_g_function_has_the_sums_over_the_law() -> None:
         assert mu_star < 4 * np.log(2) / (1 + A[column]) * 0.95, "the two laws can be told apart"
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_sobol_points_come_nearer_than_random_ones(seed: int) -> None:
-    found = analysed(g_function, len(A), shortest=0, seed=seed)
-    exact = 4 * np.log(2) / (1 + A)
-    sobol = np.mean([abs(one.mu_star - value) / value for one, value in zip(found, exact, strict=True)])
-    generator = np.random.default_rng(seed)
-    base, auxiliary = generator.random((2, SAMPLES, len(A)))
-    random = []
-    for column in range(len(A)):
-        stepped = base.copy()
-        stepped[:, column] = auxiliary[:, column]
-        effects = (g_function(stepped) - g_function(base)) / (stepped - base)[:, column]
-        random.append(np.abs(effects).mean())
-    assert sobol < np.mean(np.abs(np.array(random) - exact) / exact)
-
-
 def test_points_fill_the_box_evenly_and_steps_follow_the_law() -> None:
     n_values = np.array([1001])
     design = radial_design(n_values, SobolRows(COLUMNS, 3), np.array([200]), np.array([600]), SAMPLES)

@@ -41,10 +41,6 @@ def test_intervals_are_cut_from_both_ends_until_the_first_influential_one(
     assert all(region.column == 3 for region in found)
 
 
-def test_what_is_cut_lies_strictly_outside_the_influential_intervals() -> None:
-    assert cut_values([False, False, True, False], [0, 10, 20, 30, 40]) == {*range(20), *range(31, 41)}
-
-
 @given(flags, st.data())
 def test_more_influence_never_cuts_more(influential: list[bool], data: st.DataObject) -> None:
     edges = [3 * number for number in range(len(influential) + 1)]

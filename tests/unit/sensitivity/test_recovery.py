@@ -57,15 +57,6 @@ def test_boxes_of_eleven_parameters_in_three_scenarios_are_found(
     assert misses({scenario: dict(listed) for scenario, listed in found.items()}, SPACE) == []
 
 
-def test_the_shared_base_points_are_six_times_cheaper() -> None:
-    lines, paper = (
-        SensitivityAnalysis(SPACE, [], SensitivitySettings(design, INTERVALS, 20, "auto", 1)).expected_runs()["intervals"]
-        for design in ("lines", "paper")
-    )
-    assert (lines, paper) == (20 * (1 + 11 * 19), 11 * 10 * 20 * 12)
-    assert paper / lines > 6
-
-
 def test_runs_that_fail_now_and_then_cost_effects_and_not_the_answer() -> None:
     def patchy(scenario: str) -> Score:
         score = staircase(SPACE, BOXES[scenario])

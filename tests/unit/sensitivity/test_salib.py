@@ -72,15 +72,3 @@ def test_the_design_is_salibs_but_for_its_zero_steps() -> None:
 def test_figures_agree_with_salibs_where_no_step_is_zero(grid: int, shortest: float) -> None:
     for seed in range(3):
         assert_agreement(designed(grid, SobolRows(COLUMNS * DIMENSIONS, seed), shortest), grid)
-
-
-def test_zero_steps_bias_salib_but_are_none_of_our_effects() -> None:
-    grid = 5
-    n_values = np.full(DIMENSIONS, grid)
-    snapped_unit = snapped(radial_sobol.sample(PROBLEM, SAMPLES), np.zeros_like(n_values), n_values - 1) / (grid - 1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        theirs = analysed_by_salib(snapped_unit, snapped_unit.sum(axis=1))
-    assert np.mean(theirs["mu"]) < 0.85, "a fifth of their effects are 0"
-    design = designed(grid, SobolRows(COLUMNS * DIMENSIONS, 1), shortest=0)
-    for row in design.effects(7 * (design.points / (grid - 1)).sum(axis=1)):
-        assert measures(row).mu == pytest.approx(1)

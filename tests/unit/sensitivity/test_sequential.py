@@ -155,39 +155,6 @@ def test_a_scenario_of_which_nothing_is_known_takes_all_runs_before_it_counts_as
     assert runs_of(told, "intervals") == SensitivityAnalysis(SPACE, ["S1"], SETTINGS).expected_runs()["intervals"]
 
 
-def test_a_score_only_far_inside_keeps_a_scenario_from_being_unknown() -> None:
-    def inside(points: Indices) -> Floats:
-        unit = points / (SPACE.n_values - 1)
-        return np.where(np.all(np.abs(unit - 0.5) < 0.2, axis=1), 5.0, np.nan)
-
-    scores: dict[str, Score] = {"S1": inside}
-    assert finished(SETTINGS, scores)[0]["S1"].unknown == finished(ALL_RUNS, scores)[0]["S1"].unknown
-
-
-def test_a_replayed_sequential_analysis_goes_on_as_the_first_would() -> None:
-    first = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
-    told: list[dict[str, Floats]] = []
-    while (phase := first.ask()) is not None:
-        second = SensitivityAnalysis(SPACE, list(SCORES), SETTINGS)
-        for scores in told:
-            second.ask()
-            second.tell(scores)
-        again = second.ask()
-        assert again is not None
-        assert (again.number, again.name) == (phase.number, phase.name) == (len(told), phase.name)
-        assert again.points.keys() == phase.points.keys()
-        assert all(np.array_equal(again.points[scenario], phase.points[scenario]) for scenario in phase.points)
-        told.append({scenario: SCORES[scenario](points) for scenario, points in phase.points.items()})
-        first.tell(told[-1])
-    assert [set(scores) for scores in told][-1] == set(SCORES)
-
-
-def test_a_scenario_is_analysed_the_same_whatever_others_there_are() -> None:
-    for scenario, score in SCORES.items():
-        alone, together = finished(SETTINGS, {scenario: score})[0][scenario], finished(SETTINGS)[0][scenario]
-        assert repr(alone) == repr(together)
-
-
 effects_of = st.floats(-1, 1).map(lambda change: round(7 * change))
 
 

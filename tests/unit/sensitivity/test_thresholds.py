@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.sensitivity.designs import COLUMNS, Floats, SobolRows, lines_design, measures, radial_design
-from drivecal.sensitivity.scenario import interval_edges
+from drivecal.sensitivity.designs import Floats, measures
 from drivecal.sensitivity.thresholds import (
     MuSigmaThresholds,
     SensitivitySettings,
@@ -99,20 +98,6 @@ def test_analyses_of_equal_steps_miss_as_often_as_announced(samples: int, rate: 
     assert missed / trials == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / trials))
 
 
-@pytest.mark.parametrize(("samples", "rate"), [(16, 0.1), (20, 0.1), (40, 0.05), (100, 0.05)])
-def test_steps_of_different_lengths_add_little_to_the_misses(samples: int, rate: float) -> None:
-    generator, n_values, missed, analyses = np.random.default_rng(samples), np.full(6, 101), 0, 0
-    for seed in range(10):
-        rows = SobolRows(COLUMNS * 6, seed)
-        steps = radial_design(n_values, rows, np.zeros(6, dtype=np.int64), n_values - 1, samples).steps
-        for _ in range(40):
-            changes = generator.choice([-1.0, 1.0], steps.shape) * (generator.random(steps.shape) < rate)
-            for effects, lengths in zip(changes / 7 / steps, steps, strict=True):
-                missed += not verdict(measures(effects), lengths, "auto").influential
-                analyses += 1
-    assert -0.04 < missed / analyses - miss_probability(samples, rate) < 0.09
-
-
 def test_readers_of_a_map_hear_of_the_misses_of_auto_alone() -> None:
     settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02, "seed": 1}
     assert caveats(settings) == []
@@ -144,42 +129,6 @@ def test_the_automatic_threshold_scales_with_the_box_and_does_not_know_the_direc
 ) -> None:
     assert automatic(width * steps) == pytest.approx(automatic(steps) / width)
     assert automatic(-steps) == automatic(steps)
-
-
-def shares_found_influential(rate: float, points: int, samples: int, trials: int = 400) -> dict[str, float]:
-    """In an interval, and in the whole range, of a score that changes by so many points with a probability, whatever the step is."""
-    n_values = np.array([201])
-    edges = [interval_edges(201, 10)]
-    generator = np.random.default_rng(1)
-    found = {"interval": 0, "whole": 0}
-    for seed in range(trials // 10):
-        lines = lines_design(n_values, edges, samples, seed, 0).steps[0]
-        rows = SobolRows(COLUMNS, seed)
-        radial = radial_design(n_values, rows, np.array([0]), np.array([200]), samples).steps
-        for name, step in [("interval", steps) for steps in lines] + [("whole", radial[0])] * 10:
-            changes = points * generator.choice([-1, 1], samples) * (generator.random(samples) < rate)
-            found[name] += verdict(measures(changes / 7 / step), step, "auto").influential
-    return {name: count / trials for name, count in found.items()}
-
-
-@pytest.mark.parametrize("samples", [10, 20, 50])
-def test_auto_lets_rare_changes_of_one_point_pass_and_finds_frequent_ones_in_boxes_of_any_width(samples: int) -> None:
-    rare, frequent = shares_found_influential(0.002, 1, samples), shares_found_influential(0.4, 1, samples)
-    assert max(rare.values()) < 0.06
-    assert min(frequent.values()) > 0.85
-    assert abs(frequent["interval"] - frequent["whole"]) < 0.08
-
-
-def test_auto_finds_changes_of_two_points_at_rates_at_which_it_tolerates_those_of_one() -> None:
-    single, double = shares_found_influential(0.05, 1, 20), shares_found_influential(0.05, 2, 20)
-    assert all(double[name] > 1.3 * single[name] for name in single)
-
-
-def test_a_fixed_number_cannot_do_that() -> None:
-    """One change in twenty exceeds in an interval what most changes together reach in the whole range."""
-    one_change = measures(effects_of_changes([1], 20, 0.05)).s_rel
-    every_second_run = measures(effects_of_changes([1] * 10, 20, 0.5)).s_rel
-    assert one_change > 2 * every_second_run
 
 
 @pytest.mark.parametrize(
