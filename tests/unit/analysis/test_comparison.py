@@ -48,11 +48,6 @@ def test_a_group_sums_its_seeds_up_and_counts_convergence_as_table_5_does() -> N
     assert settled.alternatives_converged_at is None
 
 
-def test_the_worst_of_a_group_is_the_highest_of_an_objective_to_minimise() -> None:
-    runs = [course([3.0], seed=1), course([5.0], seed=2), course([None], seed=3)]
-    assert [(group.best, group.minimum) for sign in (1, -1) for group in groups(runs, sign)] == [(5.0, 3.0), (3.0, 5.0)]
-
-
 def test_runs_without_a_result_count_as_seeds_and_nothing_else() -> None:
     (group,) = groups([course([], seed=1), course([None, None], seed=2), course([None, 2.0], seed=3)])
     assert (group.seeds, group.best, group.mean, group.minimum, group.successes) == (3, 2.0, 2.0, 2.0, 1)

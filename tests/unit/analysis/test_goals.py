@@ -161,15 +161,6 @@ def test_copied_sets_that_would_be_on_the_front_are_confirmed_until_none_is_left
     assert numbers(ranking) == [(8, 1), (2, 1), (1, 1)]
 
 
-def test_equal_first_objectives_are_ordered_by_the_rating() -> None:
-    weights = dict.fromkeys(["S1", "S2", "S3", "S4", "S5", "S6"], 1 / 6)
-    ranking = Ranking(weights, goals=Goals((Objective("comfort", CellValue(COMFORT), weights, MEAN, 1),), ()))
-    ranking.add(
-        CellScore(number, name, 5.0, rating, True, number, 0) for number, rating in ((1, 4.9), (2, 5.2)) for name in weights
-    )
-    assert [solution.parameter_set for solution in ranking.ranking()] == [2, 1]
-
-
 def test_a_set_reaches_the_front_unless_a_sure_set_is_as_good_in_everything() -> None:
     ranking = ranked(Goals((COMFORTABLE, GAP)), (3.0, 9.0), (6.0, 2.0))
     ranking.add(cell(9, name, 7.0, 10.0, own=False) for name in EVEN)
@@ -178,12 +169,6 @@ def test_a_set_reaches_the_front_unless_a_sure_set_is_as_good_in_everything() ->
         for values in ((3.0, 9.0), (5.0, 2.0), (5.0, 3.0))
     ]
     assert reaches == [False, False, True]
-
-
-def test_one_objective_over_the_worst_scenario_ranks() -> None:
-    ranking = Ranking(EVEN, goals=Goals((Objective("comfort", CellValue(COMFORT), EVEN, Aggregate("min"), 1),)))
-    ranking.add([cell(1, "S1", 7.0), cell(1, "S2", 1.0), cell(2, "S1", 3.0), cell(2, "S2", 2.0)])
-    assert [(solution.parameter_set, solution.objective) for solution in ranking.ranking()] == [(2, 2.0), (1, 1.0)]
 
 
 def test_the_best_set_is_doubtful_if_it_is_a_copy_of_equal_objectives_that_ranks_before_a_set_of_its_own_scores() -> None:

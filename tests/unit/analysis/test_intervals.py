@@ -36,17 +36,6 @@ def test_the_interval_over_bases_covers_the_rate_at_least_as_often_as_it_says(ra
     assert covered([mean_interval(shares) for shares in replays], rate) >= 0.95
 
 
-def test_the_interval_covers_the_mean_of_bases_that_differ_in_their_rates() -> None:
-    rates = np.concatenate([np.full(10, 0.4), np.full(50, 0.01)])  # combinations of regions that are needed, and the others
-    replays = np.random.default_rng(2).binomial(1, rates, (REPLAYS, 60)).astype(float)
-    assert covered([mean_interval(shares) for shares in replays], float(rates.mean())) >= 0.95
-
-
-def test_more_bases_narrow_the_interval_and_more_variants_of_bases_that_agree_do_not() -> None:
-    few, many = (mean_interval(shares) for shares in (np.tile([0.0, 0.0, 1.0], 20), np.tile([0.0, 0.0, 1.0], 200)))
-    assert few[0] < many[0] < 1 / 3 < many[1] < few[1]
-
-
 @pytest.mark.parametrize("bases", [1, 20, 200, 20_000])
 def test_without_an_error_the_upper_limit_follows_from_the_number_of_bases(bases: int) -> None:
     lower, upper = mean_interval(np.zeros(bases))

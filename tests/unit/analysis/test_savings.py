@@ -107,16 +107,6 @@ def test_confirmed_answers_are_taken_off_those_that_they_replace() -> None:
     assert only.predicted_saved_seconds == pytest.approx(0.5)
 
 
-def test_the_net_is_what_all_outcomes_saved_less_all_that_saving_took() -> None:
-    rows = [*ANALYSIS, *CALIBRATION, _costs("S2", Outcome.PREDICTED, 10, 0.0, runs=0, run_seconds=0.0)]
-    origin, predictors = MapOrigin("m", "c", ANALYSIS), {"S2": 0.02}
-    balance = account("c", "succeeded", ["S1", "S2"], rows, origin, predictors=predictors)
-    assert balance.savings == pytest.approx({"repeated": 0.4, "reused": 4.5, "predicted": 0.2})
-    assert balance.deductions == pytest.approx({"sensitivity": 10.0, "predictor": 0.02})
-    assert balance.saved_seconds == pytest.approx(sum(balance.savings.values()))
-    assert balance.net_seconds == pytest.approx(balance.saved_seconds - sum(balance.deductions.values()))
-
-
 def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
     rows = [_costs("S1", Outcome.REPEATED, 300, 0.0, run_seconds=6.0), _costs("S1", Outcome.REUSED, 100, 0.0, run_seconds=2.0)]
     found = account("rerun", "succeeded", ["S1"], rows, MapOrigin("m", "first", ANALYSIS))

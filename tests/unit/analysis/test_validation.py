@@ -103,29 +103,12 @@ def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:
     assert found.coverage.covered < found.coverage.effects == 1023
 
 
-def test_the_same_seed_gives_the_same_sets_and_another_one_others() -> None:
-    one, same, other = (design(classified([LOW, BOTH, FREE]), 16, 3, seed, 4096) for seed in (5, 5, 6))
-    assert one is not None
-    assert same is not None
-    assert other is not None
-    assert np.array_equal(one.variants, same.variants)
-    assert not np.array_equal(one.variants, other.variants)
-
-
 def test_differences_without_a_score_count_for_no_base() -> None:
     missing = np.nan
     differences = Differences(np.array([[0.0, 2.0, -1.0, -7.0], [missing, missing, 3.0, 0.0], [missing] * 4]))
     assert sorted(differences.known.tolist()) == [-7, -1, 0, 0, 2, 3]
     assert differences.wrong_shares(1).tolist() == [0.5, 0.5]
     assert Differences(np.full((2, 3), missing)).wrong_shares(1).size == 0
-
-
-def test_every_other_value_of_a_region_is_equally_likely() -> None:
-    space, generator = classified([FREE]), np.random.default_rng(3)
-    drawn = [int(space.variant(np.array([4]), np.array([0]), generator)[0]) for _ in range(9000)]
-    counts = np.bincount(drawn, minlength=10)
-    assert counts[4] == 0
-    assert counts[counts > 0] == pytest.approx(np.full(9, 1000), rel=0.15)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 2**63 - 1])

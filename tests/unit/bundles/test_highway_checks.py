@@ -170,13 +170,6 @@ def test_flows_come_in_the_warm_up_unless_they_begin_later() -> None:
         assert faults(given, FILES) == {f"scenarios.busy.{field}"}
 
 
-def test_all_faults_are_named_at_once() -> None:
-    given = changed("scenarios/merge/ego/s", -1)
-    given["scenarios"]["busy"]["duration"] = 20.05
-    given["measures"]["fuel"] = "l"
-    assert faults(given) == {"scenarios.merge.ego.s", "scenarios.busy.duration", "measures.fuel"}
-
-
 @pytest.mark.parametrize(
     ("given", "field"),
     [

@@ -115,13 +115,6 @@ def test_crossings_on_the_route_are_named() -> None:
     assert fields(document) == ["scenarios.merge.route[1]"]
 
 
-def test_all_faults_of_all_scenarios_are_told_at_once() -> None:
-    document = changed("ego.lane", 2)
-    document["scenarios"]["merge"]["traffic"][0]["lane"] = 3
-    document["scenarios"]["other"] = changed("route", ["nowhere"])["scenarios"]["merge"]
-    assert fields(document) == ["scenarios.merge.ego.lane", "scenarios.merge.traffic[0].lane", "scenarios.other.route[0]"]
-
-
 @pytest.mark.parametrize(("routes", "edges"), [(101, 1), (11, 2_000)])
 def test_more_routes_than_can_be_checked_in_a_push_are_refused_before_any(routes: int, edges: int) -> None:
     document = changed("traffic", [])
@@ -155,11 +148,6 @@ def test_gaps_over_which_vehicles_jump_are_noted() -> None:
     (note,) = check_roads(checked(document), files)
     assert note.startswith("scenarios.merge: ")
     assert "8.2 m behind the edge before" in note
-
-
-def test_a_route_that_ends_before_the_drive_is_noted() -> None:
-    (note,) = check_roads(checked(changed("duration", 50.0)), networks())
-    assert "scenarios.merge" in note
 
 
 def test_a_folder_is_converted_and_measured_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -272,14 +260,6 @@ def test_a_file_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError) as located:
         read_bundle(tmp_path)
     assert [problem.field.startswith("problem.yaml: line ") for problem in located.value.problems] == [True]
-
-
-def test_archives_with_further_files_stay_within_their_limits(tmp_path: Path) -> None:
-    _, archive = read_bundle(folder(tmp_path, exit_ramp()))
-    with pytest.raises(InvalidInputError):
-        with_files(archive, {"more": b"0" * 2_000_000}, largest=1_000_000)
-    with pytest.raises(InvalidInputError):
-        with_files(archive, {str(number): b"" for number in range(9)}, most_files=10)
 
 
 def test_files_that_take_too_long_to_read_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import yaml
 
-from drivecal.analysis.solutions import Ranking
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
 from drivecal.bundles.installed import Bundle
@@ -20,7 +19,6 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, reso
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import InvalidInputError, NotFoundError
-from drivecal.domain.evaluations import CellScore
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.reduction.narrowing import WholeSpace
 
@@ -58,11 +56,6 @@ def fields(**settings: Any) -> set[str]:
 def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
     rating = bench_of(bundle(), score).rate("wet", measures, failure)
     return None if rating is None else rating.rating
-
-
-def test_goals_leave_equal_sets_only_on_a_bundle() -> None:
-    problem = resolved(objectives=[{"measure": "min_gap_m", "direction": "maximise"}])
-    assert problem.specification.reduction.mode == "exact"
 
 
 def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() -> None:
@@ -223,20 +216,6 @@ def test_a_score_is_computed_from_measures() -> None:
 )
 def test_nothing_is_worse_than_a_failed_run(measures: dict[str, float | None], failure: str | None) -> None:
     assert rated("discomfort", measures, failure) == 100
-
-
-def test_a_run_without_a_measure_that_the_score_needs_is_not_rated() -> None:
-    assert rated("discomfort", {"min_gap_m": 4.0}) is None
-    assert rated("safety", {"min_gap_m": 4.0, "braking_s": None}) is None
-
-
-def test_an_immense_score_can_be_ranked() -> None:
-    scores = {"margin": {"formula": "min_gap_m**100 * min_gap_m**100", "direction": "maximise", "range": [0, 10]}}
-    rating = bench_of(bundle(scores=scores), "margin").rate("wet", {"min_gap_m": 33.0}, None)
-    assert rating is not None
-    ranking = Ranking({"wet": 1.0})
-    ranking.add([CellScore(1, "wet", rating.score, rating.rating, own=True, iteration=0, individual=0)])
-    assert [solution.objective for solution in ranking.ranking()] == [0.0]
 
 
 def test_simulators_that_claim_nothing_are_run_twice_now_and_then() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from decimal import Decimal
 
 import numpy as np
@@ -89,12 +88,6 @@ def test_index_and_value_are_inverse(parameter: Parameter, data: st.DataObject) 
     index = data.draw(st.integers(0, parameter.n_values - 1))
     assert parameter.index(parameter.value(index)) == index
     assert billionths(parameter.value(index)) == parameter.billionths(index)
-
-
-@given(grids() | lattices())
-def test_a_grid_starts_at_its_lower_and_ends_at_its_upper_bound(parameter: Parameter) -> None:
-    assert parameter.value(0) == parameter.lower
-    assert parameter.value(parameter.n_values - 1) == parameter.upper
 
 
 @given(grids())
@@ -187,27 +180,6 @@ def test_a_bad_lattice_is_refused_by_field(lower: str, upper: str, bits: int, fi
 sets = st.dictionaries(names, amounts, min_size=1, max_size=11).map(
     lambda values: ParameterSet(tuple(values), tuple(values.values()))
 )
-
-
-@given(sets)
-def test_a_parameter_set_survives_json(parameters: ParameterSet) -> None:
-    assert ParameterSet.from_json(parameters.to_json()) == parameters
-    assert ParameterSet.of(parameters.values) == parameters
-
-
-@given(st.dictionaries(st.text(max_size=5), amounts, max_size=4))
-def test_json_of_a_parameter_set_is_json_whatever_its_names(values: dict[str, int]) -> None:
-    parameters = ParameterSet(tuple(values), tuple(values.values()))
-    assert json.loads(parameters.to_json()) == parameters.floats
-    assert ParameterSet.from_json(parameters.to_json()) == parameters
-
-
-@given(sets)
-def test_the_key_does_not_depend_on_the_order_of_names(parameters: ParameterSet) -> None:
-    pairs = sorted(zip(parameters.names, parameters.billionths, strict=True), reverse=True)
-    reordered = ParameterSet(tuple(name for name, _ in pairs), tuple(value for _, value in pairs))
-    assert parameters.key == reordered.key
-    assert len(parameters.key) == 16
 
 
 @given(sets, sets)

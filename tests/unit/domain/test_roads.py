@@ -5,11 +5,10 @@ from __future__ import annotations
 from math import cos, sin
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.frenet import Motion, project, to_frenet
+from tests.support.frenet import project
 
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.roads import pose_on, reference_line, resampled, to_cartesian
@@ -62,22 +61,3 @@ def test_projection_undoes_to_cartesian(s: float, d: float, guess_error: float) 
     # The line's own second derivative jumps by some 1e-8 between rows: the foot point is that sharp.
     assert found_s == pytest.approx(s, abs=1e-6)
     assert found_d == pytest.approx(d, abs=1e-9)
-
-
-@pytest.mark.parametrize(("x", "near"), [(float("nan"), 10.0), (10.0, float("inf")), (900.0, 10.0)])
-def test_a_point_without_a_foot_point_nearby_is_refused(x: float, near: float) -> None:
-    with pytest.raises(ValueError, match="closer"):
-        project(LINE, x, 0.0, near)
-
-
-def test_motion_matches_differences_of_the_cartesian_path() -> None:
-    s0, d0, step = 220.0, 2.0, 1e-3
-
-    def point(t: float) -> npt.NDArray[np.float64]:
-        return np.array(to_cartesian(LINE, s0 + 30.0 * t + 0.7 * t * t, d0 + 1.1 * t - 0.4 * t * t)[:2])
-
-    velocity = (point(step) - point(-step)) / (2 * step)
-    acceleration = (point(step) - 2 * point(0.0) + point(-step)) / step**2
-    x, y = point(0.0)
-    motion = to_frenet(LINE, (x, y), (velocity[0], velocity[1]), (acceleration[0], acceleration[1]), s0 + 5.0)
-    assert motion == pytest.approx(Motion(s0, 30.0, 1.4, d0, 1.1, -0.8), rel=1e-4)

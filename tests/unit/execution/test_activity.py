@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from drivecal.execution.backend import WorkerInfo
-from drivecal.execution.observing import RECENT_BATCHES, Activity
+from drivecal.execution.observing import Activity
 
 WORKER = WorkerInfo("worker-1", "here", 7, "busy", 30)
 
@@ -21,17 +21,6 @@ def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_b
     activity.lost("worker-1", 2)
     (idle,) = activity.describe([WORKER])
     assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)
-
-
-def test_the_speed_is_that_of_the_last_batches() -> None:
-    activity = Activity()
-    for batch in range(10):
-        activity.sent("worker-1", batch, "S1")
-        activity.finished("worker-1", batch, 1, 1.0)
-    for batch in range(10, 10 + RECENT_BATCHES):
-        activity.sent("worker-1", batch, "S1")
-        activity.finished("worker-1", batch, 8, 1.0)
-    assert activity.describe([WORKER])[0].cells_per_second == 8.0
 
 
 def test_late_and_unknown_batches_and_workers_change_nothing() -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.contracts.work import SetupKey
-from drivecal.execution.scheduling.affinity import MOST_KNOWN, SetupAffinity
+from drivecal.execution.scheduling.affinity import SetupAffinity
 
 
 def key(name: str) -> SetupKey:
@@ -50,18 +50,6 @@ def test_the_home_of_a_worker_that_is_gone_is_free_again() -> None:
     setups.load("two", D)
     setups.meet(["two", "three"])
     assert setups.choose("three", {A: 1.0, C: 0.1}) == C
-
-
-def test_homes_are_forgotten_at_last() -> None:
-    setups = SetupAffinity()
-    for number in range(MOST_KNOWN + 5):
-        setups.load("one", key(str(number)))
-    assert setups.choose("two", {key("0"): 1.0, key("9"): 5.0}) == key("0")
-
-
-def test_a_worker_prefers_setups_that_it_has_loaded() -> None:
-    setups = loaded(("one", A), ("two", B), ("one", B), ("two", C))
-    assert setups.choose("one", {A: 1.0, C: 99.0}) == A
 
 
 @given(st.lists(st.tuples(st.sampled_from(["one", "two", "three"]), st.sampled_from([A, B, C, D]))))

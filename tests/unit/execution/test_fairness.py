@@ -38,18 +38,6 @@ def test_cells_at_workers_are_not_taken_back_for_a_higher_priority() -> None:
     assert len(plant.completed) == 40
 
 
-def test_suspects_of_a_lower_priority_wait_as_well() -> None:
-    scheduler = Scheduler(BatchPolicy())
-    scheduler.meet(["w"])
-    scheduler.add(Work(setup(), cells(1)), "low", 0)
-    sent = scheduler.next_batch("w", idle=True)
-    assert sent is not None
-    scheduler.lost(sent.batch_id, "w", Breakdown.CRASH, "it died")
-    scheduler.add(Work(setup(), cells(1, first=2)), "high", 1)
-    assert ids(scheduler.next_batch("w", idle=True)) == [2]
-    assert ids(scheduler.next_batch("w", idle=True)) == [1]
-
-
 def test_campaigns_of_equal_priority_share_the_workers_time_and_not_their_batches() -> None:
     plant = Plant(2, {"cheap": 0.02, "dear": 3.8})
     plant.add("a", "cheap", cells(5000))
@@ -81,18 +69,6 @@ def test_a_campaign_that_asked_for_nothing_for_a_while_does_not_make_up_for_it()
     plant.run(until=120.0)
     assert plant.given["lazy"] - before["lazy"] == pytest.approx(20.0, abs=3 * TARGET)
     assert plant.given["busy"] - before["busy"] == pytest.approx(20.0, abs=3 * TARGET)
-
-
-def test_who_comes_when_nothing_waits_is_level_with_those_who_come_back() -> None:
-    plant = Plant(2, {"S1": 0.05})
-    plant.add("old", "S1", cells(1000))
-    plant.run()
-    before = dict(plant.given)
-    plant.add("new", "S1", cells(1000, first=100_001))
-    plant.add("old", "S1", cells(1000, first=200_001))
-    plant.run(until=plant.now + 20.0)
-    assert plant.given["new"] == pytest.approx(20.0, abs=3 * TARGET)
-    assert plant.given["old"] - before["old"] == pytest.approx(20.0, abs=3 * TARGET)
 
 
 def test_a_follower_that_has_to_wait_for_itself_starts_level_too() -> None:
@@ -153,16 +129,6 @@ def test_a_campaign_whose_batches_end_in_refusals_pays_for_the_results_before_th
         scheduler.finished(sent.batch_id, result)
         scheduler.ask_again("w", setup("S1").key)
     assert seconds["S1"] <= 11.0
-
-
-def test_a_worker_goes_on_with_the_setup_that_it_has_loaded() -> None:
-    plant = Plant(2)
-    for number, scenario in enumerate(("S1", "S2", "S3", "S4", "S5", "S6")):
-        plant.add("a", scenario, cells(1000, first=1 + 10_000 * number))
-    plant.run()
-    assert len(plant.completed) == 6000
-    assert len(plant.order) > 80
-    assert sum(plant.loads.values()) <= 6 + 2 * 3  # every setup once, and a few times more where one helps the other out
 
 
 @pytest.mark.faults("1-2", "1-7", "3-1", "3-2", "3-16")

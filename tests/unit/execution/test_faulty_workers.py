@@ -13,7 +13,7 @@ from tests.support.setups import bare as setup
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
-from drivecal.execution.scheduling.in_flight import WITNESSES, Completed, Work
+from drivecal.execution.scheduling.in_flight import WITNESSES, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
@@ -94,22 +94,6 @@ def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
     assert spoilt < 1500, "bad workers are given little"
 
 
-def test_a_worker_that_is_spoilt_comes_back_to_life_by_its_replacement() -> None:
-    backend = FakeBackend(1)
-    pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 1000)), tag="a")
-    completed = pool.poll(1.0)
-    backend.bad = {1}
-    while not backend.replaced:
-        completed += pool.poll(1.0)
-    assert "SUMO is gone" in (pool.trouble() or "")
-    backend.bad = set()
-    completed += drain(pool)
-    assert len(completed) == 1000
-    assert all(entry.result.breakdown is None for entry in completed)
-    assert pool.trouble() is None
-
-
 def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(caplog: pytest.LogCaptureFixture) -> None:
     backend = FakeBackend(4)
     pool = WorkPool(backend)
@@ -157,24 +141,6 @@ def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest
     assert {entry.attempts for entry in completed} == {1}
     assert pool.trouble() is None
     assert backend.now < 7 * PATIENCE_WITH_REFUSALS
-
-
-def test_busy_workers_try_what_they_refused_again() -> None:
-    backend = FakeBackend(2, {"S2": 0.1}, refusing={1: "the licence server is away", 2: "the licence server is away"})
-    pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a", priority=1)
-    while "2 workers refuse" not in (pool.trouble() or ""):
-        pool.poll(0.1)
-    backend.refusing.clear()
-    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 2000, first=101)), tag="b")
-    completed: list[Completed] = []
-    while pool.held("a"):
-        completed += pool.poll(0.1)
-        assert backend.now < 2 * PATIENCE_WITH_REFUSALS
-    assert pool.held("b")
-    assert backend.replaced == []
-    completed += drain(pool)
-    assert {entry.attempts for entry in completed} == {1}
 
 
 class Failing(FakeBackend):

@@ -10,7 +10,6 @@ from tests.support.leases import MemoryLeases
 from tests.support.pooled import cells, drain
 from tests.support.setups import bare as setup
 
-from drivecal.contracts.work import Cell
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.backend import DEADLINE_SECONDS
 from drivecal.execution.pool import WorkPool
@@ -29,15 +28,6 @@ def patient_drain(pool: WorkPool, tags: tuple[str, ...] = ("a", "b")) -> list[Co
         except UnavailableError:
             continue
     raise AssertionError("cells never came back")
-
-
-def test_results_name_the_lease_that_they_were_obtained_under() -> None:
-    leases = MemoryLeases()
-    pool = WorkPool(FakeBackend(), leases)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
-    completed = drain(pool)
-    assert {one.result.id: one.lease for one in completed} == leases.held
-    assert len(leases.held) == 300
 
 
 def test_one_exchange_leases_all_that_is_sent_at_a_time() -> None:
@@ -97,24 +87,6 @@ def test_cells_that_are_not_granted_are_forgotten_and_the_others_sent() -> None:
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert sorted(one.result.id for one in drain(pool)) == [1, 2, 4, 5, 6, 8, 9, 10]
     assert backend.attempts.keys().isdisjoint({3, 7})
-
-
-def replace_id(cell: Cell, number: int) -> Cell:
-    return Cell(number, cell.parameters)
-
-
-def test_an_identical_cell_is_answered_under_the_lease_of_the_one_that_was_sent() -> None:
-    leases = MemoryLeases()
-    pool = WorkPool(FakeBackend(), leases)
-    same = [replace_id(cell, 100 + cell.id) for cell in cells([Behaviour.WELL] * 20)]
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 20)), tag="a")
-    pool.submit(Work(setup(), same), tag="b")
-    completed = drain(pool)
-    shared = [one for one in completed if one.shared]
-    assert len(completed) == 40
-    assert len(shared) == 20
-    assert leases.held.keys().isdisjoint(one.result.id for one in shared)
-    assert {one.lease for one in shared} == {1}
 
 
 def test_results_that_nobody_writes_down_give_their_leases_back() -> None:

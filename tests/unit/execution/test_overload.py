@@ -122,15 +122,6 @@ def test_batches_are_short_beside_a_small_campaign_only(workers: int) -> None:
     assert cells_of_batches(plant, "large") == {long}, "the small one has ended"
 
 
-def test_batches_of_a_higher_priority_stay_long_beside_a_small_campaign() -> None:
-    plant = warm(2, COST)
-    plant.scheduler.withdraw("first")
-    plant.add("small", "S2", cells(POPULATION, first=500_001))
-    plant.fill()
-    plant.add("large", "S1", cells(2 * MANY), priority=1)
-    assert cells_of_batches(plant, "large") == {int(TARGET / COST["S1"])}
-
-
 def test_small_campaigns_shorten_no_batches_of_each_other() -> None:
     """Else all batches of many equal campaigns would be short, and the dispatcher would have most to do of all."""
     plant = warm(1, COST)
@@ -238,15 +229,6 @@ def test_slow_cells_take_every_worker_once_the_quick_campaign_is_over() -> None:
     plant.now += 10.0
     plant.fill()
     assert running(plant)["slow"] == 4
-
-
-def test_no_more_workers_are_kept_than_quick_cells_need() -> None:
-    plant = warm(16, SLOW)
-    plant.now += 10.0
-    plant.add("quick", "fast", cells(2, first=500_001))
-    plant.add("slow", "slow", cells(200))
-    plant.fill()
-    assert running(plant)["slow"] == 14
 
 
 @pytest.mark.parametrize("priority", [0, 1])

@@ -32,16 +32,6 @@ def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None
         assert max(count for cell, count in backend.attempts.items() if cell != 1021) <= ATTEMPTS
 
 
-def test_only_the_first_death_puts_others_under_suspicion() -> None:
-    backend = FakeBackend()
-    pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 10 + [Behaviour.CRASH] + [Behaviour.WELL] * 989)), tag="a")
-    completed = drain(pool)
-    suspects = [entry for entry in completed if entry.attempts > 1]
-    assert len(suspects) <= 2 * 72  # what one worker held: two batches of half a second
-    assert all(entry.attempts == 2 for entry in suspects if entry.result.id != 11)
-
-
 def test_batches_take_half_a_second_whatever_a_cell_costs() -> None:
     backend = FakeBackend(seconds_per_cell={"S1": 0.007, "S2": 0.1, "S3": 3.0, "S4": 0.0001})
     pool = WorkPool(backend)
@@ -84,34 +74,6 @@ def test_a_cell_cannot_be_in_flight_twice() -> None:
     assert len(drain(pool)) == 3
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 3)), tag="a")
     assert len(drain(pool)) == 3
-
-
-def test_withdrawn_cells_are_dropped_but_those_under_way_come_back() -> None:
-    pool = WorkPool(FakeBackend())
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
-    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 300, first=301)), tag="b")
-    completed = pool.poll(1.0)
-    running = pool.withdraw("a")
-    assert 0 < running < 300
-    assert pool.held("a") == running
-    completed += drain(pool)
-    assert Counter(entry.tag for entry in completed)["b"] == 300
-    assert pool.held("a") == 0
-    assert len({entry.result.id for entry in completed}) == len(completed) < 600
-
-
-def test_results_of_a_batch_that_was_given_up_change_nothing() -> None:
-    backend = FakeBackend()
-    pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 2)), tag="a")
-    backend.kill(0)
-    completed = pool.poll(0.0)
-    backend.repeat(0)
-    completed += pool.poll(0.0)
-    backend.repeat(0)
-    completed += drain(pool)
-    assert sorted(entry.result.id for entry in completed) == [1, 2]
-    assert "ghost" not in {entry.worker for entry in completed}
 
 
 _step = st.one_of(

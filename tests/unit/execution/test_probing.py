@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from tests.support.fake_backend import Behaviour, FakeBackend
+from tests.support.fake_backend import FakeBackend
 
 from drivecal.contracts.work import Cell, SetupRequest
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, WorkPool
@@ -69,18 +69,6 @@ def test_a_campaign_that_no_worker_can_answer_says_why_and_waits() -> None:
     assert pool.trouble() is None
 
 
-def test_the_reason_of_a_failing_probe_is_shown_during_the_pause() -> None:
-    backend = FakeBackend(refusing={1: "mysim is not on PATH", 2: "no licence"})
-    pool = pool_on(backend)
-    seen = []
-    while backend.now < PATIENCE_WITH_REFUSALS / 2:
-        pool.probe(setup(), "a")
-        pool.poll(0.5)
-        seen.append(pool.trouble())
-    assert None not in seen[2:], "also while it is asked again"
-    assert len(backend.sizes) >= 3, "the pause ends"
-
-
 @pytest.mark.parametrize("workers", [1, 3])
 def test_workers_that_cannot_answer_are_replaced_after_a_while(workers: int) -> None:
     backend = FakeBackend(workers, refusing=dict.fromkeys(range(1, workers + 1), "the files are not on this machine"))
@@ -95,15 +83,6 @@ def test_workers_that_cannot_answer_are_replaced_after_a_while(workers: int) -> 
     assert sorted(backend.replaced) == [(f"worker-{place}", None) for place in range(1, workers + 1)]
     backend.refusing.clear()
     assert answer(pool) == "1.0"
-
-
-def test_a_worker_is_not_replaced_for_a_question_that_is_over() -> None:
-    backend = FakeBackend(refusing={1: "no licence"}, tools={2: "2.1"})
-    pool = pool_on(backend)
-    assert answer(pool) == "2.1"
-    while backend.now < 3 * PATIENCE_WITH_REFUSALS:
-        pool.poll(1.0)
-    assert backend.replaced == []
 
 
 def test_a_withdrawn_question_is_not_answered() -> None:
@@ -150,20 +129,6 @@ def test_a_campaign_without_an_agreeing_worker_is_hopeless_after_a_while() -> No
     assert pool.hopeless("a") is None
 
 
-def test_tools_that_come_back_in_time_cost_nothing() -> None:
-    backend = FakeBackend(tools={1: "2.0", 2: "2.0"})
-    pool = pool_on(backend)
-    submit(pool, "1.0")
-    while backend.now < PATIENCE_WITH_ANSWERS / 3:
-        pool.poll(1.0)
-    backend.tools.clear()
-    completed = []
-    while pool.held("a"):
-        assert pool.hopeless("a") is None
-        completed += pool.poll(1.0)
-    assert len(completed) == 20
-
-
 def test_workers_whose_probe_breaks_do_not_agree() -> None:
     backend = FakeBackend(tools={1: "2.0"}, refusing={2: "the probe ended with exit code 3"})
     pool = pool_on(backend)
@@ -203,15 +168,6 @@ def test_other_tools_end_a_campaign_some_time_after_they_are_first_seen() -> Non
         pool.poll(1.0)
     assert backend.now >= begin + PATIENCE_WITH_ANSWERS
     assert "2.0" in reason
-
-
-def test_setups_without_tools_are_waited_for() -> None:
-    backend = FakeBackend(refusing={1: "no licence", 2: "no licence"})
-    pool = pool_on(backend)
-    pool.submit(Work(setup(), [Cell(1, {"value": 1.0})]), tag="a")
-    while backend.now < 3 * PATIENCE_WITH_ANSWERS:
-        pool.poll(1.0)
-        assert pool.hopeless("a") is None
 
 
 @pytest.mark.parametrize(("workers", "nodes"), [(1, 1), (2, 1), (8, 1), (2, 2), (8, 3)])
@@ -291,20 +247,6 @@ def test_late_refusals_of_a_campaign_do_not_count_against_the_next(at_once: bool
         completed += sum(entry.tag == "b" for entry in pool.poll(0.1))
         assert backend.now < 3 * PATIENCE_WITH_REFUSALS
     assert completed == len(work)
-
-
-def test_a_blame_of_files_ends_with_the_campaign_that_it_delayed() -> None:
-    backend = FakeBackend(2, refusing={1: "there is no lane e9_0"}, blaming={1})
-    pool = pool_on(backend)
-    pool.submit(Work(setup(), [Cell(1, {"behaviour": Behaviour.CRASH})]), tag="a")
-    while pool.held("a"):
-        pool.poll(1.0)
-    backend.refusing, backend.blaming = {2: "there is no lane e9_0"}, {2}
-    pool.submit(Work(setup(), [Cell(2, {"value": 1.0})]), tag="b")
-    for _ in range(10):
-        pool.poll(1.0)
-    assert "2 workers refuse" in (pool.trouble() or "")
-    assert pool.hopeless("b") is None, "worker 1 was not asked for this campaign"
 
 
 def test_a_campaign_that_ends_leaves_the_blame_of_files_to_another_of_the_same_scenario() -> None:

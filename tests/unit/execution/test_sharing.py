@@ -12,10 +12,9 @@ from tests.support.plant import Plant, V, W, answers, cells, ids, send
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Cell, SetupRequest
-from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.scheduling.batching import BatchPolicy
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS, Scheduler
+from drivecal.execution.scheduling.scheduler import Scheduler
 
 
 def scheduler() -> Scheduler:
@@ -30,10 +29,6 @@ def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: 
 
 def finish(of: Scheduler, sent: Dispatch) -> list[Completed]:
     return of.finished(sent.batch_id, answers(sent))
-
-
-def crash(of: Scheduler, sent: Dispatch) -> list[Completed]:
-    return of.lost(sent.batch_id, sent.worker, Breakdown.CRASH, "it died")
 
 
 def test_an_identical_cell_of_another_campaign_is_answered_with_the_first_ones_result() -> None:
@@ -69,23 +64,6 @@ def test_a_cell_of_higher_priority_does_not_wait_for_the_priority_of_its_like() 
     sent = send(one)
     assert ids(sent) == [11]
     assert [(done.tag, done.result.id) for done in finish(one, sent)] == [("high", 11), ("low", 3)]
-
-
-def test_a_follower_fails_with_its_leader_for_good() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0])
-    completed: list[Completed] = []
-    for number in range(ATTEMPTS):
-        sent = send(one)
-        if number == 1:
-            add(one, "b", 2, [1.0])
-        assert not completed
-        completed = crash(one, sent)
-    assert [(done.tag, done.result.id, done.result.breakdown, done.attempts) for done in completed] == [
-        ("a", 1, "crash", ATTEMPTS),
-        ("b", 2, "crash", ATTEMPTS),
-    ]
-    assert [done.shared for done in completed] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -126,57 +104,6 @@ def test_the_order_of_the_parameters_makes_no_difference() -> None:
     one.add(Work(setup(), [Cell(2, {"P2": math.nan, "P1": 1.0})]), "b", 0)
     assert ids(send(one)) == [1]
     assert one.next_batch(V, idle=True) is None
-
-
-@pytest.mark.parametrize("exclusive", [(True, False), (False, True), (True, True)])
-def test_exclusive_cells_are_simulated_themselves(exclusive: tuple[bool, bool]) -> None:
-    one = scheduler()
-    for number, alone in enumerate(exclusive):
-        add(one, "ab"[number], 1 + number, [1.0], exclusive=alone)
-    assert ids(send(one)) + ids(send(one)) == [1, 2]
-
-
-def test_a_follower_takes_the_place_of_a_leader_that_is_withdrawn_while_it_waits() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0, 2.0])
-    add(one, "b", 11, [1.0, 2.0])
-    assert one.withdraw("a") == 0
-    sent = [send(one), send(one)]
-    assert [number for each in sent for number in ids(each)] == [11, 12]
-    assert [done.result.id for each in sent for done in finish(one, each)] == [11, 12]
-
-
-def test_a_follower_takes_the_place_of_a_leader_that_is_lost_after_it_was_withdrawn() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0])
-    sent = send(one)
-    add(one, "b", 2, [1.0])
-    assert one.withdraw("a") == 1
-    assert crash(one, sent) == []
-    assert (one.held("a"), one.held("b")) == (0, 1)
-    again = send(one)
-    assert (ids(again), dict(again.breakdowns), again.alone) == ([2], {2: 1}, True)
-    [done] = finish(one, again)
-    assert (done.tag, done.attempts, done.shared) == ("b", 2, False)
-
-
-def test_a_withdrawn_leader_that_comes_back_answers_its_followers_too() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0])
-    sent = send(one)
-    one.withdraw("a")
-    add(one, "b", 2, [1.0])
-    assert one.next_batch(V, idle=True) is None
-    assert [(done.tag, done.shared) for done in finish(one, sent)] == [("a", False), ("b", True)]
-
-
-def test_a_follower_with_earlier_breakdowns_makes_a_suspect_of_its_leader() -> None:
-    one = scheduler()
-    add(one, "a", 1, [1.0, 2.0])
-    one.add(Work(setup(), cells(1, 11, [2.0]), breakdowns={11: 2}), "b", 0)
-    suspect = send(one)
-    assert (ids(suspect), suspect.alone, dict(suspect.breakdowns)) == ([2], True, {2: 2})
-    assert {done.result.id: done.attempts for done in finish(one, suspect)} == {2: 3, 11: 3}
 
 
 @given(

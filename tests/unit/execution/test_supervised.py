@@ -188,14 +188,6 @@ def test_a_worker_that_compiles_for_longer_than_the_limit_gets_twice_as_long_unt
     assert [worker.state for worker in backend.workers()] == ["idle"]
 
 
-def test_after_a_success_a_start_is_given_up_after_the_first_limit_again(tmp_path: Path, clock: Clock) -> None:
-    backend = WorkersThatCompile([tmp_path], clock, compiling=1500.0)
-    backend.wait(5000.0)
-    backend.replace(backend.slots()[0].worker, "it gave no results")
-    backend.wait(700.0)
-    assert backend.starts == [600.0, 1200.0, 600.0]
-
-
 def test_a_worker_that_never_gets_ready_is_given_up_at_last(tmp_path: Path, clock: Clock) -> None:
     backend = WorkersThatCompile([tmp_path], clock, compiling=math.inf)
     backend.wait(100_000.0)

@@ -65,12 +65,6 @@ def test_patterns_cover_the_whole_grid_in_order_and_no_index_has_more_than_two(n
     assert np.bincount(found, minlength=n).max() <= 2
 
 
-def test_on_a_lattice_of_a_power_of_two_pattern_and_index_are_the_same() -> None:
-    encoding = BitEncoding(np.array([64, 2048]))
-    patterns = np.array([[0, 0], [17, 1025], [63, 2047]])
-    assert np.array_equal(encoding.indices(patterns), patterns)
-
-
 def test_the_most_significant_bit_comes_first() -> None:
     encoding = BitEncoding(np.array([4, 8]))
     assert encoding.chromosomes(np.array([[2, 1]])).tolist() == [[True, False, False, False, True]]

@@ -48,12 +48,6 @@ def test_mutation_flips_at_most_one_bit_of_a_child(seed: int, n: int, n_bits: in
     assert flips.max() <= 1
 
 
-@pytest.mark.parametrize(("probability", "flips"), [(0.0, 0), (1.0, 500)])
-def test_mutation_is_off_at_probability_zero_and_certain_at_one(probability: float, flips: int) -> None:
-    before = np.zeros((500, 7), dtype=np.bool_)
-    assert mutate(before, probability, np.random.default_rng(1)).sum() == flips
-
-
 def test_mutation_strikes_children_with_its_probability_and_bits_uniformly() -> None:
     mutants = mutate(np.zeros((20_000, 8), dtype=np.bool_), 0.5, np.random.default_rng(2))
     assert stats.binomtest(int(mutants.sum()), 20_000, 0.5).pvalue > 1e-4
@@ -76,17 +70,6 @@ def test_a_generation_has_half_as_many_children_as_parents(
     population: int, selection: float, recombination: float, children: int
 ) -> None:
     assert pairs_per_generation(population, selection, recombination) == children
-
-
-def test_the_fittest_come_first_ties_go_to_the_rating_then_to_the_position() -> None:
-    objectives = np.array([1.0, 2.0, 2.0, 2.0, 0.0])
-    ratings = np.array([9.0, 1.0, 3.0, 1.0, 9.0])
-    assert ranking(objectives, ratings).tolist() == [2, 1, 3, 0, 4]
-
-
-def test_individuals_without_a_result_come_last() -> None:
-    nan = float("nan")
-    assert ranking(np.array([nan, 0.0, 1.0, nan]), np.array([5.0, 0.0, nan, 6.0])).tolist() == [2, 1, 3, 0]
 
 
 def test_objectives_that_differ_only_by_the_order_of_summation_are_equal() -> None:
@@ -142,16 +125,6 @@ def test_halton_starts_are_the_same_for_every_seed_and_latin_hypercubes_are_not(
 def test_halton_points_are_radical_inverses() -> None:
     found = start_population("halton", 4, np.array([8, 9]), np.random.default_rng(1))
     assert found.tolist() == [[4, 3], [2, 6], [6, 1], [1, 4]]  # 1/2 1/4 3/4 1/8 and 1/3 2/3 1/9 4/9 of the grid
-
-
-@pytest.mark.parametrize("design", ["lhs", "halton"])
-def test_expert_sets_are_in_the_start_population(design: Design) -> None:
-    given_sets = np.array([[1, 2], [3, 4]])
-    found = start_population(design, 30, np.array([9, 9]), np.random.default_rng(1), given_sets)
-    assert found.shape == (30, 2)
-    assert np.array_equal(found[:2], given_sets)
-    filled = start_population(design, 2, np.array([9, 9]), np.random.default_rng(1), given_sets)
-    assert np.array_equal(filled, given_sets)
 
 
 @pytest.mark.parametrize("design", ["lhs", "halton"])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from decimal import Decimal
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +13,7 @@ from tests.support.effort import examples
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
-from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
-from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.optuna_samplers import OPTUNA
-from drivecal.optimizers.repair import Repair, RepairingOptimizer, create_optimizer, restore_optimizer
-from drivecal.plugins.ports import DeclaringOptimizerPlugin
+from drivecal.optimizers.repair import Repair
 
 SPACE = ParameterSpace(
     (
@@ -80,11 +74,6 @@ def test_repair_is_feasible_idempotent_and_a_pure_function_of_the_row(population
     assert REPAIR(population[:1]).tolist() == repaired[:1].tolist()
 
 
-def test_a_row_is_repaired_alike_in_every_company() -> None:
-    population = np.random.default_rng(1).integers(0, LAST + 1, (60, len(LAST)))
-    assert REPAIR(population).tolist() == [REPAIR(row[np.newaxis]).tolist()[0] for row in population]
-
-
 @given(populations)
 @settings(deadline=None, max_examples=examples(20))
 def test_a_replacement_is_no_farther_than_the_nearest_anchor(population: Indices) -> None:
@@ -130,40 +119,3 @@ def test_a_set_that_breaks_constraints_is_refused_with_each_of_them() -> None:
     assert [problem.field for problem in refused.value.problems] == ["baseline", "baseline"]
     assert ["a <= b" in problem.message for problem in refused.value.problems] == [True, False]
     CONSTRAINTS.check(ParameterSet.of(values | {"a": Decimal(2), "mode": "eco", "held": Decimal("0.5")}), "baseline")
-
-
-CASES: list[tuple[DeclaringOptimizerPlugin, dict[str, Any]]] = [
-    *((plugin, {}) for plugin in (GENETIC, RANDOM, SWARM, CMA_ES)),
-    *((OPTUNA, {"sampler": sampler}) for sampler in ("tpe", "nsga2")),
-]
-
-
-@pytest.mark.slow("tpe")
-@pytest.mark.parametrize(("plugin", "chosen"), CASES, ids=["genetic", "random", "swarm", "cma_es", "tpe", "nsga2"])
-def test_every_optimizer_keeps_constraints_and_resumes_exactly(
-    plugin: DeclaringOptimizerPlugin, chosen: dict[str, Any]
-) -> None:
-    options = plugin.settings.model_validate({"kind": plugin.name, "population": 12, "seed": 5, **chosen})
-
-    def drive(optimizer: RepairingOptimizer, iterations: int) -> list[list[list[int]]]:
-        told: list[list[list[int]]] = []
-        for _ in range(iterations):
-            proposal = optimizer.ask()
-            if told:
-                before = np.array(told[-1])
-                assert (proposal.changed | (proposal.population == before).all(axis=1)).all()
-            assert CONSTRAINTS.feasible(proposal.population).all()
-            told.append(proposal.population.tolist())
-            objectives = -np.abs(proposal.population / LAST - 0.4).sum(axis=1)
-            optimizer.tell(objectives, objectives)
-        return told
-
-    def created() -> RepairingOptimizer:
-        return RepairingOptimizer(create_optimizer(plugin, options, SPACE.n_values, SPACE.kinds), REPAIR)
-
-    whole = drive(created(), 6)
-    first = created()
-    drive(first, 3)
-    state = json.loads(json.dumps(first.state(), allow_nan=False))
-    restored = RepairingOptimizer(restore_optimizer(plugin, options, SPACE.n_values, SPACE.kinds, state), REPAIR)
-    assert drive(restored, 3) == whole[3:]

@@ -68,17 +68,6 @@ def test_populations_of_optunas_nsga2_descend_from_the_start_and_from_those_with
         engine.learn(children, answers - 100, answers)
 
 
-@every
-def test_the_same_seed_gives_the_same_populations_on_the_grid(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
-    one, same, other = (drive(create(plugin, chosen, seed=seed), 4) for seed in (7, 7, 8))
-    assert all(np.array_equal(a, b) for a, b in zip(one, same, strict=True))
-    assert not all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-    for population in one:
-        assert population.shape == (12, 4)
-        assert population.min() >= 0
-        assert np.all(population < GRID)
-
-
 @pytest.mark.slow("False", "tpe")
 @every
 @pytest.mark.parametrize("asked", [False, True])
@@ -92,14 +81,6 @@ def test_a_resumed_run_equals_an_uninterrupted_one(plugin: OptimizerPlugin, chos
     second = plugin.restore(settings, GRID, json.loads(json.dumps(first.state(), allow_nan=False)))
     resumed = begun + drive(second, 3)
     assert all(np.array_equal(a, b) for a, b in zip(resumed, whole, strict=True))
-
-
-@every
-def test_the_start_population_is_the_campaigns(plugin: OptimizerPlugin, chosen: dict[str, Any]) -> None:
-    settings = plugin.settings(**({"population": 12, "start": "halton"} | chosen))
-    reference = RANDOM.create(RANDOM.settings(population=12, start="halton"), GRID).ask().population
-    assert np.array_equal(plugin.create(settings, GRID).ask().population, reference)
-    assert plugin.requested_individuals(settings) == 12 * 20
 
 
 @every

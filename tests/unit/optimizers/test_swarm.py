@@ -57,17 +57,6 @@ def test_a_step_is_equations_4_and_5() -> None:
     assert np.array_equal(proposal.population, np.rint(expected * (GRID - 1)))
 
 
-def test_without_pull_and_with_all_of_its_velocity_a_particle_goes_straight_on() -> None:
-    optimizer = SWARM.create(SwarmSettings(population=5, c1=0, c2=0, inertia=1.0), GRID)
-    seen = []
-    for _ in range(3):
-        optimizer.tell(bowl(optimizer.ask().population), np.zeros(5))
-        seen.append(positions(optimizer))
-    inside = np.all([(one > 0) & (one < 1) for one in seen], axis=0)
-    assert inside.any()
-    assert np.allclose((seen[2] - seen[1])[inside], (seen[1] - seen[0])[inside])
-
-
 @given(seed=st.integers(0, 10_000), inertia=st.floats(0, 1), c=st.floats(0, 1))
 @settings(max_examples=examples(40))
 def test_particles_stay_in_the_space_and_stop_at_its_edge(seed: int, inertia: float, c: float) -> None:

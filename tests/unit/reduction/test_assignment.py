@@ -35,11 +35,6 @@ def test_a_stored_set_is_repeated_even_where_a_reference_exists_too() -> None:
     assert _plans(found) == [(Outcome.REPEATED, DONOR, None, False)]
 
 
-def test_a_stored_reference_is_reused() -> None:
-    found = assign([_cell(0, "a", "k")], Policy("influence"), {}, {("S1", b"k"): DONOR})
-    assert _plans(found) == [(Outcome.REUSED, DONOR, None, False)]
-
-
 def test_cells_of_one_population_that_share_a_key_are_simulated_once() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "b", "k"), _cell(2, "a", "k"), _cell(3, "c", "other")]
     assert _plans(assign(cells, Policy("influence"), {}, {})) == [
@@ -60,11 +55,6 @@ def test_off_simulates_everything() -> None:
     cells = [_cell(0, "a", "k"), _cell(1, "a", "k")]
     planned = assign(cells, Policy("off"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
     assert _plans(planned) == [SIMULATED] * 2
-
-
-def test_scenarios_answer_only_themselves() -> None:
-    found = assign([_cell(0, "a", "k", "S2")], Policy("influence"), {("S1", _set("a")): DONOR}, {("S1", b"k"): DONOR})
-    assert _plans(found) == [SIMULATED]
 
 
 def test_an_audited_cell_is_simulated_and_remembers_the_donor_that_was_not_trusted() -> None:

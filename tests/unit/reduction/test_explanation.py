@@ -118,13 +118,6 @@ def test_a_difference_names_both_values_and_the_regions_in_which_they_lie() -> N
     assert (third.parameter, third.region, third.blocks) == ("P3", "influential", True)
 
 
-def test_values_at_the_bounds_are_influential() -> None:
-    limited = Influence(influential=True, lower=Decimal(1), upper=Decimal(3))
-    comparison = _compare(InfluenceMap({"S1": {"P1": limited}}), (1, 0, 0))
-    [difference] = comparison.differences(_stored([(3, 0, 0)])[0])
-    assert (difference.region, difference.reference_region, difference.blocks) == ("influential", "influential", True)
-
-
 def test_of_values_outside_its_space_the_map_says_nothing() -> None:
     influence_map = InfluenceMap({"S1": {"P1": Influence(influential=False)}}, {"P1": (Decimal(1), Decimal(3))})
     [difference] = _compare(influence_map, (2, 0, 0)).differences(_stored([(4, 0, 0)])[0])

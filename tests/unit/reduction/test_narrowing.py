@@ -171,10 +171,3 @@ def test_contracting_and_expanding_given_sets_gives_them_back(
 ) -> None:
     area = _area({"P1": first, "P2": NOTHING}, {"P1": second, "P2": NOTHING}, *rows)
     assert area.expand(area.contract(_given(*rows))).tolist() == [list(row) for row in rows]
-
-
-def test_values_keep_their_exact_decimals() -> None:
-    influences = {"P3": _between("0.2", "0.6")}
-    area = _area(influences, influences)
-    expanded = area.expand(np.zeros((1, 3), dtype=np.int64))
-    assert SPACE.parameter_sets(expanded)[0].values["P3"] == Decimal("0.142857143")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from html.parser import HTMLParser
@@ -95,12 +94,6 @@ def test_a_report_has_its_figures_tables_and_page(whole: tuple[str, set[str]]) -
     reader = read(source)
     assert {link for link in reader.links if not link.startswith("#")} == files - {"index.html"}
     assert {link.removeprefix("#") for link in reader.links if link.startswith("#")} <= set(reader.ids)
-
-
-def test_the_specification_and_tables_are_written_as_they_are(tmp_path: Path) -> None:
-    written(findings(), tmp_path)
-    assert (tmp_path / "tables" / "generations.csv").read_bytes() == b"iteration\n0\n"
-    assert json.loads((tmp_path / "campaign.json").read_text()) == CAMPAIGN.spec
 
 
 def test_a_page_alone_links_to_no_file(tmp_path: Path) -> None:

@@ -52,11 +52,6 @@ def test_an_iteration_that_is_not_answered_yet_has_no_point() -> None:
     assert "Sets with the best objective, 5.000" in svg(figure, "test")
 
 
-def test_a_campaign_without_any_result_can_be_drawn() -> None:
-    empty = generation(0, best=None, mean=None, minimum=None, alternatives=0)
-    assert ">Sets with the best objective</text>" in svg(population_figure([empty]), "test")
-
-
 @pytest.mark.parametrize("iterations", [1, 2, 300])
 def test_cells_are_added_up_and_each_is_counted_once(iterations: int) -> None:
     figure = cells_figure([generation(number) for number in range(iterations)])

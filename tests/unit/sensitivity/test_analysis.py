@@ -39,14 +39,6 @@ def finished(scores: Mapping[str, Score], chosen: SensitivitySettings = SETTINGS
     return analysis.result()
 
 
-def test_intervals_come_first_then_confirmations_then_the_global_analysis() -> None:
-    told = drive(SensitivityAnalysis(SPACE, list(SCORES), SETTINGS), SCORES)
-    names = [name for name, _ in told]
-    assert names[0] == "intervals"
-    assert set(names[1:-1]) == {"confirmation"}
-    assert names[-1] == "global"
-
-
 @both
 def test_what_is_announced_is_exact_for_the_intervals_and_never_too_little(design: Literal["lines", "paper"]) -> None:
     analysis = SensitivityAnalysis(SPACE, list(SCORES), replace(SETTINGS, design=design))
@@ -89,12 +81,6 @@ def test_a_scenario_is_analysed_the_same_whatever_others_there_are() -> None:
         assert finished({scenario: score})[scenario] == finished(SCORES)[scenario]
     turned = dict(reversed(SCORES.items()))
     assert finished(turned) == finished(SCORES)
-
-
-def test_other_names_give_the_same_figures() -> None:
-    renamed = ParameterSpace(tuple(replace(one, name=f"weight{one.name}") for one in SPACE.parameters))
-    one, other = finished(SCORES)["S1"], finished({"jam": SCORES["S1"]}, space=renamed)["jam"]
-    assert list(one.parameters.values()) == list(other.parameters.values())
 
 
 def test_bounds_are_exact_values_of_the_grid_and_open_ends_the_spaces_own() -> None:
@@ -153,10 +139,6 @@ def test_a_scenario_without_any_score_is_unknown_which_counts_as_influential(sco
     assert analysis.result()["S2"] == finished(SCORES)["S2"]
 
 
-def test_where_every_scenario_is_unknown_nothing_more_is_asked() -> None:
-    assert [name for name, _ in drive(SensitivityAnalysis(SPACE, ["S1"], SETTINGS), {"S1": constant(0)})] == ["intervals"]
-
-
 def test_intervals_of_which_too_few_runs_worked_are_not_cut() -> None:
     def upper_half_fails(points: Indices) -> Floats:
         return np.where(points[:, 1] >= 50, np.nan, 3.0)
@@ -181,29 +163,6 @@ def test_a_threshold_above_everything_leaves_nothing_influential() -> None:
     assert smallest is not None
     everything = [s_rel for one in found.parameters.values() for s_rel in one.s_rel_intervals if s_rel > 0]
     assert smallest == min(everything) < 1000
-
-
-SIX = space_of(*[31] * 6)
-
-
-def rare(points: Indices) -> Floats:
-    """Each parameter changes the score if the one beside it is near its end."""
-    near = (points > 10) & (np.roll(points, 1, axis=1) > 25)
-    return np.asarray(1 + near.sum(axis=1), dtype=np.float64)
-
-
-@both
-@pytest.mark.parametrize("seed", range(6))
-def test_no_parameter_is_without_influence_unless_an_analysis_of_its_whole_range_says_so(
-    design: Literal["lines", "paper"], seed: int
-) -> None:
-    found = finished({"S1": rare}, replace(SETTINGS, design=design, seed=seed), SIX)["S1"].parameters.values()
-    without = [parameter for parameter in found if not parameter.influence.influential]
-    overruled = [parameter for parameter in without if any(interval.influential for interval in parameter.intervals)]
-    for parameter in without:
-        last = parameter.confirmations[-1]
-        assert (last.lower, last.upper, last.verdict.influential) == (0, 30, False)
-    assert len(overruled) <= 1
 
 
 def test_asking_twice_gives_the_same_phase_and_its_points_cannot_be_changed() -> None:

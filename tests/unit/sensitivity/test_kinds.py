@@ -89,15 +89,6 @@ def test_every_change_of_a_choice_is_a_step_of_the_whole_range(seed: int) -> Non
     assert (changes != 0).all()
 
 
-def test_each_other_choice_is_about_equally_likely() -> None:
-    unordered = np.array([True])
-    design = radial_design(np.array([5]), SobolRows(COLUMNS, 3), np.array([0]), np.array([4]), 4096, unordered=unordered)
-    first, second = design.points[design.first[0], 0], design.points[design.second[0], 0]
-    pairs = np.bincount(5 * first + second, minlength=25).reshape(5, 5)
-    assert np.diag(pairs).tolist() == [0] * 5
-    assert pairs[~np.eye(5, dtype=np.bool_)] == pytest.approx(np.full(20, 4096 / 20), rel=0.35)
-
-
 @designs
 @sequentially
 def test_points_that_break_constraints_are_never_asked(design: Literal["lines", "paper"], sequential: bool) -> None:

@@ -133,19 +133,6 @@ def test_only_intervals_between_influential_ones_are_left_out_and_have_no_figure
     assert left_out > 0
 
 
-def test_the_first_round_is_the_same_for_all_scenarios_and_large() -> None:
-    first = SensitivityAnalysis(SPACE, ["S1", "S2", "S3"], SETTINGS).ask()
-    assert first is not None
-    assert first.points["S1"] is first.points["S3"]
-    assert len(first.points["S1"]) >= 3 * 2 * 3, "both ends of all parameters"
-
-
-def test_the_paper_s_own_design_is_made_in_full() -> None:
-    _, told = finished(replace(SETTINGS, design="paper"))
-    assert [name for name, _ in told].count("intervals") == 1
-    assert runs_of(told, "intervals") == 2 * 3 * 8 * 12 * 4
-
-
 @pytest.mark.parametrize("value", [0.0, np.nan])
 def test_a_scenario_of_which_nothing_is_known_takes_all_runs_before_it_counts_as_unknown(value: float) -> None:
     scores: dict[str, Score] = {"S1": lambda points: np.full(len(points), value)}

@@ -87,17 +87,6 @@ def test_the_probability_of_a_miss_is_binomial(samples: int, rate: float) -> Non
     )
 
 
-@pytest.mark.parametrize(("samples", "rate"), [(8, 0.1), (20, 0.1), (20, 0.25), (40, 0.05)])
-def test_analyses_of_equal_steps_miss_as_often_as_announced(samples: int, rate: float) -> None:
-    generator, trials = np.random.default_rng(samples), 2_000
-    missed = 0
-    for _ in range(trials):
-        changes = generator.choice([-1.0, 1.0], samples) * (generator.random(samples) < rate)
-        missed += not is_influential(changes / 7 / 0.5, 0.5)
-    expected = miss_probability(samples, rate)
-    assert missed / trials == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / trials))
-
-
 def test_readers_of_a_map_hear_of_the_misses_of_auto_alone() -> None:
     settings = {"design": "lines", "intervals": 10, "samples": 20, "threshold": 0.02, "seed": 1}
     assert caveats(settings) == []

@@ -319,12 +319,6 @@ def test_distances_of_reference_points_that_are_measured_from_centres_are_noted_
         assert any("centres" in note for note in notes) is (metres is not None)
 
 
-def test_a_vehicle_of_the_other_direction_has_its_own_route() -> None:
-    found = of_file(scenario(CARS, EGO + start("Other", lane(2, 300), absolute(20))))
-    assert found.scenario.route == ["-7"]
-    assert found.scenario.traffic[0].route == ["7"]
-
-
 def test_a_road_without_limits_needs_the_scenario_s_default_limit() -> None:
     road = motorway().replace(b"<speed ", b"<velocity ")
     roads = {ROAD: Map(read_network(converted(road, ROAD).network, ROAD), lambda: read_opendrive(road, ROAD))}
