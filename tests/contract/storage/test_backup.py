@@ -212,11 +212,7 @@ def test_a_database_without_one_of_its_tables_is_not_copied(empty_url: str, tmp_
         one.upgrade()
     with database.transaction() as connection:
         connection.execute(text("DROP TABLE leases"))
-    with (
-        pytest.raises(DatabaseError, match="leases"),
-        database.read() as source,
-        target.transaction() as connection,
-    ):
+    with pytest.raises(DatabaseError, match="leases"), database.read() as source, target.transaction() as connection:
         copy_rows(source, connection, silent)
     database.dispose()
     target.dispose()

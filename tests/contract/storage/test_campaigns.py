@@ -131,15 +131,7 @@ def test_progress_is_written_and_read_back_whole(database: Database) -> None:
         sequence = campaign(connection).sequence
         campaigns.save_progress(connection, sequence, snapshot)
         stored = campaigns.by_sequence(connection, sequence)
-    for name in (
-        "stage",
-        "iteration",
-        "progress",
-        "error_rate",
-        "best",
-        "baseline",
-        "simulating_seconds",
-    ):
+    for name in ("stage", "iteration", "progress", "error_rate", "best", "baseline", "simulating_seconds"):
         assert getattr(stored, name) == getattr(snapshot, name), name
     assert {stage: stored.counts(stage) for stage in stored.stages} == snapshot.cells
     assert stored.notes == ("S2 has weight 0",)
@@ -219,8 +211,7 @@ def test_a_request_is_executed_at_once_where_nothing_runs_and_left_to_the_dispat
 
 
 @pytest.mark.parametrize(
-    ("state", "actions"),
-    [(SUCCEEDED, get_args(Action)), (CANCELLED, ("pause", "resume")), (CANCELLING, ("pause", "resume"))],
+    ("state", "actions"), [(SUCCEEDED, get_args(Action)), (CANCELLED, ("pause", "resume")), (CANCELLING, ("pause", "resume"))]
 )
 def test_a_request_that_comes_too_late_is_a_conflict(database: Database, state: CampaignState, actions: tuple[Action]) -> None:
     with database.transaction() as connection:

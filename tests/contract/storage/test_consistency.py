@@ -110,63 +110,24 @@ BROKEN: dict[str, tuple[str, str]] = {
         """UPDATE campaign_stages SET cells = '{"requested": 1}' WHERE campaign_sequence = 1 AND stage = 1""",
         "counters",
     ),
-    "an answer is gone": (
-        "UPDATE evaluations SET outcome = NULL WHERE id = 7",
-        "ended campaigns",
-    ),
-    "a lease of an ended campaign": (
-        "INSERT INTO leases VALUES (7, 1, 0, 1, '2026-01-01 00:00:00+00')",
-        "ended campaigns",
-    ),
-    "an end without its moment": (
-        "UPDATE campaigns SET ended_at = NULL WHERE sequence = 1",
-        "ended campaigns",
-    ),
-    "an answer without its run": (
-        "UPDATE evaluations SET run_id = NULL WHERE id = 7",
-        "answered cells",
-    ),
-    "an answer with the run of another cell": (
-        "UPDATE evaluations SET run_id = run_id + 1 WHERE id = 7",
-        "answered cells",
-    ),
-    "an answer without its score": (
-        "UPDATE evaluations SET score = NULL WHERE id = 7",
-        "answered cells",
-    ),
-    "a copy of nothing": (
-        "UPDATE evaluations SET reference = 99999 WHERE outcome = 'reused'",
-        "answered cells",
-    ),
-    "a run without a rating": (
-        "DELETE FROM ratings WHERE run_id = 7",
-        "references",
-    ),
-    "a run of no cell": (
-        "UPDATE runs SET evaluation_id = 99999 WHERE id = 7",
-        "references",
-    ),
-    "a watermark beyond all runs": (
-        "UPDATE campaigns SET watermark = 99999 WHERE sequence = 1",
-        "references",
-    ),
-    "a score in a key": (
-        "UPDATE reference_keys SET score = 6 - score WHERE run_id = 7",
-        "copies in reference keys",
-    ),
+    "an answer is gone": ("UPDATE evaluations SET outcome = NULL WHERE id = 7", "ended campaigns"),
+    "a lease of an ended campaign": ("INSERT INTO leases VALUES (7, 1, 0, 1, '2026-01-01 00:00:00+00')", "ended campaigns"),
+    "an end without its moment": ("UPDATE campaigns SET ended_at = NULL WHERE sequence = 1", "ended campaigns"),
+    "an answer without its run": ("UPDATE evaluations SET run_id = NULL WHERE id = 7", "answered cells"),
+    "an answer with the run of another cell": ("UPDATE evaluations SET run_id = run_id + 1 WHERE id = 7", "answered cells"),
+    "an answer without its score": ("UPDATE evaluations SET score = NULL WHERE id = 7", "answered cells"),
+    "a copy of nothing": ("UPDATE evaluations SET reference = 99999 WHERE outcome = 'reused'", "answered cells"),
+    "a run without a rating": ("DELETE FROM ratings WHERE run_id = 7", "references"),
+    "a run of no cell": ("UPDATE runs SET evaluation_id = 99999 WHERE id = 7", "references"),
+    "a watermark beyond all runs": ("UPDATE campaigns SET watermark = 99999 WHERE sequence = 1", "references"),
+    "a score in a key": ("UPDATE reference_keys SET score = 6 - score WHERE run_id = 7", "copies in reference keys"),
     "a missing key": ("DELETE FROM reference_keys WHERE run_id = 7", "reference keys"),
-    "a key of another value": (
-        "UPDATE reference_keys SET run_id = 6 WHERE run_id = 7",
-        "reference keys",
-    ),
+    "a key of another value": ("UPDATE reference_keys SET run_id = 6 WHERE run_id = 7", "reference keys"),
     "a parameter set under another's key": (
         """UPDATE parameter_sets SET parameter_values = '{"P1": 0.123}' WHERE id = 9""",
         "parameter sets",
     ),
-    "a parameter set that is none": (
-        "UPDATE parameter_sets SET parameter_values = '[' WHERE id = 9",
-        "parameter sets",
-    ),
+    "a parameter set that is none": ("UPDATE parameter_sets SET parameter_values = '[' WHERE id = 9", "parameter sets"),
     "a specification of nothing": (
         "UPDATE campaigns SET spec = '{\"optimizer\": 7}' WHERE sequence = 1",
         "campaigns, setups and maps",

@@ -113,11 +113,7 @@ def test_trouble_is_told_when_it_changes_and_not_with_every_look_at_it(database:
             campaigns.degrade(connection, [one, other], reason)
         for sequence in (one, other):
             told = [(event.kind, event.data) for event in events.since(connection, sequence, 0, MANY)[1:]]
-            assert told == [
-                ("degraded", {"reason": "no workers"}),
-                ("degraded", {"reason": "Ray is gone"}),
-                ("recovered", {}),
-            ]
+            assert told == [("degraded", {"reason": "no workers"}), ("degraded", {"reason": "Ray is gone"}), ("recovered", {})]
 
 
 def test_old_events_are_forgotten_in_portions_but_the_last_of_each_campaign_stays(database: Database) -> None:

@@ -159,10 +159,7 @@ def request_trace(database: Database, evaluation: int) -> None:
 
 @pytest.mark.parametrize("remove", [prune, delete_whole])
 def test_a_trace_that_is_requested_while_its_cell_is_removed_is_refused_and_the_removal_goes_on(
-    postgres: Database,
-    first: StoredCampaign,
-    beside: ThreadPoolExecutor,
-    remove: Callable[[Database, StoredCampaign], None],
+    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, remove: Callable[[Database, StoredCampaign], None]
 ) -> None:
     with postgres.read() as connection:
         copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]

@@ -48,13 +48,6 @@ def test_a_lock_names_the_server_that_a_user_stops_and_not_the_dispatcher_that_i
         locks.hold(empty_url)
 
 
-def test_servers_of_different_databases_do_not_disturb_each_other(empty_url: str, url: str) -> None:
-    if empty_url == url:
-        url = url.replace("drivecal.db", "other.db")
-    with locks.hold(empty_url), locks.hold(url):
-        pass
-
-
 def test_a_killed_server_leaves_no_lock_behind(empty_url: str) -> None:
     with subprocess.Popen([sys.executable, "-c", HOLD, empty_url], stdout=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None

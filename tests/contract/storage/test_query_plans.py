@@ -25,18 +25,7 @@ from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.storage import (
-    audits,
-    campaigns,
-    evaluations,
-    events,
-    leases,
-    lots,
-    processes,
-    results,
-    revision_queries,
-    studies,
-)
+from drivecal.storage import audits, campaigns, evaluations, events, leases, lots, processes, results, revision_queries, studies
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now

@@ -12,9 +12,7 @@ from tests.support.runs import nothing_matters, post_map, rows_of, run, submit
 
 from drivecal.campaigns import retention
 from drivecal.campaigns.results.verification import verify
-from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.retention import removal
@@ -48,24 +46,6 @@ def test_what_a_younger_campaign_needs_is_left_and_nothing_else(database: Databa
         assert connection.scalar(text("SELECT count(*) FROM reference_keys")) == 0
     third = run(database, submit(database, stored_map=stored, optimizer=SEARCH | {"seed": 3}))
     assert third.cells.reused > 0, "the keys are computed again"
-    assert [check for check in verify(database, full=True) if check.problems] == []
-
-
-@pytest.mark.slow("postgresql")
-def test_a_single_evaluation_goes_whole(database: Database) -> None:
-    specification = EvaluationSpecification.model_validate(
-        {"parameters": {f"P{number}": 0.5 for number in range(1, 12)}, "scenario": "S1"}
-    )
-    with database.transaction() as connection:
-        single = campaigns.insert(connection, name="one", kind="evaluation", spec=specification.model_dump(mode="json"))
-    run(database, single, ComputedBackend())
-    plan = retention.plan(database, now(), 10)
-    assert plan.doomed.cells == 1
-    retention.carry_out(database, plan, lambda *_: None)
-    with database.read() as connection:
-        assert [connection.scalar(text(f"SELECT count(*) FROM {name}")) for name in ("campaigns", "evaluations", "runs")] == [
-            0
-        ] * 3
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 

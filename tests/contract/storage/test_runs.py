@@ -127,9 +127,3 @@ def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(d
         assert stored.agrees
         assert runs.insert_results(connection, [odd])[0].agrees
         assert runs.metrics(connection, [stored.id]) == {stored.id: {"peak": None, "other": None}}
-
-
-def test_no_results_are_no_error(database: Database) -> None:
-    with database.transaction() as connection:
-        assert runs.insert_results(connection, []) == []
-        assert runs.look_up_exact(connection, 1, [], EVALUATOR, 10) == {}

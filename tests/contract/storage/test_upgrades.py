@@ -185,14 +185,6 @@ def test_a_reader_sees_the_old_revision_or_the_new_one(old: Database) -> None:
     assert set(moments) == {FIRST, SECOND}
 
 
-def test_an_upgrade_that_fails_leaves_the_old_revision(old: Database) -> None:
-    with old.transaction() as connection:
-        connection.execute(text("CREATE INDEX ix_runs_worker ON runs (worker)"))  # in the way of the last statement
-    with pytest.raises(Exception, match="ix_runs_worker"):
-        old.upgrade()
-    assert revision_of(old) == FIRST
-
-
 @pytest.mark.slow("postgresql")
 def test_a_backup_of_an_old_revision_is_restored_and_upgraded(old: Database, tmp_path: Path) -> None:
     before, file = rows_of(old), tmp_path / "backup.db"

@@ -157,7 +157,7 @@ def test_labels_name_the_settings_in_which_equal_kinds_differ() -> None:
     ]
     assert labels(settings, "kind") == ["genetic mutation=0.2", "swarm", "genetic"]
     assert labels([*settings, {"kind": "genetic", "mutation": 0.5, "start": "lhs"}], "kind") == [
-        *("genetic mutation=0.2", "swarm", "genetic", "genetic mutation=0.5"),
+        *("genetic mutation=0.2", "swarm", "genetic", "genetic mutation=0.5")
     ]
 
 

@@ -14,14 +14,7 @@ from drivecal.calibration_data.characteristics import Characteristic, Quality
 from drivecal.domain.errors import InvalidInputError
 
 QUALITY = Quality(
-    "calibrated",
-    "2026-11-21T10:00:00+00:00",
-    "my-acc",
-    "comfort",
-    "process",
-    "c" * 32,
-    "d" * 64,
-    (("score city", "6"),),
+    "calibrated", "2026-11-21T10:00:00+00:00", "my-acc", "comfort", "process", "c" * 32, "d" * 64, (("score city", "6"),)
 )
 words = st.text(string.ascii_letters + "äß<>&'_.", min_size=1, max_size=40)
 

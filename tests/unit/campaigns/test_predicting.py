@@ -1,8 +1,6 @@
 """When a predictor is asked, and in which batches."""
 
 import math
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from decimal import Decimal
@@ -32,7 +30,6 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor, Outcome
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT
-from drivecal.reduction.lots import cost_of_an_error
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
 from drivecal.storage import lots
 from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
@@ -95,12 +92,6 @@ def test_a_trained_predictor_is_asked_again_a_few_times_and_then_if_its_predicti
     assert pays([lot(26), *again], 1099, 100, PARAMETERS, TRAINING / 100) is expected
 
 
-def test_a_training_is_paid_by_all_the_batches_that_it_served() -> None:
-    served = [lot(26), *(just_paid(0.3 + SHARE_ASKED) for _ in range(4))]
-    assert pays(served, 1100, 100, PARAMETERS, TRAINING / 100)
-    assert not pays(served[:3], 1100, 100, PARAMETERS, TRAINING / 100)
-
-
 def test_a_predictor_that_is_trained_once_more_after_a_crash_is_judged_as_before() -> None:
     served = [just_paid(1 + 2 * SHARE_ASKED), lot(0, 0)]
     trained_again = [served[0], replace(served[1], seconds=60.0)]
@@ -127,42 +118,6 @@ def test_the_first_slice_that_others_follow_is_enough_to_predict_the_next(popula
     size = slice_size(population)
     assert FEWEST_KNOWN <= size <= 250
     assert -(-population // size) <= max(4, -(-population // 250))
-
-
-PROGRAM = """
-import sys
-import threading
-from decimal import Decimal
-from types import SimpleNamespace
-import numpy as np
-from drivecal.campaigns.cells.predicting import LotPlanner
-from drivecal.contracts.specification import ReductionSpecification
-from drivecal.domain.parameters import Parameter, ParameterSpace
-from drivecal.domain.scales import COMFORT
-
-
-class Loading:
-    began = threading.Event()
-
-    def find_spec(self, name, *_):
-        if name == "sklearn":
-            assert threading.current_thread() is not threading.main_thread(), "the first cells would wait until it is loaded"
-            self.began.set()
-
-
-sys.meta_path.insert(0, Loading())
-space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
-view = SimpleNamespace(names=("P1",), bench=SimpleNamespace(scale=COMFORT))
-planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
-planner.predict(dict(enumerate(space.parameter_sets(np.array([[0], [1]])))))
-assert not Loading.began.is_set()
-assert planner.plan(None, [], None, ()) == []
-assert Loading.began.wait(60.0)
-"""
-
-
-def test_scikit_learn_is_loaded_beside_the_first_slice() -> None:
-    subprocess.run([sys.executable, "-c", PROGRAM], check=True)  # this test itself
 
 
 def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
@@ -211,34 +166,6 @@ def test_seconds_of_a_forecast_without_a_cell_to_predict_are_those_of_the_next_l
     new = [replace(cell, plan=Outcome.SIMULATED, donor=None) for cell in repeated]
     planner.plan(NOTHING, new, 7.0, ())
     assert [lot.seconds for lot in stored] == [6.0]
-
-
-def test_bounds_of_new_lots_are_prepared_while_the_workers_simulate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lots, "insert", lambda _, __, new: list(range(len(new))))
-    space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
-    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
-    weights = {"S1": 0.5, "S2": 0.5}
-    planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), weights, 200)
-    cells = [
-        new_evaluation(StageName.CALIBRATION, 1, place, scenario, 1, place, Outcome.SIMULATED)
-        for place in range(97)
-        for scenario in weights
-    ]
-    predictions = Predictions(*(np.full(97, 5.0) for _ in fields(Predictions)))
-    planner._rows = {place: place for place in range(97)}
-    planner._forecasts = {
-        name: predicting._Forecast(predictions, (np.arange(97) >= right).astype(np.float64), 500, 3.0)
-        for name, right in (("S1", 97), ("S2", 60))
-    }
-    planned = planner.plan(NOTHING, cells, 7.0, ())
-    plans = {cell.lot: cell.scenario for cell in planned if cell.plan is Outcome.PREDICTED}
-    assert len(plans) == 2
-    cost_of_an_error.cache_clear()
-    weighed = []
-    for _ in range(3):
-        planner.weigh()
-        weighed.append(cost_of_an_error.cache_info().currsize)
-    assert 0 < weighed[0] < weighed[1] == weighed[2]
 
 
 def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:

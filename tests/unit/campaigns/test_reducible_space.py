@@ -26,11 +26,7 @@ MODES = ["eco", "sport", "winter", "tow"]
     influences, ranges, influences.map(lambda given: Influence(given.influential)), st.sets(st.sampled_from(MODES)), st.data()
 )
 def test_values_of_a_region_are_those_of_one_key(
-    influence: Influence,
-    limits: tuple[Decimal, Decimal] | None,
-    mode: Influence,
-    analysed: set[str],
-    data: st.DataObject,
+    influence: Influence, limits: tuple[Decimal, Decimal] | None, mode: Influence, analysed: set[str], data: st.DataObject
 ) -> None:
     space = ParameterSpace((Parameter.from_step("a", Decimal(0), Decimal(1), Decimal("0.05")), Parameter.choice("mode", MODES)))
     influence_map = InfluenceMap(

@@ -12,14 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.domain.parameters import (
-    BILLION,
-    Parameter,
-    ParameterSet,
-    ParameterSpace,
-    code,
-    from_billionths,
-)
+from drivecal.domain.parameters import BILLION, Parameter, ParameterSet, ParameterSpace, code, from_billionths
 from drivecal.domain.values import TEXTS
 
 LARGEST = 1_000_000 * BILLION

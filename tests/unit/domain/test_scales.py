@@ -23,13 +23,7 @@ def test_better_scores_have_a_higher_signed_value() -> None:
 
 
 def test_whole_scores_are_integers_and_others_stay_what_they_are() -> None:
-    assert [repr(plain(score)) for score in (6, 6.0, -0.0, 0.1 + 0.2, 1e300)] == [
-        "6",
-        "6",
-        "0",
-        repr(0.1 + 0.2),
-        "1e+300",
-    ]
+    assert [repr(plain(score)) for score in (6, 6.0, -0.0, 0.1 + 0.2, 1e300)] == ["6", "6", "0", repr(0.1 + 0.2), "1e+300"]
     assert (COMFORT.is_whole, COST.is_whole) == (True, False)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
-from tests.support.plant import TARGET, Plant, answers, cells, ids, send
+from tests.support.plant import TARGET, Plant, answers, cells, send
 from tests.support.setups import bare as setup
 
 from drivecal.domain.evaluations import Breakdown
@@ -69,31 +69,6 @@ def test_a_campaign_that_asked_for_nothing_for_a_while_does_not_make_up_for_it()
     plant.run(until=120.0)
     assert plant.given["lazy"] - before["lazy"] == pytest.approx(20.0, abs=3 * TARGET)
     assert plant.given["busy"] - before["busy"] == pytest.approx(20.0, abs=3 * TARGET)
-
-
-def test_a_follower_that_has_to_wait_for_itself_starts_level_too() -> None:
-    scheduler = Scheduler(BatchPolicy())
-    scheduler.meet(["w", "v"])
-    scheduler.add(Work(setup(), cells(100)), "old", 0)
-    for _ in range(50):
-        sent = scheduler.next_batch("w", idle=True)
-        assert sent is not None
-        scheduler.finished(sent.batch_id, answers(sent, 1.0))
-    scheduler.add(Work(setup("S2"), cells(1, first=1001)), "leads", 0)
-    while ids(sent := scheduler.next_batch("w", idle=True)) != [1001]:
-        assert sent is not None
-        scheduler.finished(sent.batch_id, answers(sent, 1.0))
-    assert sent is not None
-    scheduler.add(Work(setup("S2"), cells(1, 2001, [1001.0])), "follows", 0)
-    assert scheduler.drop(sent.batch_id, {1001}) is None
-    scheduler.add(Work(setup("S2"), cells(100, first=2002)), "follows", 0)
-    order = []
-    for _ in range(10):
-        sent = scheduler.next_batch("w", idle=True)
-        assert sent is not None
-        order.append(sent.batch.setup.scenario)
-        scheduler.finished(sent.batch_id, answers(sent, 1.0))
-    assert Counter(order) == {"S1": 5, "S2": 5}
 
 
 def test_a_campaign_whose_cells_hang_pays_for_the_time_that_they_take() -> None:

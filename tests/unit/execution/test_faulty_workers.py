@@ -7,14 +7,13 @@ from typing import Any
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
-from tests.support.pooled import TAGS, cells, drain
+from tests.support.pooled import cells, drain
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Batch, Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import PATIENCE_WITH_REFUSALS, SHARE_OF_REFUSALS, WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS
 from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 
@@ -61,20 +60,6 @@ def test_the_only_worker_is_replaced_once_before_its_exceptions_count() -> None:
     assert pool.trouble() is None
 
 
-def test_exceptions_at_the_only_worker_are_settled_while_others_keep_it_busy() -> None:
-    backend = FakeBackend(1)
-    pool = WorkPool(backend)
-    pool.submit(Work(setup(), cells([Behaviour.ERROR])), tag="a")
-    first, settled_after = 2, None
-    while settled_after is None:
-        assert first < 50_000, "the suspect starves"
-        if sum(pool.held(tag) for tag in TAGS) < 1000:
-            pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=first)), tag="b")
-            first += 1000
-        settled_after = next((backend.now for entry in pool.poll(1.0) if entry.tag == "a"), None)
-    assert settled_after < 120.0
-
-
 @pytest.mark.parametrize(("workers", "bad"), [(4, {1}), (4, {2, 3}), (4, {1, 2, 4}), (2, {2})])
 def test_bad_workers_cost_no_good_cell(workers: int, bad: set[int]) -> None:
     backend = FakeBackend(workers, bad=bad)
@@ -103,22 +88,6 @@ def test_a_campaign_of_errors_comes_to_its_end_and_costs_few_workers_and_words(c
     assert {(entry.result.breakdown, entry.attempts) for entry in completed} == {("error", WITNESSES)}
     assert len(backend.replaced) <= 8
     assert len(caplog.records) < 40
-
-
-def test_refusals_are_no_attempts_and_leave_the_work_to_those_who_can() -> None:
-    backend = FakeBackend(3, refusing={1: "it has no frenet", 3: "it has no frenet"})
-    pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(Work(setup(), cells([Behaviour.ERROR, *[Behaviour.WELL] * 99, Behaviour.CRASH])), tag="a")
-    completed = pool.poll(0.0)
-    while "2 workers refuse" not in (pool.trouble() or ""):
-        completed += pool.poll(0.01)
-    assert pool.trouble() == "2 workers refuse S1: it has no frenet"
-    completed += drain(pool)
-    assert sorted(entry.result.id for entry in completed) == list(range(1, 102))
-    failed = {entry.result.id: entry.attempts for entry in completed if entry.result.breakdown is not None}
-    assert failed == {1: WITNESSES, 101: ATTEMPTS}
-    assert {entry.worker.split(".")[0] for entry in completed} == {"worker-2"}
-    assert pool.trouble() is None
 
 
 def test_cells_that_every_worker_refuses_wait_until_one_is_mended(caplog: pytest.LogCaptureFixture) -> None:
@@ -190,32 +159,6 @@ def test_busy_workers_lose_little_time_with_setups_that_they_refuse() -> None:
     asked = [when for when, scenario, _ in backend.sizes if scenario == "S1" and when > begin + 60]
     assert 1 <= len(asked) <= 4
     assert asked[0] >= begin + 30 / SHARE_OF_REFUSALS - 60
-
-
-class Late(FakeBackend):
-    """Refuses S1 after a first result, which took long."""
-
-    def _end(self, worker: Any) -> list[Finished | Lost]:
-        batch = worker.queue[0][1]
-        events = super()._end(worker)
-        if batch.setup.scenario != "S1":
-            return events
-        [event] = [event for event in events if isinstance(event, Finished)]
-        return [replace(event, result=replace(event.result, seconds=60.0, refusal="no licence"))]
-
-
-def test_the_time_of_results_before_a_refusal_does_not_delay_the_next_try() -> None:
-    backend = Late(1, {"S2": 5.0})
-    pool = WorkPool(backend, clock=lambda: backend.now)
-    pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 1000, first=101)), tag="b")
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 50)), tag="a", priority=1)
-    while backend.now < 6 * PATIENCE_WITH_REFUSALS:
-        pool.poll(1.0)
-        assert backend.now < 20 or "no licence" in (pool.trouble() or ""), "the reason stays visible"
-    asked = [when for when, scenario, _ in backend.sizes if scenario == "S1"]
-    assert len(asked) >= 4
-    assert pool.held("a") <= 51 - len(asked), "each try brings a result"
-    assert backend.replaced == []
 
 
 def test_a_refusal_of_long_ago_does_not_replace_a_worker_at_another_one(caplog: pytest.LogCaptureFixture) -> None:

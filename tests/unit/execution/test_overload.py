@@ -131,35 +131,6 @@ def test_small_campaigns_shorten_no_batches_of_each_other() -> None:
     assert max(cells_of_batches(plant, "small")) == int(TARGET / COST["S2"])
 
 
-@pytest.mark.parametrize("workers", [2, 8])
-def test_ten_small_campaigns_at_a_time_lose_one_share_in_eleven_to_a_large_one(workers: int) -> None:
-    def seconds(*, with_large: bool) -> float:
-        plant = warm(workers, COST)
-        if with_large:
-            plant.add("large", "S1", cells(MANY * workers))
-            plant.run(until=plant.now + 10.0)
-        began = plant.now
-        tags = [f"small {number}" for number in range(10)]
-        for number, tag in enumerate(tags):
-            plant.add(tag, "S2", cells(SMALL, first=500_001 + 1_000 * number))
-        while any(plant.scheduler.held(tag) for tag in tags) and plant.step():
-            pass
-        return plant.now - began
-
-    assert seconds(with_large=True) <= 1.25 * seconds(with_large=False)  # a share in eleven, and what the last batches lose
-
-
-def test_a_campaign_of_fast_cells_gets_its_share_beside_one_whose_cells_take_ten_minutes() -> None:
-    cost = {"fast": 0.25, "slow": 600.0}
-    plant = warm(4, cost)
-    plant.add("slow", "slow", cells(200))
-    plant.add("fast", "fast", cells(4_000, first=100_001))
-    began, before = plant.now, Counter(plant.given)
-    plant.run(until=began + 6_000.0)
-    assert plant.scheduler.held("fast") == 0, "1,000 s of work on half of four workers"
-    assert plant.given["slow"] - before["slow"] > 6_000.0
-
-
 def test_a_newcomer_waits_for_one_slow_cell_at_most() -> None:
     cost = {"fast": 0.01, "slow": 600.0}
     plant = warm(4, cost)

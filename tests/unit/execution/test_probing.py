@@ -155,21 +155,6 @@ def test_a_running_campaign_waits_for_probes_that_break_at_all_workers_and_says_
     assert pool.trouble() is None
 
 
-def test_other_tools_end_a_campaign_some_time_after_they_are_first_seen() -> None:
-    backend = FakeBackend(tools={1: "2.0", 2: "2.0"}, refusing={1: "no licence", 2: "no licence"})
-    pool = pool_on(backend)
-    submit(pool, "1.0")
-    while backend.now < 3 * PATIENCE_WITH_ANSWERS:
-        pool.poll(1.0)
-    backend.refusing.clear()
-    begin = backend.now
-    while (reason := pool.hopeless("a")) is None:
-        assert backend.now < begin + 3 * PATIENCE_WITH_ANSWERS
-        pool.poll(1.0)
-    assert backend.now >= begin + PATIENCE_WITH_ANSWERS
-    assert "2.0" in reason
-
-
 @pytest.mark.parametrize(("workers", "nodes"), [(1, 1), (2, 1), (8, 1), (2, 2), (8, 3)])
 def test_a_problem_that_no_worker_can_run_is_hopeless_at_once(workers: int, nodes: int) -> None:
     places = range(1, workers + 1)

@@ -66,14 +66,7 @@ def test_a_cell_of_higher_priority_does_not_wait_for_the_priority_of_its_like() 
     assert [(done.tag, done.result.id) for done in finish(one, sent)] == [("high", 11), ("low", 3)]
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        setup("S2"),
-        setup("S1", evaluator="strict"),
-        setup("S1", fingerprint="another version"),
-    ],
-)
+@pytest.mark.parametrize("other", [setup("S2"), setup("S1", evaluator="strict"), setup("S1", fingerprint="another version")])
 def test_cells_of_other_setups_and_evaluators_are_not_identical(other: SetupRequest) -> None:
     one = scheduler()
     add(one, "a", 1, [1.0])

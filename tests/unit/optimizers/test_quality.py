@@ -58,9 +58,7 @@ def best_of(
 
 
 @pytest.mark.parametrize(
-    ("objective", "n_values"),
-    [(count_of_ones, ones), (distance, letters), (steps, highway)],
-    ids=["ones", "letters", "steps"],
+    ("objective", "n_values"), [(count_of_ones, ones), (distance, letters), (steps, highway)], ids=["ones", "letters", "steps"]
 )
 def test_it_beats_random_search_at_equally_many_requests(objective: Callable[[Indices], Floats], n_values: Indices) -> None:
     genetic = [best_of(GENETIC, objective, n_values, 20, seed) for seed in SEEDS]

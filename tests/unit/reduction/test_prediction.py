@@ -14,17 +14,7 @@ from drivecal.domain.parameter_sets import ParameterSet
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.reduction.forest import Forest
 from drivecal.reduction.lots import MOST_ACCEPTED, outgoing_errors, smallest_plan
-from drivecal.reduction.prediction import (
-    FINENESS,
-    ROOM,
-    Bools,
-    ConfidenceRecord,
-    FeatureSpace,
-    Floats,
-    ScenarioLearner,
-    choose_lot,
-    lot_sizes,
-)
+from drivecal.reduction.prediction import FINENESS, ROOM, ConfidenceRecord, FeatureSpace, Floats, choose_lot, lot_sizes
 
 GENERATOR = np.random.default_rng(3)
 SETS = GENERATOR.random((600, 4))
@@ -114,34 +104,6 @@ def test_a_tolerance_counts_neighbouring_scores() -> None:
     told = learned(tolerance=1.0).predict(SETS[400:])
     assert (np.abs(told.scores - SCORES[400:]) > 1.0).mean() < 0.05
     assert (told.confidence >= learned().predict(SETS[400:]).confidence - 1e-12).all()
-
-
-def test_left_out_errors_are_computed_once_for_each_training() -> None:
-    trained: list[Forest] = []
-    asked: list[Forest] = []
-
-    class Counted(Forest):
-        def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
-            trained.append(self)
-            super().fit(features, scores, ratings)
-
-        def known_errors(self) -> tuple[Floats, Bools]:
-            asked.append(self)
-            return super().known_errors()
-
-    learner = ScenarioLearner(lambda: Counted(0.0), 0.0)
-    for known in (slice(0, 200), slice(200, 210), slice(210, 400)):
-        learner.learn(SETS[known], SCORES[known], RATINGS[known])
-        for _ in range(2):
-            assert learner.predict(SETS[400:]) is not None
-    assert len(trained) == 2
-    assert asked == trained
-    fresh = ScenarioLearner(lambda: Forest(0.0), 0.0)
-    fresh.learn(SETS[:400], SCORES[:400], RATINGS[:400])
-    predicted, same = learner.predict(SETS[400:]), fresh.predict(SETS[400:])
-    assert predicted is not None
-    assert same is not None
-    assert predicted[1].tobytes() == same[1].tobytes()
 
 
 def test_a_single_known_score_is_predicted_everywhere() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from tests.support.scales import COST
 
 from drivecal.domain.scales import COMFORT
@@ -36,14 +35,6 @@ def test_it_is_right_more_often_than_the_mean_and_knows_when() -> None:
     certain = told.confidence > np.median(told.confidence)
     assert wrong[certain].mean() < wrong[~certain].mean()
     assert told.ratings.tolist() == told.scores.tolist()
-
-
-def test_left_out_errors_predict_the_errors_of_new_sets() -> None:
-    forest = learned()
-    confidence, left_out = forest.known_errors()
-    wrong = np.abs(forest.predict(SETS[400:]).scores - COSTS[400:]) > COST.tolerance
-    assert left_out.mean() == pytest.approx(wrong.mean(), abs=0.1)
-    assert ((confidence >= 0) & (confidence <= 1)).all()
 
 
 def test_failures_beyond_a_cliff_move_no_prediction_before_it() -> None:

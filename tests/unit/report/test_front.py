@@ -54,10 +54,7 @@ def test_under_weights_the_first_sets_are_shown() -> None:
     assert [kept.rank for kept in shown_of_front(weighted, 5)] == [1, 2, 3, KNEE, SIZE]
 
 
-@given(
-    st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=25),
-    st.integers(1, 30),
-)
+@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), max_size=25), st.integers(1, 30))
 def test_as_many_different_sets_as_asked_for_are_shown(points: list[tuple[float, float]], limit: int) -> None:
     rows = [
         row(rank).model_copy(update={"objectives": {"a": a, "b": b}, "knee": False, "best_in": []})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
@@ -71,13 +69,6 @@ def test_predicted_cells_are_drawn_among_those_without_a_simulation() -> None:
     assert list(tops)[-3:] == ["cells.predicted", "cells.repeated", "cells.reused"]
     np.testing.assert_allclose(tops["cells.predicted"], [45, 70])
     assert "100 requested cells, 50.0% answered without a simulation" in svg(figure, "test")
-
-
-def test_what_never_occurred_is_not_in_the_legend() -> None:
-    labels = re.findall(
-        r">([a-z ]+): [0-9,]+ \([0-9.]+%\)</text>", svg(cells_figure([generation(0, reused=0, requested=30)]), "test")
-    )
-    assert labels == ["repeated", "failed", "simulated as an audit", "simulated"]
 
 
 def test_areas_differ_in_more_than_colour() -> None:

@@ -163,20 +163,6 @@ def test_the_baseline_of_every_objective_is_shown() -> None:
     assert "jerk 4.5 5 +0.5" in text
 
 
-def test_each_set_has_its_own_light() -> None:
-    green = ResultTrust(light="green", verdicts=[verdict("better_than_baseline", "green", gain=1.0)])
-    text = text_of(sheet(review(compromise(), compromise(rank=2, trust=green))))
-    assert "Light of A: amber." in text
-    assert "Light of B: green." in text
-
-
-def test_a_bound_that_excludes_nothing_is_no_number() -> None:
-    released = {"S2": Released(lots=4, rejected=0, predicted=9, sampled=1, different=0, limit=0.05, upper_95=1.0)}
-    known = reviewed()
-    text = text_of(sheet(review(with_campaign(known, released=released))))
-    assert "S2 0 4 0 9 1 0 5.0% no bound" in text
-
-
 def test_a_score_that_another_campaign_simulated_later_names_its_cell() -> None:
     cells = {"S1": ScoreOrigin(11, "simulated"), "S2": ScoreOrigin(2031, "later", "d" * 32)}
     page = text_of(sheet(review(reviewed(cells=cells))))

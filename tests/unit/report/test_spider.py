@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from itertools import combinations
 from xml.etree import ElementTree as ET
@@ -127,15 +126,6 @@ def test_no_text_covers_another_and_none_leaves_the_page(figure: Figure) -> None
         assert page.y0 <= box.y0 <= box.y1 <= page.y1, text
     for (one, first), (other, second) in combinations(boxes, 2):
         assert not first.overlaps(second), (one, other)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 40, 200])
-def test_any_number_of_parameters_can_be_drawn_without_their_axes_touching(count: int) -> None:
-    figure = scenario_figure([row("S1", f"P{number}") for number in range(count)])
-    bars = corners(figure, r"S1\.P[0-9]+\.range")
-    assert len(bars) == count
-    width = math.dist(bars[0, 0], bars[0, 3])
-    assert width * count < 2 * math.pi * HUB
 
 
 def test_the_same_data_give_the_same_bytes() -> None:

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from tests.unit.sensitivity.synthetic import Box, Score, drive, space_of, staircase
+from tests.unit.sensitivity.synthetic import Box, drive, space_of, staircase
 
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import ParameterSpace
@@ -55,16 +55,3 @@ def test_boxes_of_eleven_parameters_in_three_scenarios_are_found(
     drive(analysis, {scenario: staircase(SPACE, box) for scenario, box in BOXES.items()})
     found = analysis.influence_map().scenarios
     assert misses({scenario: dict(listed) for scenario, listed in found.items()}, SPACE) == []
-
-
-def test_runs_that_fail_now_and_then_cost_effects_and_not_the_answer() -> None:
-    def patchy(scenario: str) -> Score:
-        score = staircase(SPACE, BOXES[scenario])
-        return lambda points: np.where(points.sum(axis=1) % 17 == 0, np.nan, score(points))
-
-    analysis = SensitivityAnalysis(SPACE, list(BOXES), SensitivitySettings("lines", INTERVALS, 25, "auto", 1))
-    drive(analysis, {scenario: patchy(scenario) for scenario in BOXES})
-    found = analysis.influence_map().scenarios
-    assert misses({scenario: dict(listed) for scenario, listed in found.items()}, SPACE) == []
-    effects = [one.overall.measures.n_effects for one in analysis.result()["S1"].parameters.values() if one.overall]
-    assert all(15 <= count < 25 for count in effects)
