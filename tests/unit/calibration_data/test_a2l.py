@@ -172,7 +172,9 @@ def test_an_enumeration_that_no_texts_describe_concerns_its_own_characteristic_o
     assert all(problem.remedy for problem in refused.value.problems)
 
 
-TOKENS = [*'/begin /end PROJECT CHARACTERISTIC VALUE "" " 0 nan 1e999 /* */ COMPU_METHOD LINEAR'.split(), "\n"]
+TOKENS = [
+    "/begin", "/end", "PROJECT", "CHARACTERISTIC", "VALUE", '""', '"', "0", "nan", "1e999", "/*", "*/", "COMPU_METHOD", "LINEAR", "\n",
+]  # fmt: skip
 
 
 @given(st.lists(st.sampled_from(TOKENS), max_size=60).map(" ".join))
