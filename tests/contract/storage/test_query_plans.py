@@ -25,13 +25,11 @@ from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.events import EventKind
-from drivecal.storage import audits, campaigns, evaluations, events, leases, lots, processes, results, revision_queries, studies
+from drivecal.storage import audits, campaigns, evaluations, events, leases, lots, results, revision_queries, studies
 from drivecal.storage.engine.bulk import LARGEST_IN
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell
-from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.statistics import Tally
 from drivecal.storage.references import parameter_sets, reference_keys, runs
 from drivecal.storage.references.reference_keys import Integers
 from drivecal.storage.retention import deletion
@@ -332,17 +330,3 @@ def test_events_are_read_and_forgotten_by_their_indexes(database: Database) -> N
             assert scanned(plan) == set(), plan
             assert index in plan, plan
             assert "TEMP B-TREE" not in plan
-
-
-@pytest.mark.slow("postgresql")
-def test_the_statistics_read_open_and_new_campaigns_only(filled: Database) -> None:
-    with filled.transaction() as connection:
-        for number in range(1500):
-            campaign(connection, str(number))
-        connection.execute(text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE sequence < 1490"))
-        connection.execute(text("INSERT INTO campaign_stages SELECT sequence, 2, '{}' FROM campaigns"))
-        processes.elect(connection, processes.DISPATCHER, 1, now())
-    gather_statistics(filled)
-    with filled.read() as connection:
-        plan = plans(connection, lambda one: statistics.read(one, Tally(settled=1495, open=tuple(range(1490, 1496)))))
-    assert scanned(plan) <= {"leases", "processes"}, plan

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.support.classified import classified
 from tests.support.effort import examples
 
-from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design
+from drivecal.analysis.validation import MOST_EXACT, Differences, _kept, coverage, design, generator
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
@@ -120,3 +120,17 @@ def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed
     settings = GeneticSettings(population=50, seed=seed)
     start = GENETIC.create(settings, np.full(4, 100)).ask().population
     assert not {tuple(base) for base in drawn.bases.tolist()} & {tuple(individual) for individual in start.tolist()}
+
+
+SEEDS = (0, 1, 2, 2**32, 2**63 - 1)
+
+
+def first(drawing: np.random.Generator) -> int:
+    return int(drawing.integers(2**63))
+
+
+def test_no_two_streams_begin_alike() -> None:
+    keyed = [first(generator(name, seed, *key)) for name, seed, key in product(("a", "b"), SEEDS, ((), (0,), (1,), (0, 0)))]
+    plain = [first(np.random.Generator(np.random.PCG64(seed))) for seed in SEEDS]
+    assert len({*keyed, *plain}) == len(keyed) + len(plain)
+    assert first(generator("a", 1, 0)) == keyed[5]

@@ -77,21 +77,6 @@ def test_another_reader_has_the_same_scalars_of_a_public_file() -> None:
     assert (len(read.characteristics), sorted(read.skipped)) == (2, sorted(others))
 
 
-@pytest.mark.parametrize("share", range(1, 20))
-def test_a_part_of_a_public_file_is_refused_or_ends_between_two_blocks(share: int) -> None:
-    whole = PUBLIC.read_bytes()
-    part = whole[: len(whole) * share // 20]
-    try:
-        read = dcm.read(part, PUBLIC.name)
-    except InvalidInputError as refused:
-        (problem,) = refused.problems
-        assert problem.field.startswith("DEMO.DCM, line ")
-        assert problem.remedy
-    else:
-        assert part.rstrip().endswith(b"END")
-        assert len(read.characteristics) <= 2
-
-
 def test_other_kinds_are_listed_and_left_out() -> None:
     text = """* made by hand
 KONSERVIERUNG_FORMAT 2.0

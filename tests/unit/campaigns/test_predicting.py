@@ -1,8 +1,7 @@
 """When a predictor is asked, and in which batches."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from decimal import Decimal
 from types import SimpleNamespace
 from typing import Any
@@ -27,12 +26,12 @@ from drivecal.campaigns.cells.predicting import (
 )
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.evaluations import Donor, Outcome
+from drivecal.domain.evaluations import Outcome
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT
 from drivecal.reduction.prediction import FEWEST_KNOWN, Predictions
 from drivecal.storage import lots
-from drivecal.storage.lots import LotVerdict, NewLot, StoredLot
+from drivecal.storage.lots import LotVerdict, StoredLot
 
 NOTHING: Any = None
 
@@ -140,32 +139,6 @@ def test_rejected_lots_and_lots_without_a_verdict_release_nothing() -> None:
     assert released.seconds == 4.0
     assert released.upper_95 is not None
     assert 0.0 < released.upper_95 <= 1.0
-
-
-def test_seconds_of_a_forecast_without_a_cell_to_predict_are_those_of_the_next_lot(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The start population of a rerun is known, and the predictors are trained all the same."""
-    stored: list[NewLot] = []
-
-    def insert(_: object, __: int, new: Sequence[NewLot]) -> list[int]:
-        stored.extend(new)
-        return list(range(len(new)))
-
-    monkeypatch.setattr(lots, "insert", insert)
-    space = ParameterSpace((Parameter("P1", Decimal(0), Decimal(1), 11),))
-    view: Any = SimpleNamespace(names=("P1",), campaign=1, bench=SimpleNamespace(scale=COMFORT))
-    planner = LotPlanner(view, space, ReductionSpecification(mode="predicted"), {"S1": 1.0}, 200)
-    known = Donor(1, 1, 5.0, 5.0, None)
-    repeated = [
-        new_evaluation(StageName.CALIBRATION, 0, place, "S1", 1, place, Outcome.REPEATED, donor=known) for place in (0, 1)
-    ]
-    predictions = Predictions(*(np.array([5.0, 5.0]) for _ in fields(Predictions)))
-    planner._rows = {0: 0, 1: 1}
-    planner._forecasts = {"S1": predicting._Forecast(predictions, np.array([0.0, 0.0]), 500, 3.0)}
-    assert planner.plan(NOTHING, repeated, None, ()) == repeated
-    assert stored == []
-    new = [replace(cell, plan=Outcome.SIMULATED, donor=None) for cell in repeated]
-    planner.plan(NOTHING, new, 7.0, ())
-    assert [lot.seconds for lot in stored] == [6.0]
 
 
 def test_sets_within_reach_of_the_best_one_are_simulated_whole(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,17 +1,21 @@
-"""The regions of a validation are those of the reference keys, without a table of a continuous parameter's values."""
+"""Validations: regions are those of the reference keys, and histograms are limited, and wrong where R_err says so."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from decimal import Decimal
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.support.scales import COST
 
 from drivecal.analysis.validation import design
-from drivecal.campaigns.stages.validation import reducible_space
+from drivecal.campaigns.stages.validation import compared, reducible_space
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSpace
+from drivecal.domain.scales import COMFORT, Scale
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 
 BOUNDS = [None, *(Decimal(value) for value in ("-1", "0", "0.25", "0.5", "0.75", "0.9", "2"))]
@@ -66,3 +70,27 @@ def test_constraints_without_a_feasible_base_leave_nothing_to_validate() -> None
     space = ParameterSpace((Parameter.from_step("a", Decimal(0), Decimal(1), None),))
     reducible = reducible_space(InfluenceMap({"S1": {"a": Influence(influential=False)}}), "S1", space)
     assert design(reducible, 5, 2, 1, 10, feasible=lambda points: np.zeros(len(points), dtype=np.bool_)) is None
+
+
+SCALES = [COMFORT, COST, *(replace(COST, tolerance=tolerance) for tolerance in (0.0, 1e-9, 0.3, 0.5, 3.0, 70.0))]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_bar_is_wrong_exactly_if_its_differences_are(scale: Scale) -> None:
+    drawn = np.random.default_rng(3).uniform(-2, 2, 2_000) * scale.span
+    near = np.array([-1, 1])[:, None] * (scale.tolerance + np.array([-1e-3, -1e-12, 0, 1e-12, 1e-5, 1e-3]) * scale.span)
+    differences = np.concatenate([drawn, near.ravel(), [0.0]])
+    if scale.step is not None:
+        differences = np.rint(differences)
+    row = compared(differences, scale)
+    bars = {int(number): count for number, count in row["histogram"].items()}
+    assert sum(bars.values()) == row["compared"]
+    assert sum(count for number, count in bars.items() if scale.is_wrong(number * row["histogram_step"])) == row["wrong"]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_differences_beyond_the_span_share_a_bar(scale: Scale) -> None:
+    row = compared(np.array([-1e300, -1e15, 0.0, 3 * scale.span + 9 * scale.tolerance, 1e18, np.inf]), scale)
+    last = scale.last_bar + 1
+    assert row["histogram"] == {str(-last): 2, "0": 1, str(last): 3}
+    assert last <= 101

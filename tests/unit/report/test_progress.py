@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import StepPatch
@@ -69,12 +68,3 @@ def test_predicted_cells_are_drawn_among_those_without_a_simulation() -> None:
     assert list(tops)[-3:] == ["cells.predicted", "cells.repeated", "cells.reused"]
     np.testing.assert_allclose(tops["cells.predicted"], [45, 70])
     assert "100 requested cells, 50.0% answered without a simulation" in svg(figure, "test")
-
-
-def test_areas_differ_in_more_than_colour() -> None:
-    marks = [
-        (to_rgb(part.get_facecolor()), part.get_hatch()) for part in areas(cells_figure([generation(0, predicted=3)])).values()
-    ]
-    bright = [0.299 * r + 0.587 * g + 0.114 * b for (r, g, b), hatch in marks if not hatch]
-    assert len({hatch for _, hatch in marks if hatch}) + len(bright) == len(marks)
-    assert min(abs(one - other) for i, one in enumerate(bright) for other in bright[:i]) > 0.1

@@ -49,12 +49,6 @@ def test_more_influence_never_cuts_more(influential: list[bool], data: st.DataOb
 
 
 @given(flags)
-def test_cutting_a_mirrored_parameter_cuts_the_mirrored_values(influential: list[bool]) -> None:
-    edges = [3 * number for number in range(len(influential) + 1)]
-    assert cut_values(influential[::-1], edges) == {edges[-1] - value for value in cut_values(influential, edges)}
-
-
-@given(flags)
 def test_no_value_of_an_influential_interval_is_cut(influential: list[bool]) -> None:
     edges = [3 * number for number in range(len(influential) + 1)]
     kept = {value for number, one in enumerate(influential) if one for value in range(edges[number], edges[number + 1] + 1)}
