@@ -46,15 +46,10 @@ class Data:
 
     def campaign(self) -> Campaign:
         return Campaign(
-            id="0" * 32,
-            name="acc",
-            state="succeeded",
-            scale=DISCOMFORT,
-            objective=self.objective,
+            id="0" * 32, name="acc", state="succeeded", scale=DISCOMFORT, objective=self.objective,
             baseline=Baseline(objective=8.5, parameters=BASELINE, scores=SCORES[None][1]),
-            error_rate={"brake": ErrorRate(upper_95=0.01)},
-            spec={"problem": "acc"},
-        )
+            error_rate={"brake": ErrorRate(upper_95=0.01)}, spec={"problem": "acc"},
+        )  # fmt: skip
 
     def results(self) -> CampaignResults:
         worst = ResultVerdict(code="failed", question="scores", light=self.light or "green", text="Worst.")
@@ -111,22 +106,10 @@ class Data:
 
     def front(self, weights: Weights) -> FrontRow:
         return FrontRow(
-            rank=1,
-            objectives={"discomfort": 3.0, "jerk": 0.5},
-            weighted=None if weights is None else 0.75,
-            violation=0.0,
-            knee=True,
-            best_in=["discomfort"],
-            wins=0.6,
-            weights=None,
-            alternatives=1,
-            degree=7,
-            scores=SCORES[None][0],
-            reused=[],
-            parameters=BEST,
-            iteration=0,
-            individual=0,
-        )
+            rank=1, objectives={"discomfort": 3.0, "jerk": 0.5}, weighted=None if weights is None else 0.75, violation=0.0,
+            knee=True, best_in=["discomfort"], wins=0.6, weights=None, alternatives=1, degree=7, scores=SCORES[None][0],
+            reused=[], parameters=BEST, iteration=0, individual=0,
+        )  # fmt: skip
 
     def front_summary(self) -> FrontSummary:
         common = {"scenarios": {"follow": 0.5, "brake": 0.5}, "tolerance": 0.0, "reference": 20.0, "best": 1.0, "worst": 2.0}

@@ -28,16 +28,6 @@ def test_a_lower_priority_gets_nothing_while_a_higher_one_waits() -> None:
     assert order == sorted(order, key=["high", "middle", "low"].index)
 
 
-def test_cells_at_workers_are_not_taken_back_for_a_higher_priority() -> None:
-    plant = Plant(1)
-    plant.add("low", "S1", cells(20))
-    plant.fill()
-    plant.add("high", "S1", cells(20, first=101), priority=1)
-    plant.run()
-    assert [tag for tag, _, _ in plant.order][:3] == ["low", "low", "high"]
-    assert len(plant.completed) == 40
-
-
 def test_campaigns_of_equal_priority_share_the_workers_time_and_not_their_batches() -> None:
     plant = Plant(2, {"cheap": 0.02, "dear": 3.8})
     plant.add("a", "cheap", cells(5000))

@@ -85,13 +85,6 @@ def test_given_sets_leave_a_choice_whole_unless_they_agree() -> None:
     assert [(cut.choice, cut.removed_values) for cut in held] == [(SPACE.searched[0].choices[2], 3)]
 
 
-def test_a_continuous_area_is_narrowed_by_its_bounds_exactly() -> None:
-    bounds = Influence(influential=True, lower=Decimal("0.250000001"), upper=Decimal("0.5"))
-    area = common_area(SPACE, InfluenceMap({"S1": {"P": bounds}}), ["S1"], np.empty((0, 2), dtype=np.int64))
-    assert (int(area.first[1]), int(area.last[1])) == (250_000_001, 500_000_000)
-    assert area.contract(area.expand(np.array([[2, 17]]))).tolist() == [[2, 17]]
-
-
 def test_features_and_places_are_positions_in_the_campaigns_list() -> None:
     sets = [made("eco", "0.25"), made("tow", "1"), ParameterSet.of({"P": Decimal(0), "mode": "winter"})]
     expected = [[0.0, 0.25], [1.0, 1.0], [2 / 3, 0.0]]

@@ -129,20 +129,9 @@ def test_of_values_outside_its_space_the_map_says_nothing() -> None:
 def test_each_reason_is_a_sentence_that_names_the_stored_evaluation(reason: Reason, deleted: bool) -> None:
     donor = Reference(evaluation=17, campaign="c", stage="calibration", iteration=2, individual=5, score=4, failure=None)
     explanation = Explanation(
-        evaluation=99,
-        campaign="c",
-        stage="calibration",
-        iteration=3,
-        individual=0,
-        scenario="S1",
-        outcome="simulated",
-        score=4,
-        failure=None,
-        reason=reason,
-        sentence="",
-        reference=None if deleted else donor,
-        stored=3,
-    )
+        evaluation=99, campaign="c", stage="calibration", iteration=3, individual=0, scenario="S1", outcome="simulated",
+        score=4, failure=None, reason=reason, sentence="", reference=None if deleted else donor, stored=3,
+    )  # fmt: skip
     text = sentence(explanation)
     assert text.endswith(".")
     assert ("evaluation 17" in text) == (not deleted and reason in {"repeated", "reused", "checked", "simulated"})

@@ -50,14 +50,9 @@ def front_row(rank: int, comfort: float, jerk: float, **given: Any) -> FrontRow:
 def robust(parameters: dict[str, Any]) -> StudyResult:
     settings = {"delta": 0.01, "samples": 30, "condition": "max", "eta": 1.0}
     study = Study(
-        campaign="c" * 32,
-        name="study",
-        stage="robustness",
-        state="succeeded",
-        settings=settings,
-        vehicle="hybrid",
+        campaign="c" * 32, name="study", stage="robustness", state="succeeded", settings=settings, vehicle="hybrid",
         ended_at=None,
-    )
+    )  # fmt: skip
     trial = BoxTrial(box=1, radius=0.01, holds=True, deviations={"S1": 0.0, "S2": 0.5})
     row = RobustnessRow(
         rank=1, objective=5.7, rating=5.7, degree=7, at_least=False, radius=0.07, recommended=True, reason="the largest degree", region=1,
@@ -70,15 +65,9 @@ def reviewed(identifier: str = "a" * 32, **given: Any) -> ReviewedSet:
     baseline = Baseline(objective=4.75, parameters={"P1": -1.0, "P2": 1.0, "P3": 4.0}, scores={"S1": 5, "S2": 4})
     released = {"S2": Released(lots=4, rejected=1, predicted=90, sampled=30, different=2, limit=0.05, upper_95=0.034)}
     solution = Solution(
-        rank=1,
-        objective=5.75,
-        rating=5.7,
-        scores={"S1": 6, "S2": 5},
-        reused=["S2"],
-        parameters=CHOSEN,
-        iteration=1,
+        rank=1, objective=5.75, rating=5.7, scores={"S1": 6, "S2": 5}, reused=["S2"], parameters=CHOSEN, iteration=1,
         individual=3,
-    )
+    )  # fmt: skip
     known: dict[str, Any] = {
         "campaign": CAMPAIGN.model_copy(update={"id": identifier, "baseline": baseline, "released": released}),
         "accounting": None,

@@ -107,11 +107,6 @@ def test_with_equal_steps_auto_tolerates_exactly_so_many_changes_of_one_point(n:
     assert is_influential(effects_of_changes([1] * (tolerated + 1), n, step), step)
 
 
-@given(st.integers(2, 137), st.floats(0.001, 1))
-def test_with_equal_steps_a_single_change_of_two_points_is_influential(n: int, step: float) -> None:
-    assert is_influential(effects_of_changes([2], n, step), step)
-
-
 @given(st.lists(st.floats(0.01, 1), min_size=2, max_size=40).map(np.array), st.floats(0.01, 1))
 def test_the_automatic_threshold_scales_with_the_box_and_does_not_know_the_direction_of_steps(
     steps: Floats, width: float
