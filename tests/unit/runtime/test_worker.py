@@ -210,3 +210,9 @@ def test_a_worker_is_ready_once_it_has_simulated_a_cell() -> None:
     ):
         with pytest.raises(UnavailableError, match=named):
             Worker("w").warm(trial)
+
+
+def test_a_worker_without_the_problem_s_files_refuses_its_cells() -> None:
+    result = Worker("w", lambda *_: ScriptedRunner()).run(Batch(replace(SETUP, bundle="0" * 64), (Cell(1, MIDDLE),)))
+    assert "are not on this machine" in (result.refusal or "")
+    assert not result.results

@@ -144,8 +144,11 @@ class Worker:
     def _runner(self, setup: SetupRequest) -> Runner:
         key = setup.key
         if key not in self._runners:
-            with self._bundles.files(setup.bundle) as folder:
-                self._runners[key] = self._make(setup, folder)
+            try:
+                with self._bundles.files(setup.bundle) as folder:
+                    self._runners[key] = self._make(setup, folder)
+            except UnavailableError as error:  # the cells are not to blame for missing files
+                raise RefusedError(str(error)) from error
             if len(self._runners) > MOST_RUNNERS:
                 self._runners.popitem(last=False)
         self._runners.move_to_end(key)
