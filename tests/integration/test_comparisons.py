@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from sqlalchemy import select, update
 from tests.support.comparisons import finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
-from tests.support.runs import dispatcher, everything, nothing_matters, post_map, run, submit
+from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, nothing_matters, post_map, run, submit
 
 from drivecal.campaigns import comparison
 from drivecal.campaigns.comparison import CONFIRMED
@@ -240,3 +241,37 @@ def test_any_campaigns_with_a_common_tag_are_compared(database: Database) -> Non
     assert [(run.campaign, run.optimizer) for run in answer.runs] == [(tagged[0].id, "random"), (tagged[1].id, "swarm")]
     with pytest.raises(NotFoundError):
         read_comparison(database, "yours")
+
+
+def test_the_first_objective_has_its_own_direction(database: Database) -> None:
+    objectives = [{"measure": "offset_rms_m", "direction": "minimise"}]
+    optimizer = {"kind": "random", "population": 6, "iterations": 2}
+    for seed in (1, 2):
+        submit(database, objectives=objectives, optimizer=optimizer | {"seed": seed}, reduction={"mode": "exact"})
+    with database.transaction() as connection:
+        connection.execute(update(tables.campaigns).values(tags=["mine"]))
+    measured = ComputedBackend(answer=lambda scenario, cell: _with_offset(computed(scenario, cell)))
+    answer = finish_comparison(database, "mine", measured)
+    best = [run.best for run in answer.runs if run.best is not None]
+    assert (answer.direction, answer.groups[0].best, answer.groups[0].minimum) == ("minimise", min(best), max(best))
+    assert [run.success for run in answer.runs] == [value == min(best) for value in best]
+    assert best[0] != best[1]
+
+
+def _with_offset(result: CellResult) -> CellResult:
+    return replace(result, failure=None, metrics={"offset_rms_m": result.metrics["rating"]})
+
+
+def test_a_confirmed_campaign_has_the_optimum_of_its_objective(database: Database) -> None:
+    stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
+    objectives = [{"score": "comfort", "aggregate": "min"}]
+    optimizer = {"kind": "genetic", "population": 9, "iterations": 3}
+    submitted = submit(database, stored_map=stored_map, objectives=objectives, optimizer=optimizer, parameters=EXPERT_SPACE)
+    with database.transaction() as connection:
+        connection.execute(update(tables.campaigns).values(tags=["mine"]))
+    [compared_run] = finish_comparison(database, "mine").runs
+    campaign = get(database, submitted)
+    assert campaign.best is not None
+    assert campaign.best.objective == min(campaign.best.scores.values())
+    assert campaign.confirmation is not None
+    assert compared_run.simulated_best == campaign.best.objective

@@ -17,7 +17,7 @@ from drivecal.analysis import comparison as analysis
 from drivecal.analysis.comparison import Conditions, Course
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.campaigns.resolve.workbench import BundleSource, installed_bundles
 from drivecal.contracts.campaign import OutcomeCounts
 from drivecal.contracts.comparison import LARGEST_RUNS, ComparedOptimizer, ComparedRun, Comparison, ComparisonSpecification
@@ -201,7 +201,7 @@ def compared(connection: Connection, tag: str) -> Comparison:
     courses = [
         _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
     ]
-    sign = next((resolved_spec(campaign).scale.sign for campaign in stored if campaign.resolution is not None), 1)
+    sign = next((_sign(resolved_spec(campaign)) for campaign in stored if campaign.resolution is not None), 1)
     best = analysis.best_of_all(courses, sign)
     pairs = analysis.pairs(courses)
     return Comparison(
@@ -251,10 +251,19 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
 
 
 def _best_simulated(connection: Connection, campaign: StoredCampaign) -> float | None:
-    """See `results.best_simulated`. Looks up an ended campaign only once: clients that follow a comparison ask every few seconds."""
+    """See `results.best_simulated`; with objectives or constraints, the best set's if its scores are its own.
+
+    Looks up an ended campaign only once: clients that follow a comparison ask every few seconds.
+    """
     if campaign.id in _ended:
         return _ended[campaign.id]
     resolved = resolved_spec(campaign)
+    if resolved.goals is not None:
+        tried = not campaign.cells.reused or campaign.spec["reduction"]["confirm"] > 0
+        own = campaign.state is CampaignState.SUCCEEDED and tried
+        if campaign.confirmation is not None:
+            own = campaign.confirmation.state != "unconfirmed"
+        return campaign.best.objective if own and campaign.best is not None else None
     best = results.best_simulated(connection, campaign.sequence, resolved.weights, resolved.scale.sign)
     if campaign.state.ended:
         _ended[campaign.id] = best
@@ -265,6 +274,11 @@ def _best_simulated(connection: Connection, campaign: StoredCampaign) -> float |
 
 _ended: dict[str, float | None] = {}
 """Best simulated objectives of ended campaigns, by their unique ids."""
+
+
+def _sign(resolved: ResolvedSpec) -> int:
+    """Returns 1 if more of what `best` holds is better, else -1: of the first objective, or of the score."""
+    return resolved.scale.sign if resolved.goals is None else resolved.goals.objectives[0].sign
 
 
 def _needed(cells: OutcomeCounts) -> int:
