@@ -151,7 +151,7 @@ def test_what_cannot_be_driven_again_says_why(api: RunningApi, monkeypatch: pyte
     monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "another")
     answer = ask(api, other)
     assert answer.status_code == 409
-    assert "driving_function_version" in answer.json()["detail"]
+    assert "another controller than" in answer.json()["detail"]
 
 
 def test_traces_are_forgotten_after_a_while_and_made_anew(api: RunningApi) -> None:

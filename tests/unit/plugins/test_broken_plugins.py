@@ -26,7 +26,8 @@ import json
 from drivecal.api.routes import inventory
 from drivecal.plugins import registry
 from drivecal.domain.errors import InvalidInputError
-scenarios, spaces = inventory.scenarios(None), inventory.parameters(None)
+NO_DATABASE = None  # without a `problem` none is asked
+scenarios, spaces = inventory.scenarios(NO_DATABASE), inventory.parameters(NO_DATABASE)
 def refusal(find):
     try:
         find()
@@ -37,7 +38,7 @@ print(json.dumps({
     "functions": sorted({space.driving_function for space in spaces.items}),
     "broken": [[plugin.group, plugin.name, plugin.package, plugin.error] for plugin in [*scenarios.broken, *spaces.broken]],
     "all": [str(plugin) for plugin in registry.broken()],
-    "one": inventory.scenario("S1").catalogue,
+    "one": inventory.scenario("S1", NO_DATABASE).catalogue,
     "named": refusal(lambda: registry.catalogue("theirs")),
 }))
 """
@@ -46,7 +47,7 @@ import json
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.resolvers import find_scenarios
 diagnostics = Diagnostics()
-find_scenarios(["S2", "S1"], diagnostics)
+find_scenarios(["S2", "S1"], ["S2", "S1"], diagnostics)
 print(json.dumps([[problem.field, problem.message] for problem in diagnostics.problems]))
 """
 
