@@ -33,7 +33,7 @@ def test_every_field_of_a_campaign_is_there_and_those_that_are_commented_out_hav
         ("robustness", RobustnessSpecification),
         ("validation", ValidationSpecification),
     ):
-        assert set(given[name]) == set(model.model_fields) - {"certified"}  # without effect
+        assert set(given[name]) == set(model.model_fields)
         assert getattr(whole, name) == model()
 
 

@@ -207,7 +207,6 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     ("changes", "field", "words"),
     [
         ({"optimizer": None, "robustness": ROBUST}, "robustness", "there are no solutions to examine"),
-        ({"robustness": {**ROBUST, "eta": [1, 1]}}, "robustness.eta", "2 numbers for 3 scenarios"),
         ({"robustness": {**ROBUST, "solutions": 0}}, "robustness.solutions", "0 examines no set"),
         ({"robustness": ROBUST, "vehicle": {"parameters": {"mass": 5000}}}, "vehicle.parameters.mass", "outside the bounds"),
         ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0].P2", "missing"),

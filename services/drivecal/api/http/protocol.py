@@ -20,6 +20,8 @@ SECONDS_IDLE = 15
 SECONDS_TO_STOP = 5
 SECONDS_TO_READ = 2.0
 """Time in which a refused client may read the refusal. A socket that is closed with unread bytes is reset, and the answer lost."""
+MOST_IGNORED = 64 * 1_048_576
+"""Bytes of a body that a client may still send after its answer, before its connection is closed."""
 LARGEST_LIVE_MESSAGE = 4_096
 """Bytes that a page may send at once over a WebSocket."""
 
@@ -28,6 +30,7 @@ class Protocol(H11Protocol):
     """A connection of a client."""
 
     _is_refused = False
+    _ignored = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn's own
         """Answers 503 if too many connections are open."""
@@ -36,9 +39,14 @@ class Protocol(H11Protocol):
             self._refuse(503, f"{MOST_CONNECTIONS:,} connections are open already; try again later", "Retry-After: 2\r\n")
 
     def data_received(self, data: bytes) -> None:
-        """Receives data, and throws away those of a refused client."""
-        if not self._is_refused:
-            super().data_received(data)
+        """Receives data, but for those of a refused client, and ends a body that goes on after its answer."""
+        if self._is_refused:
+            return
+        super().data_received(data)
+        is_answered = self.cycle is not None and self.cycle.response_complete and self.conn.their_state is h11.SEND_BODY
+        self._ignored = self._ignored + len(data) if is_answered else 0
+        if self._ignored > MOST_IGNORED:
+            self.transport.close()
 
     def send_400_response(self, msg: str) -> None:
         """Refuses invalid HTTP and large heads like every other bad request."""
