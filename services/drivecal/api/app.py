@@ -1,5 +1,6 @@
 """Composition of the API. Nothing is created at import."""
 
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
@@ -34,8 +35,22 @@ from drivecal.api.routes import (
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings
 from drivecal.configuration.tokens import TokenFile
+from drivecal.domain.errors import DatabaseError, UnavailableError
 from drivecal.storage.admission import add_installed
 from drivecal.storage.engine.database import PROMPT, Database
+
+log = logging.getLogger(__name__)
+
+
+def store_installed(database: Database) -> None:
+    """Stores the installed problems. A database that cannot be used is told by `/readyz`; campaigns find these problems without it."""
+    try:
+        with database.transaction() as connection:
+            add_installed(connection)
+    except (DatabaseError, UnavailableError) as error:
+        log.warning("the installed problems are not listed: %s", error)
+    finally:
+        database.dispose()  # a connection of the start would outlive its file
 
 
 def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
@@ -55,8 +70,7 @@ def create_app(settings: Settings, pushing: Pushing = OFF) -> FastAPI:
         app.state.tokens = tokens
         app.state.limits = limits = Limits.of(settings)
         meters.event_streams.set_function(lambda: limits.event_streams.taken)
-        with database.transaction() as connection:
-            add_installed(connection)
+        store_installed(database)
         async with EventHub(database).running() as app.state.event_hub:
             yield
         database.dispose()

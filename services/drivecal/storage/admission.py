@@ -80,7 +80,8 @@ def admit_map(connection: Connection, source: str, most: int = MOST_MAPS) -> Non
 def admit_problem(connection: Connection, digest: str, most: int) -> None:
     """Raises TooLargeError if `most` bundles are kept already, none of them with this digest; otherwise as `admit`."""
     alone(connection)
-    kept = connection.scalar(select(func.count()).select_from(bundles)) or 0
+    own = [problem.digest for problem in installed_problems().values()]
+    kept = connection.scalar(select(func.count()).where(bundles.c.digest.not_in(own))) or 0
     if kept >= most and not is_stored(connection, digest):
         instead = "let the server keep more (DRIVECAL_PUSHED_PROBLEMS)"
         raise TooLargeError(Problem("", f"{kept:,} pushed problems are kept already, as many as this server takes", instead))
