@@ -31,7 +31,7 @@ def event(number: str, kind: str, **data: Any) -> tuple[str, str, dict[str, Any]
 
 def test_watching_resumes_its_stream_where_it_broke_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    progress = ("", "progress", {"state": "running", "cells": {"requested": 5}})
+    progress = ("", "progress", {"state": "running", "stages": {"calibration": {"requested": 5}}})
     answers = [
         campaign("queued", ETag='"a"'),
         stream(event("7", "queued"), event("9", "running"), progress, broken=True),
