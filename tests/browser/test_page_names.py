@@ -22,7 +22,7 @@ def test_a_name_in_markup_is_shown_letter_by_letter(opening: Opening, tmp_path: 
         with api.database.transaction() as connection:
             connection.execute(update(campaigns).values(name=MARKUP))
         page = opening(f"{api.url}/#/")
-        views = ["", f"campaigns/{campaign.id}", f"campaigns/{campaign.id}/ranking", f"compare?a={campaign.id}&b={campaign.id}"]
+        views = ["", f"campaigns/{campaign.id}", f"campaigns/{campaign.id}/ranking", f"compare?ids={campaign.id},{campaign.id}"]
         for path in views:
             leave(page, f"{api.url}/")
             page.goto(f"{api.url}/#/{path}")
