@@ -202,8 +202,9 @@ def settings_text(value: object) -> str:
         return "; ".join(map(settings_text, value))
     if not isinstance(value, dict):
         return value if isinstance(value, str) else json.dumps(value)
-    kept = {name: item for name, item in value.items() if item is not None and item not in ([], {})}
-    return ", ".join(f"{name} {item if isinstance(item, str) else json.dumps(item)}" for name, item in kept.items())
+    kept = {name: item for name, item in value.items() if name != "kind" and item is not None and item not in ([], {})}
+    settings = ", ".join(f"{name} {item if isinstance(item, str) else json.dumps(item)}" for name, item in kept.items())
+    return ": ".join(filter(None, [value.get("kind"), settings]))
 
 
 ASKED = {
