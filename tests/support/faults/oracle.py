@@ -60,11 +60,11 @@ class InThisProcess:
 def undisturbed(folder: Path) -> dict[str, Found]:
     """Returns what the suite's campaigns find, by name; on SQLite. AssertionError where they would not show what they are there to show."""
     results = carried_out(folder)
-    counts = results["reusing"].campaign["cells"]
+    counts = results["reusing"].campaign["stages"]["calibration"]
     assert min(counts[name] for name in ("repeated", "reused", "simulated", "audited", "carried_over")) > 0, counts
     assert len({row["score"] for row in results["reusing"].tables["evaluations"]}) >= 3
-    assert results["analysing"].campaign["sensitivity_cells"]["simulated"] > 50
-    assert min(results["predicting"].campaign["cells"][name] for name in ("predicted", "sampled")) > 10
+    assert results["analysing"].campaign["stages"]["sensitivity"]["simulated"] > 50
+    assert min(results["predicting"].campaign["stages"]["calibration"][name] for name in ("predicted", "sampled")) > 10
     return results
 
 
