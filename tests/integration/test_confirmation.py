@@ -130,12 +130,14 @@ def test_a_cell_that_confirmed_is_explained_and_found_in_the_place_of_the_refere
 def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: Database) -> None:
     cut = run(database, ask(database, 1), ComputedBackend(answer=spoiled))
     assert {row.iteration for row in rows_of(database, cut) if row.iteration >= ITERATIONS} == {ITERATIONS}
-    assert "1 set (reduction.confirm)" in cut.notes[-1]
+    assert cut.confirmation is not None
+    assert cut.confirmation.tried == 1
     failing = run(database, ask(database, 50, seed=5), ComputedBackend(answer=unreliable))
     tried = [row for row in rows_of(database, failing) if row.iteration >= ITERATIONS]
     assert Outcome.FAILED in {row.outcome for row in tried}
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
-    assert "failed" in failing.notes[-1]
+    assert failing.confirmation is not None
+    assert failing.confirmation.failed
     assert [check for check in verify(database, full=True) if check.problems] == []
 
 
