@@ -1,0 +1,130 @@
+"""What searches by the cell judge: the weighted score of a campaign, or its objectives and constraints on results. Pure."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from drivecal.analysis.goals import SCORE, Bound, Goal, Goals, Objective
+from drivecal.domain.evaluations import CellScore
+from drivecal.domain.scales import Scale
+from drivecal.plugins.ports import Floats
+
+
+def _better_end(scale: Scale) -> float:
+    return scale.upper if scale.sign > 0 else scale.lower
+
+
+@dataclass(frozen=True)
+class WeightedScore:
+    """The weighted mean of the score (Eq. 6). The value of a cell is its continuous rating, of which the scale's steps make the score."""
+
+    weights: Mapping[str, float]
+    """By scenario, of sum 1."""
+    scale: Scale
+    values: int = 1
+    objectives: int = 1
+
+    @property
+    def scenarios(self) -> int:
+        """Number of scenarios."""
+        return len(self.weights)
+
+    @cached_property
+    def best(self) -> Floats:
+        """The better end of the usual range."""
+        return np.full((self.scenarios, 1), _better_end(self.scale))
+
+    @cached_property
+    def worst(self) -> Floats:
+        """The worth of a failed run."""
+        return np.full((self.scenarios, 1), self.scale.failed)
+
+    def of(self, cell: CellScore) -> tuple[float, ...]:
+        """Returns the values of an answered cell."""
+        return (float("nan") if cell.rating is None else float(cell.rating),)
+
+    def judge(self, values: Floats) -> tuple[Floats, Floats]:
+        """Returns the weighted scores, higher is better, shape (n, 1), and no violations."""
+        scores = values[:, :, 0]
+        if self.scale.step is not None:
+            scores = np.floor(scores / self.scale.step + 0.5) * self.scale.step
+        scores = self.scale.sign * np.maximum(self.scale.sign * scores, self.scale.sign * self.scale.failed)
+        total = np.zeros(len(values))
+        for column, weight in enumerate(self.weights.values()):
+            total += weight * scores[:, column]
+        return self.scale.sign * total[:, np.newaxis], np.where(np.isnan(total), np.nan, 0.0)
+
+
+@dataclass(frozen=True)
+class JudgedGoals:
+    """Objectives and constraints on results. The values of a cell are those of `keys`, in their order."""
+
+    goals: Goals
+    names: tuple[str, ...]
+    """Names of the scenarios."""
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Identities of the values of a cell."""
+        return tuple(dict.fromkeys(goal.value.key for goal in self._all))
+
+    @property
+    def _all(self) -> tuple[Objective | Bound, ...]:
+        return (*self.goals.objectives, *self.goals.bounds)
+
+    @property
+    def scenarios(self) -> int:
+        """Number of scenarios."""
+        return len(self.names)
+
+    @property
+    def values(self) -> int:
+        """Number of values of a cell."""
+        return len(self.keys)
+
+    @property
+    def objectives(self) -> int:
+        """Number of objectives."""
+        return len(self.goals.objectives)
+
+    @cached_property
+    def best(self) -> Floats:
+        """The better end of a score's usual range; a measure has no limit."""
+        ends: dict[str, float] = {}
+        for goal in self._all:
+            scale = goal.value.scale
+            ends.setdefault(goal.value.key, goal.sign * np.inf if scale is None else _better_end(scale))
+        return np.tile(list(ends.values()), (self.scenarios, 1))
+
+    @cached_property
+    def worst(self) -> Floats:
+        """The worth of a failed run; NaN for a measure that has none."""
+        worth: dict[str, float] = {}
+        for goal in self._all:
+            scale, failed = goal.value.scale, goal.value.failed
+            worth[goal.value.key] = scale.failed if scale is not None else np.nan if failed is None else failed
+        return np.tile(list(worth.values()), (self.scenarios, 1))
+
+    def of(self, cell: CellScore) -> tuple[float, ...]:
+        """Returns the values of an answered cell."""
+        known = dict(cell.values) if cell.score is None else {SCORE: cell.score, **cell.values}
+        return tuple(float(known.get(key, float("nan"))) for key in self.keys)
+
+    def judge(self, values: Floats) -> tuple[Floats, Floats]:
+        """Returns the objectives, higher is better, shape (n, m), and the sums of violations, shape (n,)."""
+        places = {name: place for place, name in enumerate(self.names)}
+        columns = {key: column for column, key in enumerate(self.keys)}
+
+        def amounts(goal: Goal) -> Floats:
+            here = values[:, [places[name] for name in goal.shares], columns[goal.value.key]]
+            shares = list(goal.shares.values())
+            return np.array([np.nan if np.isnan(row).any() else goal.aggregate(row.tolist(), shares) for row in here])
+
+        objectives = np.stack([goal.sign * amounts(goal) for goal in self.goals.objectives], axis=1)
+        violations = np.zeros(len(values))
+        for bound in self.goals.bounds:
+            broken = bound.sign * (bound.limit - amounts(bound)) / bound.span
+            violations += np.where(np.isnan(broken), np.nan, np.maximum(0.0, broken))
+        return objectives, violations
