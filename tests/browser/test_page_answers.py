@@ -173,7 +173,6 @@ def test_a_gain_within_the_tolerance_is_shown_as_neither_better_nor_worse(shown:
     page = opening(f"{shown.api.url}/#/nowhere")
     changed(page, f"/campaigns/{shown.first.id}$", close)
     page.goto(shown.at(shown.first, "overview"))
-    expect(page.get_by_role("region", name="Figures")).to_contain_text("+2, within the tolerance of 2")
     table = page.get_by_role("table", name="Scores by scenario")
     flat, hill = (table.get_by_role("row", name=name).locator(".change") for name in ("flat", "hill"))
     expect(flat).to_have_text(re.compile(r"≈ \+1\.5\s*within the tolerance"))
@@ -212,4 +211,4 @@ def test_a_report_opens_as_a_page_and_is_downloaded_with_its_files(shown: Shown,
     with page.expect_download(timeout=60_000) as report:
         page.get_by_role("link", name="Download with figures and tables").click()
     with ZipFile(report.value.path()) as archive:
-        assert any(name.endswith("/figures/figure-10-population.svg") for name in archive.namelist())
+        assert "figures/figure-10-population.svg" in archive.namelist()
