@@ -10,17 +10,28 @@ from typing import Any
 
 import pytest
 from sqlalchemy import select, update
-from tests.support.comparisons import finish_comparison, have_ended, read_comparison, runs_of, submit_comparison
+from tests.support.comparisons import (
+    TWO_OPTIMIZERS,
+    finish_comparison,
+    have_ended,
+    read_comparison,
+    runs_of,
+    submit_comparison,
+)
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
+from tests.support.problems import LIMITS
+from tests.support.pruning import set_column
 from tests.support.runs import EXPERT_SPACE, dispatcher, everything, get, nothing_matters, post_map, run, submit
 
+from drivecal.api import submission
 from drivecal.campaigns import comparison
 from drivecal.campaigns.comparison import CONFIRMED
 from drivecal.campaigns.results.verification import verify
+from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
 from drivecal.storage import generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
@@ -99,6 +110,20 @@ def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared)
         distinct = {(row.scenario, *row.parameters.floats.values()) for row in rows}
         assert campaign.cells.simulated == len(distinct), "what it would have taken alone"
         assert campaign.cells.repeated == len(rows) - len(distinct)
+
+
+def test_a_repeated_request_queues_no_campaign_again(database: Database) -> None:
+    wanted, room = ComparisonSpecification.model_validate(TWO_OPTIMIZERS), replace(LIMITS, queued_campaigns=12)
+    tag = submission.compare(database, room, wanted, "key")
+    queued = runs_of(database, tag)
+    assert len(queued) == 12
+    with pytest.raises(OverloadError):
+        submission.compare(database, replace(LIMITS, queued_campaigns=23), wanted, "other key")
+    set_column(database, queued[0], "idempotency_key", None)  # as its deletion does
+    assert submission.compare(database, room, wanted, "key") == tag
+    assert [campaign.id for campaign in runs_of(database, tag)] == [campaign.id for campaign in queued]
+    with pytest.raises(ConflictError):
+        submission.compare(database, room, wanted.model_copy(update={"iterations": 4}), "key")
 
 
 @pytest.mark.slow

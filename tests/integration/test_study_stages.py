@@ -10,9 +10,13 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.effort import tries
+from tests.support.problems import MANIFEST
 from tests.support.runs import SMALL, dispatcher, get, influenced, nothing_matters, post_map, run, submit
 
+from drivecal.bundles.checks import checked
+from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.campaigns.stages.robustness import check_source
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -124,6 +128,20 @@ def test_a_study_of_another_campaign_chooses_its_sets_by_scores_that_simulations
     assert not any(row["parameters"] in wrong for row in second["items"])
 
 
+def test_a_source_of_other_parameters_or_scenarios_is_refused(database: Database) -> None:
+    searched = run(database, submit(database, catalogue=["S1"]))
+    study_of = {"optimizer": None, "robustness": {"of": searched.id}}
+    varied = {"slope": {"nominal": 0, "lower": -1, "upper": 1}}
+    own = Bundle("d", "f", checked(MANIFEST | {"varied": varied}))
+    others = resolve(CampaignSpecification.model_validate({"problem": "heater", **study_of}), lambda _: own)
+    more = resolve(CampaignSpecification.model_validate(SMALL | study_of))
+    for problem, named in ((others, "P11"), (more, "S2, S3")):
+        with database.read() as connection, pytest.raises(InvalidInputError) as refused:
+            check_source(connection, problem)
+        (fault,) = refused.value.problems
+        assert (fault.field, named in fault.message) == ("robustness.of", True)
+
+
 def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database) -> None:
     def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
         if setup.varied["mass"] > NOMINAL_MASS + 0.12 * MASS_RANGE:
@@ -208,7 +226,6 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     [
         ({"optimizer": None, "robustness": ROBUST}, "robustness", "there are no solutions to examine"),
         ({"robustness": {**ROBUST, "solutions": 0}}, "robustness.solutions", "0 examines no set"),
-        ({"robustness": ROBUST, "vehicle": {"parameters": {"mass": 5000}}}, "vehicle.parameters.mass", "outside the bounds"),
         ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0].P2", "missing"),
         ({"validation": {"samples": 10}}, "validation", "there is no influence map to validate"),
         ({"validation": {"of": "a"}}, "validation.of", "this campaign searches its own solutions"),

@@ -11,7 +11,6 @@ from typing import Any, Literal
 import numpy as np
 
 from drivecal.contracts.tables import RobustnessRow
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
@@ -35,21 +34,6 @@ class RobustnessSettings:
     condition: Condition = "max"
     seed: int = 1
     least: float = 1.0
-
-
-def check_nominal(parameters: Sequence[VehicleParameter], nominal: Mapping[str, float]) -> None:
-    """Raises InvalidInputError for each nominal value outside its bounds: no box can be put around it."""
-    problems = [
-        Problem(
-            f"vehicle.parameters.{parameter.name}",
-            f"{nominal[parameter.name]} {parameter.unit} is outside the bounds of the robustness analysis",
-            f"between {parameter.minimum} and {parameter.maximum} {parameter.unit}, or robustness: null",
-        )
-        for parameter in parameters
-        if not parameter.minimum <= nominal[parameter.name] <= parameter.maximum
-    ]
-    if problems:
-        raise InvalidInputError(*problems)
 
 
 def directions(count: int, samples: int, seed: int, box: int) -> Floats:
@@ -155,11 +139,7 @@ class RobustnessStudy:
         nominal: Mapping[str, float],
         settings: RobustnessSettings,
     ) -> None:
-        """`nominal_scores`: of the solutions in the nominal vehicle, shape (n_solutions, n_s).
-
-        Raises InvalidInputError if the nominal vehicle is outside its parameters' bounds.
-        """
-        check_nominal(parameters, nominal)
+        """`nominal_scores` has the solutions' scores in the nominal vehicle, shape (n_solutions, n_s)."""
         self._scores = nominal_scores
         self._parameters, self._nominal, self._settings = parameters, nominal, settings
         self._trials: list[list[Trial]] = [[] for _ in nominal_scores]

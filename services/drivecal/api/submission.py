@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.live.dispatcher_health import judge
-from drivecal.campaigns.comparison import ComparisonProblem, resolve_comparison, tag_of
+from drivecal.campaigns.comparison import ComparisonProblem, keys_of, resolve_comparison, tag_of
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.maps import check_basis, is_outdated, warnings_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve, resolve_evaluation
@@ -68,7 +68,7 @@ MAP = "sensitivity.map"
 def submit(database: Database, limits: Limits, specification: CampaignSpecification, key: str | None) -> StoredCampaign:
     """Queues a campaign. Raises InvalidInputError if it cannot run, TooLargeError, and OverloadError if the queue is full."""
     body_digest = digest_of("campaigns", specification)
-    earlier = accepted_before(database, key, body_digest)
+    earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
     problem = _checked(database, limits, specification)
@@ -76,13 +76,11 @@ def submit(database: Database, limits: Limits, specification: CampaignSpecificat
         return _queue(connection, limits, problem, key, body_digest)
 
 
-def accepted_before(database: Database, key: str | None, body_digest: str) -> StoredCampaign | None:
-    """Returns the campaign that the same request made before, None without one. It is looked up before the request is checked: what it
-    names may be gone. Raises ConflictError if the key belongs to another request."""
-    if key is None:
-        return None
+def accepted_before(database: Database, body_digest: str, *keys: str | None) -> StoredCampaign | None:
+    """Returns the first campaign that the same request made before, None without one. It is looked up before the request is checked: what
+    it names may be gone. Raises ConflictError if a key belongs to another request."""
     with database.read() as connection:
-        sequence = admission.earlier(connection, key, body_digest)
+        sequence = admission.earlier(connection, body_digest, *keys)
         return None if sequence is None else campaigns.by_sequence(connection, sequence)
 
 
@@ -142,7 +140,7 @@ def _checked(database: Database, limits: Limits, specification: CampaignSpecific
 def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
     body_digest = digest_of(f"campaigns/{first_id}/rerun", changes)
-    earlier = accepted_before(database, key, body_digest)
+    earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
     with database.read() as connection:
@@ -162,28 +160,31 @@ def rerun(database: Database, limits: Limits, first_id: str, changes: RerunSpeci
 
 
 def compare(database: Database, limits: Limits, specification: ComparisonSpecification, key: str) -> str:
-    """Queues the campaigns of a comparison, all or none, and returns their tag. The first has the Idempotency-Key `key`.
+    """Queues the campaigns of a comparison, all or none, and returns their tag. Each has a key of its own, made of the Idempotency-Key
+    `key`: the same request queues none again as long as one of them is neither deleted nor pruned.
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """
     body_digest, tag = digest_of("comparisons", specification), tag_of(specification.name, key)
-    if accepted_before(database, key, body_digest) is not None:
+    keys = keys_of(specification, key)
+    if accepted_before(database, body_digest, *keys) is not None:
         return tag
     problem = _checked_comparison(database, limits, specification)
     with database.transaction() as connection:
-        admission.admit(connection, limits.queued_campaigns, key, len(problem.runs))
-        if admission.earlier(connection, key, body_digest) is not None:
+        admission.alone(connection)
+        if admission.earlier(connection, body_digest, *keys) is not None:
             return tag
+        admission.admit(connection, limits.queued_campaigns, None, len(problem.runs))
         map_id = _compared_map(connection, problem)
-        for place, run in enumerate(problem.runs):
+        for own, run in zip(keys, problem.runs, strict=True):
             stored = campaigns.insert(
                 connection,
                 name=run.name,
                 spec=run.model_dump(mode="json"),
                 tags=[tag],
                 influence_map_id=None if run.sensitivity is None else map_id,
-                idempotency_key=key if place == 0 else None,
-                body_digest=body_digest if place == 0 else None,
+                idempotency_key=own,
+                body_digest=body_digest,
                 priority=run.priority,
             )
             _pinned(connection, stored, problem.problems[0])
@@ -227,7 +228,7 @@ def _compared_map(connection: Connection, problem: ComparisonProblem) -> str | N
 def evaluate(database: Database, limits: Limits, specification: EvaluationSpecification, key: str | None) -> StoredCampaign:
     """Queues a single evaluation. Raises InvalidInputError if it cannot run, OverloadError if the queue is full."""
     body_digest = digest_of("evaluations", specification)
-    earlier = accepted_before(database, key, body_digest)
+    earlier = accepted_before(database, body_digest, key)
     if earlier is not None:
         return earlier
     problem = resolve_evaluation(specification, stored_bundles(database))

@@ -1,8 +1,8 @@
 """Comparisons: ordinary campaigns with a common tag, made from one file, and the analysis of what they found.
 
 The campaigns of a comparison are isolated: they see no results of others, so that neither their order nor earlier results change what
-they find or count. Cells that several of them request, or that were simulated before, are still simulated once, but for a few whose result
-is not stored yet: this saves work, and does not show in the counts.
+they find or count. Cells that several of them request, or that were simulated before, are simulated once all the same, except for cells
+whose result is being stored at that moment: this saves work, and does not show in the counts.
 """
 
 import re
@@ -72,6 +72,14 @@ def tag_of(name: str, key: str) -> str:
     """Returns the tag of a comparison's campaigns; equal names and request keys have the same."""
     words = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:27].rstrip("-") or "comparison"
     return f"{words}-{digest(key.encode())[:12]}"
+
+
+def keys_of(specification: ComparisonSpecification, key: str) -> list[str]:
+    """Returns the request keys of a comparison's campaigns, in order; the first is the request's own."""
+    count = len(specification.optimizers) * len(specification.populations)
+    count *= len(specification.seeds) * len(specification.reductions)
+    count = min(count, LARGEST_RUNS)  # `resolve_comparison` refuses more
+    return [key, *(digest(f"{key} {place}".encode()) for place in range(1, count))]
 
 
 def runs_of(specification: ComparisonSpecification) -> list[CampaignSpecification]:

@@ -51,14 +51,17 @@ def add_installed(connection: Connection) -> None:
             add(connection, digest=problem.digest, name=name, manifest=document, archive=problem.archive)
 
 
-def earlier(connection: Connection, idempotency_key: str | None, body_digest: str | None) -> int | None:
-    """Returns the number of the campaign that an earlier request with this key queued, None without one. Raises ConflictError if that
-    request was another one."""
-    if idempotency_key is None:
+def earlier(connection: Connection, body_digest: str | None, *keys: str | None) -> int | None:
+    """Returns the number of the first campaign that an earlier request queued with one of these keys, None without one.
+
+    Raises ConflictError if that request was another one.
+    """
+    given = [key for key in keys if key is not None]
+    if not given:
         return None
     table = campaigns.c
-    query = select(table.sequence, table.id, table.body_digest).where(table.idempotency_key == idempotency_key)
-    row = connection.execute(query).one_or_none()
+    query = select(table.sequence, table.id, table.body_digest).where(table.idempotency_key.in_(given))
+    row = connection.execute(query.order_by(table.sequence).limit(1)).one_or_none()
     if row is not None and row.body_digest != body_digest:
         raise ConflictError(
             f"the Idempotency-Key was used for another request, which made campaign {row.id}; use a new key for a new request"

@@ -250,7 +250,7 @@ def insert(
         for note in notes:
             events.add(connection, queued.sequence, EventKind.NOTE, {"text": note})
         return queued
-    earlier = admission.earlier(connection, idempotency_key, body_digest)
+    earlier = admission.earlier(connection, body_digest, idempotency_key)
     if earlier is None:
         raise AssertionError("a campaign conflicts with nothing but one of the same key")
     return by_sequence(connection, earlier)

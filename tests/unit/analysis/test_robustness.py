@@ -13,14 +13,12 @@ from tests.support.effort import examples
 from drivecal.analysis.robustness import (
     RobustnessSettings,
     RobustnessStudy,
-    check_nominal,
     deviation,
     directions,
     holds,
     undetected_share,
     vehicles,
 )
-from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins.ports import Floats
 
@@ -48,13 +46,6 @@ def test_boxes_and_seeds_have_directions_of_their_own_which_repeat() -> None:
     assert np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 7, 2))
     assert not np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 7, 3))
     assert not np.array_equal(directions(3, 10, 7, 2), directions(3, 10, 8, 2))
-
-
-def test_a_nominal_value_outside_its_bounds_is_refused_by_name() -> None:
-    with pytest.raises(InvalidInputError) as refused:
-        check_nominal(TABLE_8, NOMINAL | {"mass": 3000.0, "distance": 0.9})
-    assert [one.field for one in refused.value.problems] == ["vehicle.parameters.mass", "vehicle.parameters.distance"]
-    assert "between 1200.0 and 2600.0 kg" in refused.value.problems[0].remedy
 
 
 @pytest.mark.parametrize(

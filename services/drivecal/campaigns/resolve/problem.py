@@ -160,7 +160,6 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     weights, notes = resolvers.normalise_weights(specification.weights, workbench.scenarios, diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
-    notes += resolvers.note_varied(workbench.varied, workbench.values)
     notes += resolvers.note_threshold(specification)
     notes += workbench.notes
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
@@ -177,7 +176,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     else:
         baseline = given_set(specification.baseline, constraints, "baseline", diagnostics)
     start_sets = resolvers.find_start_sets(specification, baseline, constraints, diagnostics)
-    robust_sets = resolvers.find_robust_sets(specification, workbench.varied, workbench.values, constraints, diagnostics)
+    robust_sets = resolvers.find_robust_sets(specification, workbench.varied, constraints, diagnostics)
     resolvers.check_validation(specification, diagnostics)
     if specification.reduction.narrow and specification.sensitivity is None:
         remedy = "ask for a sensitivity analysis, name a map, or leave `narrow` out"

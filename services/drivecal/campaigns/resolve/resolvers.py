@@ -7,7 +7,6 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from drivecal.analysis.goals import Goals
-from drivecal.analysis.robustness import check_nominal
 from drivecal.campaigns.resolve.diagnostics import Diagnostics
 from drivecal.campaigns.resolve.spaces import Parameterised, given_set
 from drivecal.contracts.campaign import STUDIES
@@ -96,16 +95,6 @@ def find_scenarios(
     return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
-def note_varied(varied: Sequence[VehicleParameter], values: Mapping[str, float]) -> tuple[str, ...]:
-    """Notes values of varied parameters beyond their ranges: unusual but valid, perhaps a wrong unit."""
-    return tuple(
-        f"vehicle.parameters.{parameter.name} is {values[parameter.name]:g} {parameter.unit}, beyond the usual {parameter.minimum:g} to"
-        f" {parameter.maximum:g} {parameter.unit}"
-        for parameter in varied
-        if not parameter.minimum <= values[parameter.name] <= parameter.maximum
-    )
-
-
 def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
     """Notes the rate of misses of the threshold `auto` for an analysis' number of samples."""
     wanted = specification.sensitivity
@@ -176,7 +165,6 @@ def find_start_sets(
 def find_robust_sets(
     specification: CampaignSpecification,
     varied: Sequence[VehicleParameter],
-    values: Mapping[str, float],
     constraints: Constraints | None,
     diagnostics: Diagnostics,
 ) -> tuple[ParameterSet, ...]:
@@ -194,7 +182,6 @@ def find_robust_sets(
     if not varied:
         remedy = "leave it out, declare `varied` in problem.yaml, or give the conditions to be robust against as scenarios"
         diagnostics.add("robustness", "the problem has no varied parameters", remedy)
-    diagnostics.attempt(lambda: check_nominal(varied, values))
     named = [given_set(given, constraints, f"robustness.sets[{index}]", diagnostics) for index, given in enumerate(wanted.sets)]
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 

@@ -230,31 +230,36 @@ def _vehicle(
         return (), {}
     section["vehicle"] = vehicle.name
     known = {parameter.name: parameter for parameter in vehicle.parameters}
-    _refuse_unknown(wanted, vehicle.name, known, diagnostics)
-    for name, value in wanted.parameters.items():
-        if value <= 0:
-            diagnostics.add(f"vehicle.parameters.{name}", f"{value:g} is not above 0", "give a positive number")
     nominal = {name: parameter.nominal for name, parameter in known.items()}
     if vehicle.name != model_of(own):
+        _check_parameters(wanted, vehicle.name, known, diagnostics)
         return vehicle.parameters, nominal | wanted.parameters
     changes = (
         {} if isinstance(own, str) else {name: value for name, value in own.items() if value is not None and name in known}
     )
     varied = manifest.varied_parameters
+    _check_parameters(wanted, vehicle.name, known | {each.name: each for each in varied}, diagnostics)
     return varied, nominal | changes | {each.name: each.nominal for each in varied} | wanted.parameters
 
 
 def _side_conditions(wanted: VehicleSpecification, manifest: Manifest, diagnostics: Diagnostics) -> dict[str, float]:
     """Returns the values of the varied parameters of a problem whose vehicle, if there is one, is its own."""
-    _refuse_unknown(wanted, manifest.problem, manifest.varied, diagnostics)
+    _check_parameters(wanted, manifest.problem, {each.name: each for each in manifest.varied_parameters}, diagnostics)
     return {name: entry.nominal for name, entry in manifest.varied.items()} | wanted.parameters
 
 
-def _refuse_unknown(wanted: VehicleSpecification, owner: str, known: Collection[str], diagnostics: Diagnostics) -> None:
-    for name in wanted.parameters:
-        if name not in known:
+def _check_parameters(
+    wanted: VehicleSpecification, owner: str, known: Mapping[str, VehicleParameter], diagnostics: Diagnostics
+) -> None:
+    """Adds a problem for each given value whose parameter is unknown or whose range does not hold it."""
+    for name, value in wanted.parameters.items():
+        field, parameter = f"vehicle.parameters.{name}", known.get(name)
+        if parameter is None:
             remedy = f"one of {', '.join(known)}" if known else "leave it out"
-            diagnostics.add(f"vehicle.parameters.{name}", f"{owner} has no such parameter", remedy)
+            diagnostics.add(field, f"{owner} has no such parameter", remedy)
+        elif not parameter.minimum <= value <= parameter.maximum:
+            remedy = f"between {parameter.minimum:g} and {parameter.maximum:g} {parameter.unit}"
+            diagnostics.add(field, f"{value:g} {parameter.unit} is outside its range", remedy)
 
 
 def _notes(bundle: Bundle) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def settings_of(wanted: RobustnessSpecification, scale: Scale) -> RobustnessSett
 
 
 def check_source(connection: Connection, problem: CalibrationProblem) -> None:
-    """Raises InvalidInputError if the campaign with the sets to examine is missing, has not ended or is of another kind."""
+    """Raises InvalidInputError if the campaign with the sets to examine is missing, has not ended, or is of another kind or problem."""
     wanted, function = problem.specification.robustness, problem.specification.driving_function
     if wanted is None or wanted.of is None:
         return
@@ -82,6 +82,13 @@ def check_source(connection: Connection, problem: CalibrationProblem) -> None:
     if source.spec["driving_function"] != function:
         message = f"its solutions are of the driving function {source.spec['driving_function']!r}"
         raise InvalidInputError(Problem(field, message, f"name a campaign of {function!r}"))
+    theirs = resolved_spec(source)
+    if set(theirs.space.names) != set(problem.space.names):
+        message = f"its sets have the parameters {', '.join(theirs.space.names)}"
+        raise InvalidInputError(Problem(field, message, f"name a campaign that searched {', '.join(problem.space.names)}"))
+    if missing := [name for name in problem.weights if name not in theirs.weights]:
+        message = f"its sets have no scores in {', '.join(missing)}"
+        raise InvalidInputError(Problem(field, message, f"give a catalogue of {', '.join(theirs.weights)}"))
 
 
 class RobustnessStage(StudyStage):
