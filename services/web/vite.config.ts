@@ -1,25 +1,8 @@
-import { fileURLToPath } from "node:url";
 import { svelte } from "@sveltejs/vite-plugin-svelte";
-import { defineConfig, type Rolldown } from "vite";
+import { defineConfig } from "vite";
 import { licences } from "./licences.ts";
 
-const needed = new Set<string>();
-
-/** Whether the page's script needs a module before any view is opened. */
-function isFirst(id: string, graph: Rolldown.ChunkingContext): boolean {
-  const main = fileURLToPath(new URL("src/main.ts", import.meta.url));
-  if (needed.size === 0) {
-    const open = [main];
-    for (let next = open.pop(); next !== undefined; next = open.pop()) {
-      if (needed.has(next)) continue;
-      needed.add(next);
-      open.push(...(graph.getModuleInfo(next)?.importedIds ?? []));
-    }
-  }
-  return needed.has(id);
-}
-
-// `/` shows the page, everything that belongs to it lies below `/page/`; the API is beside them.
+// `/` shows the page, its files have addresses below `/page/`.
 export default defineConfig({
   base: "/page/",
   plugins: [svelte(), licences()],
@@ -30,11 +13,7 @@ export default defineConfig({
     assetsInlineLimit: 0,
     modulePreload: { polyfill: false },
     // The page, and the documentation of the API, which is a page of its own.
-    rolldownOptions: {
-      input: ["index.html", "docs.html"],
-      // Else what the first script shares with each set of views is a file of its own: ten files before the first view, which browsers ask for six at a time.
-      output: { codeSplitting: { groups: [{ name: (id, graph) => (isFirst(id, graph) ? "first" : null), debugName: "first" }] } },
-    },
+    rolldownOptions: { input: ["index.html", "docs.html"] },
     chunkSizeWarningLimit: 2_000,
     reportCompressedSize: false,
   },

@@ -45,7 +45,7 @@ def test_from_the_form_to_the_replay_and_back_through_a_restart(tmp_path: Path, 
         page.get_by_role("row").nth(1).get_by_role("button").nth(1).click()
         expect(page.get_by_role("heading", level=1)).to_contain_text("S5 · evaluation")
         expect(page.get_by_role("img", name=re.compile("Top view of the road at 0 s"))).to_be_visible()
-        expect(page.get_by_role("heading", name="Jerk")).to_be_visible()
+        expect(page.get_by_role("heading", name="Lateral jerk")).to_be_visible()
         expect(page.get_by_role("heading", name="Origin of the result")).to_be_visible()
         assert barriers(page) == []
         page.get_by_role("slider", name="Moment").fill("3.5")

@@ -90,6 +90,12 @@ export function positions(table: Table, axis: Pick<Axis, "name" | "choices">): F
   return values;
 }
 
+/** Whether there are several values. */
+export function isVarying(values: Float64Array): boolean {
+  const first = values.find((value) => !Number.isNaN(value));
+  return values.some((value) => value !== first && !Number.isNaN(value));
+}
+
 /** The choices within a range of their positions. */
 export function chosen(axis: Pick<Axis, "choices">, [low, high]: readonly [number, number]): string[] {
   return (axis.choices ?? []).filter((_, place) => place >= low && place <= high);

@@ -31,14 +31,27 @@ export interface Frame {
   log: boolean;
 }
 
-/** From values to pixels. On a logarithmic scale everything below the lower end lies at it, zero as well. */
-export function scales(frame: Frame): { px: (value: number) => number; py: (value: number) => number } {
+interface Scales {
+  px: (value: number) => number;
+  py: (value: number) => number;
+  /** From pixels to values, on linear scales. */
+  x: (pixel: number) => number;
+  y: (pixel: number) => number;
+}
+
+/** Between values and pixels. On a logarithmic scale everything below the lower end lies at it, zero as well. */
+export function scales(frame: Frame): Scales {
   const [x0, x1] = frame.x;
   const [y0, y1] = frame.log ? [Math.log10(frame.y[0]), Math.log10(frame.y[1])] : frame.y;
   const across = (frame.width - frame.left - frame.right) / (x1 - x0 || 1);
   const up = (frame.height - frame.top - frame.bottom) / (y1 - y0 || 1);
   const height = (value: number): number => (frame.log ? Math.log10(Math.max(value, frame.y[0])) : value);
-  return { px: (value) => frame.left + (value - x0) * across, py: (value) => frame.height - frame.bottom - (height(value) - y0) * up };
+  return {
+    px: (value) => frame.left + (value - x0) * across,
+    py: (value) => frame.height - frame.bottom - (height(value) - y0) * up,
+    x: (pixel) => x0 + (pixel - frame.left) / across,
+    y: (pixel) => y0 + (frame.height - frame.bottom - pixel) / up,
+  };
 }
 
 /** The base of each value, if areas and bars are stacked. */

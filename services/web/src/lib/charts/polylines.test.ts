@@ -22,8 +22,7 @@ test("keys move one end of a range, and never past the other or the axis", () =>
 });
 
 test("few lines are strong, many are faint, and none is more than opaque", () => {
-  expect(opacity(10, 4)).toBe(1);
-  expect(opacity(100_000, 1)).toBeLessThan(0.05);
+  expect([opacity(10), opacity(100_000) < 0.05]).toEqual([0.9, true]);
 });
 
 test("all lines come, over several frames, and those without a value have a gap", () => {

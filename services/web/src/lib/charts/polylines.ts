@@ -45,9 +45,9 @@ export function moved(axis: Axis, range: readonly [number, number] | undefined, 
   return [low, Math.max(low, within(Math.min(high, axis.upper) + by))];
 }
 
-/** How opaque lines are so that many of them do not become one surface; `strength` is what the user makes of it. */
-export function opacity(lines: number, strength: number): number {
-  return Math.min(1, strength * Math.min(0.9, Math.max(0.03, 12 / Math.sqrt(lines || 1))));
+/** How opaque lines are so that many of them do not become one surface. */
+export function opacity(lines: number): number {
+  return Math.min(0.9, Math.max(0.03, 12 / Math.sqrt(lines || 1)));
 }
 
 /** Draws lines frame by frame until they are all there; gives what stops it. `done` is told how many are drawn. */

@@ -1,5 +1,6 @@
 /** Charts of the time series that a simulator reports, whatever they are. */
 
+import type { Trace } from "./geometry";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
 
@@ -11,6 +12,7 @@ export interface SeriesChart {
   yTitle: string;
   x: readonly number[];
   series: Series[];
+  range?: [number, number];
 }
 
 const TIMES = ["time", "time_s", "t", "t_s"];
@@ -62,6 +64,26 @@ export function beside(title: string, unit: string, runs: readonly { name: strin
     x,
     series: runs.map((run, place) => ({ name: run.name, values: run.values, colour: run.colour, x: run.x, ...(place === 0 ? {} : { dash: "6 3" }) })),
   };
+}
+
+const QUANTITIES = [
+  ["Longitudinal acceleration", "longitudinal_acceleration_mps2", "m/s²"], ["Lateral acceleration", "lateral_acceleration_mps2", "m/s²"], ["Longitudinal jerk", "longitudinal_jerk_mps3", "m/s³"],
+  ["Lateral jerk", "lateral_jerk_mps3", "m/s³"], ["Speed", "speed_mps", "m/s"], ["Offset from the rightmost lane's centre", "d_m", "m"],
+] as const;
+
+/** Charts of drives of the built-in planner. */
+export function drivesBeside(runs: readonly { title: string; colour: string; trace: Trace }[]): SeriesChart[] {
+  return QUANTITIES.map(([title, field, unit]) => {
+    const chart = beside(title, unit, runs.map(({ title: name, colour, trace }) => ({ name, colour, x: trace.time_s, values: trace.ego[field] ?? [] })));
+    return field === "d_m" ? { ...chart, range: roomy(chart.series.flatMap((line) => line.values as readonly number[])) } : chart;
+  });
+}
+
+/** At least a metre: centimetres shall not look like a lane change. */
+function roomy(values: readonly number[]): [number, number] {
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const margin = Math.max(0.06 * (high - low), (1 - (high - low)) / 2);
+  return [low - margin, high + margin];
 }
 
 /** Charts of what several runs report, each over its own time; `left`: what is not drawn, in words. */

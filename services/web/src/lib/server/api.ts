@@ -43,39 +43,16 @@ export function isUnreached(error: unknown): boolean {
   return error instanceof Refusal && error.status === 0;
 }
 
-let awaited = 0;
-let since = 0;
-
-/** Counts something that is awaited of the server until the returned function is called. */
-export function awaiting(): () => void {
-  awaited += 1;
-  let over = false;
-  return () => {
-    if (over) return;
-    over = true;
-    awaited -= 1;
-    since = performance.now();
-  };
-}
-
-/** Milliseconds for which nothing was awaited of the server. */
-export function quietFor(): number {
-  return awaited > 0 ? 0 : performance.now() - since;
-}
-
 /** Asks the server. Throws a Refusal for every error status; 401 asks for a token first. */
 export async function ask(path: string, options: RequestInit = {}, root = ROOT): Promise<Response> {
   if (shut && root === ROOT && path !== SESSION) throw new Refusal(401, "The session has ended.");
   let answer: Response;
-  const came = awaiting();
   try {
     answer = await fetch(root + path, { credentials: "same-origin", ...options });
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     heard(false);
     throw new Refusal(0, "The server cannot be reached.");
-  } finally {
-    came();
   }
   heard(true);
   if (answer.ok && path === SESSION) shut = false;

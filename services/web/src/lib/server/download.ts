@@ -22,25 +22,26 @@ export function paper(): { ground: string; ink: string } {
 }
 
 /** A drawing as it is seen, in the size of its view box. */
-function standalone(drawing: SVGSVGElement): string {
+function standalone(drawing: SVGSVGElement, ground = "none"): string {
   const copy = drawing.cloneNode(true) as SVGSVGElement;
   const box = drawing.viewBox.baseVal;
-  const { ground, ink } = paper();
   copy.setAttribute("xmlns", "http://www.w3.org/2000/svg");
   copy.setAttribute("width", String(box.width));
   copy.setAttribute("height", String(box.height));
-  copy.setAttribute("color", ink);
+  copy.setAttribute("color", paper().ink);
+  copy.setAttribute("style", `color-scheme: ${isDark() ? "dark" : "light"}`);
   copy.setAttribute("font-family", "sans-serif");
   copy.insertAdjacentHTML("afterbegin", `<rect x="${box.x}" y="${box.y}" width="${box.width}" height="${box.height}" fill="${ground}"/>`);
-  return new XMLSerializer().serializeToString(copy);
+  // No style sheet of the page reaches into the file.
+  return new XMLSerializer().serializeToString(copy).replaceAll(/var\((--\w+)\)/g, (_, name: string) => getComputedStyle(drawing).getPropertyValue(name));
 }
 
 export function downloadSvg(name: string, drawing: SVGSVGElement): void {
-  download(name, new Blob([standalone(drawing)], { type: "image/svg+xml" }));
+  download(name, new Blob([standalone(drawing, paper().ground)], { type: "image/svg+xml" }));
 }
 
-/** At least 1200 pixels wide, so that it can be printed. */
-export function downloadPng(name: string, drawing: SVGSVGElement): void {
+/** At least 1200 pixels wide, so that it can be printed. `layers` lie below the drawing. */
+export function downloadPng(name: string, drawing: SVGSVGElement, layers: Iterable<HTMLCanvasElement> = []): void {
   const image = new Image();
   const box = drawing.viewBox.baseVal;
   const scale = Math.max(2, 1200 / box.width);
@@ -49,7 +50,11 @@ export function downloadPng(name: string, drawing: SVGSVGElement): void {
     const canvas = document.createElement("canvas");
     canvas.width = Math.round(box.width * scale);
     canvas.height = Math.round(box.height * scale);
-    canvas.getContext("2d")?.drawImage(image, 0, 0, canvas.width, canvas.height);
+    const pen = canvas.getContext("2d");
+    if (!pen) return;
+    pen.fillStyle = paper().ground;
+    pen.fillRect(0, 0, canvas.width, canvas.height);
+    for (const layer of [...layers, image]) pen.drawImage(layer, 0, 0, canvas.width, canvas.height);
     URL.revokeObjectURL(address);
     downloadCanvas(name, canvas);
   };

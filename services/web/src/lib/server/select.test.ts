@@ -1,6 +1,6 @@
 import { describe, expect, test } from "vitest";
 import type { Table } from "./columns";
-import { drawn, nthLeast, numbered, ordered, recycled, select, within } from "./select";
+import { drawn, numbered, ordered, recycled, select, within } from "./select";
 
 /** Values that look random, many of them equal, every ninth missing. */
 function values(length: number, distinct: number): Float64Array {
@@ -19,13 +19,6 @@ function table(length: number, distinct: number): Table {
 }
 
 describe("of many rows", () => {
-  test("the number at a place is that of their order, equal ones and ordered ones included", () => {
-    for (const numbers of [Float64Array.of(3), Float64Array.of(2, 2, 2, 2), Float64Array.of(1, 2, 3, 4, 5), Float64Array.of(5, 4, 3, 2, 1), values(200, 13).filter((value) => !Number.isNaN(value)), values(300, 1009).filter((value) => !Number.isNaN(value))]) {
-      const sorted = numbers.slice().sort();
-      expect(Array.from(numbers, (_, place) => nthLeast(numbers.slice(), place))).toEqual([...sorted]);
-    }
-  });
-
   test("the best share of the search is drawn, of equal ones the first, in the order of the rows", () => {
     for (const distinct of [7, 1009]) {
       const rows = table(1000, distinct);

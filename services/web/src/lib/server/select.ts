@@ -85,37 +85,16 @@ export function drawn(table: Table, rows: Uint32Array, { by, sign, share, least 
   const known = picked(searched.length > 0 ? searched : rows, (row) => !Number.isNaN(values[row]));
   const most = Math.max(least, Math.ceil(share * known.length));
   if (known.length <= most) return known;
-  // The worst value that is drawn decides: finding it takes a fifth of the time of sorting.
+  // The worst value that is drawn decides.
   const worth = new Float64Array(known.length);
   for (let place = 0; place < known.length; place++) worth[place] = sign * (values[known[place] as number] as number);
-  const last = nthLeast(worth, known.length - most);
+  const last = worth.slice().sort()[known.length - most] as number;
   let equals = most;
   for (const value of worth) if (value > last) equals -= 1;
   return picked(known, (row) => {
     const value = sign * (values[row] as number);
     return value > last || (value === last && equals-- > 0);
   });
-}
-
-/** The value at a place of the numbers in ascending order, by Hoare's selection, which leaves the numbers in another order. */
-export function nthLeast(numbers: Float64Array, place: number): number {
-  let [low, high] = [0, numbers.length - 1];
-  while (low < high) {
-    const pivot = numbers[(low + high) >> 1] as number;
-    let [up, down] = [low, high];
-    while (up <= down) {
-      while ((numbers[up] as number) < pivot) up += 1;
-      while ((numbers[down] as number) > pivot) down -= 1;
-      if (up > down) break;
-      const number = numbers[up] as number;
-      numbers[up++] = numbers[down] as number;
-      numbers[down--] = number;
-    }
-    if (place <= down) high = down;
-    else if (place >= up) low = up;
-    else break;
-  }
-  return numbers[place] as number;
 }
 
 /** The rows ordered by a column; those without a value come last, equal ones stay in their order. */

@@ -1,8 +1,7 @@
 /** A table of a campaign as the page holds it: whole, and read again when it has grown. */
 
 import { parameterOf, type Ranged } from "../charts/axes";
-import { askTable, taken } from "./ahead";
-import { Refusal, awaiting } from "./api";
+import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
 import { columnsOf, type RowName } from "./rows";
 
@@ -26,6 +25,8 @@ export class TableState {
   /** The path that is being read, or was read last. */
   private path = "";
   private abort: AbortController | null = null;
+  /** A table that was asked for, and is not read yet. */
+  private ahead: { path: string; abort: AbortController; answer: Promise<Response> } | null = null;
   /** Asked for again while it is being read. */
   private again = false;
 
@@ -40,6 +41,14 @@ export class TableState {
     return numeric === undefined ? (parameterOf(name, this.parameters())?.choices ?? []).length > 0 : !numeric;
   }
 
+  /** Asks for a table that is read later: its first rows come while other things do that the reading needs. */
+  askFor(path: string): void {
+    const abort = new AbortController();
+    const answer = ask(path, { signal: abort.signal, headers: { Accept: "text/csv" } });
+    answer.catch(() => undefined); // the reading reports it
+    this.ahead = { path, abort, answer };
+  }
+
   /** Reads a table, another one at once; the same one after the reading that is under way, which a fast search would never let end. */
   async load(path: string): Promise<void> {
     if (this.abort !== null && path === this.path) {
@@ -47,12 +56,11 @@ export class TableState {
       return;
     }
     this.abort?.abort();
-    const ahead = taken(path);
-    const abort = (this.abort = ahead?.abort ?? new AbortController());
-    [this.path, this.again, this.reading] = [path, false, 0];
-    const seen = awaiting();
+    if (this.ahead?.path !== path) this.askFor(path);
+    const { abort, answer: asked } = this.ahead as NonNullable<typeof this.ahead>;
+    [this.path, this.again, this.reading, this.abort, this.ahead] = [path, false, 0, abort, null];
     try {
-      const answer = await (ahead?.answer ?? askTable(path, abort.signal));
+      const answer = await asked;
       const reader = new CsvReader({ has: (name) => this.isText(name) });
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
       let worth = this.expected() > FIRST_SHOWN ? FIRST_OF_MANY : FIRST_SHOWN;
@@ -64,7 +72,6 @@ export class TableState {
         this.reading = reader.length;
         if (reader.length < worth) continue;
         worth = Math.max(FIRST_SHOWN, TIMES_AS_LONG * reader.length);
-        seen();
         if (path === this.shown && reader.length <= this.table.length) continue;
         [this.table, this.shown, this.whole] = [reader.soFar(), path, false];
       }
@@ -73,8 +80,6 @@ export class TableState {
     } catch (error) {
       if (abort.signal.aborted) return;
       this.problem = error instanceof Refusal ? error.message : `The table broke off: ${String(error)}`;
-    } finally {
-      seen();
     }
     [this.abort, this.reading] = [null, null];
     if (this.again) void this.load(path);
@@ -82,6 +87,7 @@ export class TableState {
 
   stop(): void {
     this.abort?.abort();
-    [this.abort, this.again] = [null, false];
+    this.ahead?.abort.abort();
+    [this.abort, this.ahead, this.again] = [null, null, false];
   }
 }

@@ -57,3 +57,24 @@ test("a table that grows faster than it can be read is read to its end, then onc
   await send(1, "rank\n1\n2\n");
   expect([rows.table.length, rows.reading, asked.length]).toEqual([2, null, 2]);
 });
+
+test("a table that was asked for ahead is asked for once, and for its own path alone", async () => {
+  const { asked, send } = answers();
+  const rows = new TableState("Solution");
+  rows.askFor("/solutions");
+  void rows.load("/solutions");
+  await send(0, "rank\n1\n");
+  expect([rows.table.length, asked.length]).toEqual([1, 1]);
+  rows.askFor("/solutions");
+  void rows.load("/others");
+  await send(2, "rank\n1\n2\n");
+  expect([rows.table.length, rows.shown, asked.length]).toEqual([2, "/others", 3]);
+});
+
+test("the first rows of a long table are shown at once", async () => {
+  const { send } = answers();
+  const rows = new TableState("EvaluationRow", () => [], () => 12_000);
+  void rows.load("/evaluations");
+  await send(0, `id\n${"1\n".repeat(300)}`, false);
+  expect([rows.table.length, rows.whole]).toEqual([300, false]);
+});

@@ -1,0 +1,76 @@
+/** A run as views show it: its result, and its drive or time series. These are not stored with runs: the first reader has the run simulated once more. */
+
+import { Refusal, ask, get, isUnreached, messageOf } from "./api";
+import { driveIn, driveOf, type Drive, type Scene } from "../charts/drive";
+import type { Trace } from "../charts/geometry";
+import type { Reported } from "../charts/series";
+import { isDriven, problemOf } from "./shape";
+import type { EvaluationDetail, PendingTrace, ProblemAnswer, SeriesAnswer } from "./types";
+import type { Outcome } from "../text/words";
+
+const AGAIN_MILLISECONDS = 700;
+const SIMULATING = "Simulating it once more for its time series …";
+const AWAY = "The server cannot be reached – trying again …";
+const READ_ONLY =
+  "Time series are not stored with the results: the first view simulates the run again and needs a token with write access. Your token is read-only. " +
+  "Open this address with a write token first; the replay is then available to all readers for a day.";
+
+/** The kind of simulator that drives on road networks, and reports replays. */
+const ON_ROADS = "highway";
+
+type Named<T> = { [K in keyof T as string extends K ? never : K]: T[K] };
+type Row = Omit<Named<EvaluationDetail>, "outcome"> & { outcome: Outcome | null };
+
+export class Run {
+  row = $state.raw<Row | null>(null);
+  problem = $state.raw<ProblemAnswer | null>(null);
+  /** Of drivecal's own planner. */
+  trace = $state.raw<Trace | null>(null);
+  /** Of a simulator of the user's own. */
+  reported = $state.raw<Reported | null>(null);
+  drive = $state.raw<Drive | null>(null);
+  waiting = $state("");
+  /** Why there is nothing to draw. */
+  untraced = $state("");
+
+  constructor(readonly id: string) {}
+
+  /** Reads what is missing. Throws a Refusal without a result. */
+  async load(signal: AbortSignal): Promise<void> {
+    this.row ??= await get<Row>(`/evaluations/${this.id}`, signal);
+    const { campaign, scenario } = this.row;
+    this.problem ??= await problemOf(campaign.problem, signal);
+    if (Object.keys(this.problem.series).length === 0 && this.problem.simulator["kind"] !== ON_ROADS) {
+      this.untraced = "The problem declares no time series: its results are the measures.";
+    } else if (this.trace === null && this.reported === null) {
+      this.waiting = SIMULATING;
+      try {
+        const scene = isDriven(this.problem) ? await get<Scene>(`/scenarios/${encodeURIComponent(scenario)}?${new URLSearchParams({ problem: campaign.problem })}`, signal) : null;
+        await this.simulate(scene, signal);
+        this.waiting = "";
+      } catch (error) {
+        if (signal.aborted) throw error;
+        this.waiting = isUnreached(error) ? AWAY : "";
+        if (!isUnreached(error)) this.untraced = error instanceof Refusal && error.status === 403 ? READ_ONLY : messageOf(error);
+      }
+    }
+  }
+
+  private async simulate(scene: Scene | null, signal: AbortSignal): Promise<void> {
+    for (;;) {
+      const answer = await ask(`/evaluations/${this.id}/trace`, { signal });
+      const body = (await answer.json()) as PendingTrace | SeriesAnswer | Trace;
+      if ("series" in body) {
+        [this.reported, this.drive] = [body.series, body.replay && driveIn(body.replay)];
+        if (this.drive === null && Object.keys(body.series).length === 0) this.untraced = "The run ended before it had any time series.";
+        return;
+      }
+      if ("time_s" in body) {
+        [this.trace, this.drive] = [body, scene && driveOf(body, scene)];
+        return;
+      }
+      this.waiting = body.degraded ?? (body.state === "queued" ? "Waiting for a worker that simulates it once more …" : SIMULATING);
+      await new Promise((resolve) => setTimeout(resolve, AGAIN_MILLISECONDS));
+    }
+  }
+}
