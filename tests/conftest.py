@@ -1,7 +1,5 @@
 """Fixtures that every suite may use: the servers that are too slow to start for each test."""
 
-from __future__ import annotations
-
 import gc
 import hashlib
 import os

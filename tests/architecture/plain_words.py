@@ -4,8 +4,6 @@ Each line has file, line, pattern and text. Looked through are docstrings, comme
 the pages of the documentation. Words in backticks or in blocks of code count only if the pattern has backticks itself.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

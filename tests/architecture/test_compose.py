@@ -1,7 +1,5 @@
 """Tests of what the compose files promise: limits, health, no privileges, nothing published but the API, and images from the lock."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Dependencies are locked, and the tools that guard the code are set as strictly as they claim."""
 
-from __future__ import annotations
-
 import re
 import tokenize
 import tomllib

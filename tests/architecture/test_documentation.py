@@ -1,7 +1,5 @@
 """Tests of what the documentation shows can be typed: commands exist with their options, files are valid, Python compiles."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

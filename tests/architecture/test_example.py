@@ -1,7 +1,5 @@
 """The example that explains every field of a campaign file names them all, and tells their defaults right."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tests of what is general knows no comfort score from 0 to 7, no points and no manoeuvre: those belong to the built-in problem."""
 
-from __future__ import annotations
-
 import ast
 import re
 

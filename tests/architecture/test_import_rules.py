@@ -1,7 +1,5 @@
 """The import rules in pyproject.toml: they name every package, and each finds what it forbids."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Tests of what each layer of the installation can do: client and command line alone, one machine without Ray, a cluster."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from functools import cache

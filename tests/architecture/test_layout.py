@@ -1,7 +1,5 @@
 """Three folders, one import name: how the tree has to look for that to work."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 from collections import Counter

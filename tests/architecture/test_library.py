@@ -1,7 +1,5 @@
 """Packages export the names that users call, and the examples of the documentation run."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import re

@@ -1,7 +1,5 @@
 """Licences of what the images and a full installation hold: known, and none that its users could not ship."""
 
-from __future__ import annotations
-
 import re
 from importlib import metadata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Docstrings, comments and pages are free of phrases that make a reader stop."""
 
-from __future__ import annotations
-
 import pytest
 from tests.architecture.plain_words import NAMES, OPENER, PARAMETER, PROSE, patterns_in, phrases_in
 

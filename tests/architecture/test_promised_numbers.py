@@ -1,7 +1,5 @@
 """The numbers in promises are those of the code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from drivecal.api.http.limits import MOST_REQUESTS

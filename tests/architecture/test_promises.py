@@ -1,7 +1,5 @@
 """Every promise of README and documentation names tests that exist."""
 
-from __future__ import annotations
-
 import ast
 import re
 from functools import cache

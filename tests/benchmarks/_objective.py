@@ -1,7 +1,5 @@
 """The objective of the peers' benchmark, in a module of its own: Ray and `multiprocessing` find it by name in their processes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import cache
 

@@ -3,8 +3,6 @@
 A copy keeps what `drivecal db check` promises, because its rows differ from those of the group in numbers, moments and parameter P1 alone.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

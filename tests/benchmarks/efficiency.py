@@ -7,8 +7,6 @@ no coordinator could avoid is told by as many bare processes as there are cores,
 of all processor time that simulations took does not depend on what else the machine does.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

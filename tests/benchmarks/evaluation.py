@@ -6,8 +6,6 @@ ratio to SUMO stepping that network is printed, too. All are measured in turn; o
 what else the machine does disturbs the ratios least. CPU time.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from array import array

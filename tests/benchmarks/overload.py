@@ -8,8 +8,6 @@ Printed: seconds of each from its submission to its end, and the ratio to the me
 Good: those that do not run at once end in three times the median alone.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -13,8 +13,6 @@ Where there is no Chromium or the page was not built, it says so and ends with 0
 Writes `.drivecal/bench/page.json`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -9,8 +9,6 @@ Efficiency = cells x single-process cost of a cell / (wall x cores). The cost is
 on the otherwise idle machine; the wall runs from when every worker has loaded SUMO and compiled its kernels to the last stored result.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

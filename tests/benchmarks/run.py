@@ -5,8 +5,6 @@ simulation, and memory figures shall not add up): it prints a table, writes its 
 where what it measured is good enough. One that fails does not stop the others.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -4,8 +4,6 @@ The real dispatcher and database serve pretended workers that take the paper's 1
 dispatcher works and jumps while it waits: its cost counts in full, and a quarter of an hour takes seconds.
 """
 
-from __future__ import annotations
-
 import argparse
 import heapq
 import json

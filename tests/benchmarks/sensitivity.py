@@ -8,8 +8,6 @@ Of a radial design per interval the paper uses one of n_p effects. The runs of t
 nothing, and each set of points would take six times as long.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

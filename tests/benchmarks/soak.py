@@ -7,8 +7,6 @@ fill) and a verdict: flat, if the slope adds less than a tenth, or than a floor,
 every ten minutes and at the end, which Ctrl+C brings forward; 0 if all is flat and no campaign failed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

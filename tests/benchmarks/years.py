@@ -7,8 +7,6 @@ What concerns one campaign or a page must not grow with the database: from the f
 MOST_GROWTH. Work on the whole database has a limit for each million cells (`PER_MILLION`). Writes `.drivecal/bench/years.json`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """A headless Chromium of the system, driven by Playwright, and what a user's browser would complain about or ask strangers for."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The documentation as a browser shows it: its search, its colours, nothing inline, no other host."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

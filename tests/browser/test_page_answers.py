@@ -1,7 +1,5 @@
 """The page with answers that come late, are refused, or say what few campaigns say; and choices of every spelling."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Callable, Iterator

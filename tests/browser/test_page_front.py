@@ -1,7 +1,5 @@
 """The front of a campaign on the page: two sets next to each other, weights and their winner, what is kept and exported."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

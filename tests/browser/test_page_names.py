@@ -1,7 +1,5 @@
 """Names that users give, on the page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from playwright.sync_api import expect

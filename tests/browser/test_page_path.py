@@ -1,7 +1,5 @@
 """The whole way of a user on a real server, with a campaign that SUMO drives."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page on a phone: nothing that is needed lies outside of the screen, and a finger scrolls."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

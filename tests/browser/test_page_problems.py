@@ -1,7 +1,5 @@
 """The page for a problem of a user's own: other parameters, another scale, other time series, and no road."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The page next to a server of its own: followed live, asked for a token, gone and back."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import timedelta

@@ -1,7 +1,5 @@
 """The page's views in a browser, on campaigns whose simulation is a formula."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The review sheet in a browser: it opens offline, and prints on A4 with every number."""
 
-from __future__ import annotations
-
 import io
 import re
 import unicodedata

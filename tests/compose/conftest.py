@@ -1,7 +1,5 @@
 """Parts of tests: what the suite needs: the compose file on whatever Docker engine there is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

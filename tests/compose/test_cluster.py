@@ -1,7 +1,5 @@
 """The cluster as a user runs it: built, used, broken, scaled and restored on a real Docker engine. `make test-compose`."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Problems that attack whatever they reach, on the nodes of the cluster next to a campaign that works."""
 
-from __future__ import annotations
-
 import json
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Four machines, containers standing for them: one has the head, three join it by address and token; next to another cluster."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

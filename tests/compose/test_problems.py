@@ -1,7 +1,5 @@
 """Problems of users on the cluster: pushed by an author, run from the workers' read-only images, and found to be what they are embedded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import httpx

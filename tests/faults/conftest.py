@@ -1,7 +1,5 @@
 """Parts of tests: what the fault suite needs: databases that can be killed, and what the campaigns find without any fault."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

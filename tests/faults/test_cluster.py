@@ -1,7 +1,5 @@
 """The head of a Ray cluster goes down and comes back."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Many at once: fifty clients with one key, and two servers on one database."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

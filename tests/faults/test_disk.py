@@ -1,7 +1,5 @@
 """The disk under the database is full for a while, or cannot be written to when the server starts."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The harness sees what it is there to see: orphans, and campaigns that found something else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

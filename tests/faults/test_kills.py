@@ -1,7 +1,5 @@
 """SIGKILL to the server's own processes and to its database, anywhere in a campaign."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Nodes of a Ray cluster come and go while a campaign runs. Several on this machine, by Ray's own means."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Cells that break the worker that simulates them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

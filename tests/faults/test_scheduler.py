@@ -1,7 +1,5 @@
 """The scheduler's state machine for longer: `tests/unit/execution/test_state_machine.py` takes 4,000 steps."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.turmoil import run_turmoil
 

@@ -1,7 +1,5 @@
 """Workers that are killed from outside, again and again."""
 
-from __future__ import annotations
-
 import random
 import threading
 import time

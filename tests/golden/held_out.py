@@ -5,8 +5,6 @@ Whole numbers of the units below, as second differences over time, which take li
 last digit of the card.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

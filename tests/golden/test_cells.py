@@ -8,8 +8,6 @@ Another kind of processor differs in the last bits, which a closed loop enlarges
 file is compared within a tolerance; on one machine two fresh processes must agree in every bit.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 `make train` writes both anew. Another processor, libm or integrator may move a figure's last digit.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

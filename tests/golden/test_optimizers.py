@@ -1,7 +1,5 @@
 """Tests of what the optimizers propose for fixed seeds. A change here changes every campaign that is repeated: it needs a reason."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

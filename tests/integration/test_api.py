@@ -1,7 +1,5 @@
 """The API over real HTTP on a real SQLite file; what the dispatcher would store is stored by hand."""
 
-from __future__ import annotations
-
 import csv
 import io
 from typing import Any

@@ -1,7 +1,5 @@
 """The command line against a real server over HTTP; what the dispatcher would store is stored by hand."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

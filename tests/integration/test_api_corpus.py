@@ -1,7 +1,5 @@
 """A corpus of hostile requests against the API as a process of its own: each is refused in words, and the process stays small."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

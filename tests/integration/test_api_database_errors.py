@@ -1,7 +1,5 @@
 """A database that fails, at a commit as well: the API answers 503, and a retry with the same key makes one campaign."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterator
 from pathlib import Path

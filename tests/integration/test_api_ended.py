@@ -1,7 +1,5 @@
 """Tests of what an ended campaign found stays readable, whatever is installed by then."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fronts over HTTP, by the client and on the command line."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

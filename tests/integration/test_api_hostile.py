@@ -1,7 +1,5 @@
 """Tests of what does not belong into a request never gives a server error, never stores half of something, and is refused in words."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Retries and races: one Idempotency-Key makes one campaign, on both databases."""
 
-from __future__ import annotations
-
 import uuid
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

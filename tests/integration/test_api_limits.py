@@ -1,7 +1,5 @@
 """Overload is refused, over real HTTP: a full queue, campaigns that are too large, clients that are slow or many."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

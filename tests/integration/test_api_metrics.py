@@ -1,7 +1,5 @@
 """`/metrics` over real HTTP, read as Prometheus reads it."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Predicted answers over HTTP and on the command line: counted, listed and exported as every other outcome."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Tests of what reuse did, over HTTP, on both databases: explanations, accounts, narrowed spaces, contradictions, reruns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Tests of what the OpenAPI document promises holds for requests that schemathesis derives from it, good ones and bad ones."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Every route refuses who shows no token, over real HTTP: the list is the application's own."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from functools import cache

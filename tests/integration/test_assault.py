@@ -1,7 +1,5 @@
 """Tests of what a web page, another user, a cloned repository and a crowd of connections try against a server as a user starts it."""
 
-from __future__ import annotations
-
 import csv
 import os
 import socket

@@ -1,7 +1,5 @@
 """The bytes of a cell on SQLite: counted, so that they are the same on every machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sqlalchemy import text

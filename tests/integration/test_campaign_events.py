@@ -1,7 +1,5 @@
 """What a whole campaign tells, from its submission to its end."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from tests.support.computed import ComputedBackend

@@ -1,7 +1,5 @@
 """`drivecal compare-optimizers` against a real server whose dispatcher drives on formulas."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

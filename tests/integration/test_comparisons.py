@@ -1,7 +1,5 @@
 """Comparisons through database and dispatcher, with formulas in the place of the simulation."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A search that believed references ends with a best set that was simulated, whoever dies meanwhile."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A learned part whose file is damaged: whoever asks for it is told which file and why, and nobody else notices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

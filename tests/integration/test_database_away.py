@@ -1,7 +1,5 @@
 """The API while its database does not answer, on a real PostgreSQL that is stopped, killed and started, and on a locked SQLite."""
 
-from __future__ import annotations
-
 import logging
 import sqlite3
 import threading

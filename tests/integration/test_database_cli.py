@@ -1,7 +1,5 @@
 """`drivecal db`: what one who runs a server does with its database."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A database that fails now and then: campaigns end as if it had not, and workers go on."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """Campaigns on workers that are good for nothing: the dispatcher on a real database, the workers in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

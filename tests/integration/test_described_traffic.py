@@ -1,7 +1,5 @@
 """Scenarios of OpenSCENARIO and SUMO route files as workers drive them: what the files say happens, and gives the same bits anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

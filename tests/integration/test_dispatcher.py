@@ -1,7 +1,5 @@
 """Whole campaigns through database and dispatcher, with a formula in the place of the simulation."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Controllers that give trajectories: a user's in Python and as a program, and the built-in planner on a corridor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The feed of event streams under random writers and readers, with so little held that readers fall behind it all the time."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 from typing import Any

@@ -1,7 +1,5 @@
 """Event streams over real HTTP; what the dispatcher would store is stored by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 import threading

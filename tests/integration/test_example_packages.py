@@ -1,7 +1,5 @@
 """The example packages, installed by pip as a user's own: a planner that drives and an optimizer that searches."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

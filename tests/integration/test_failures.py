@@ -1,7 +1,5 @@
 """Failed cells of a user's problem: their causes with counts, scores without a value, and campaigns in which everything fails."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from typing import Any

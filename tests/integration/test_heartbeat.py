@@ -1,7 +1,5 @@
 """The dispatcher's heartbeat, with the database that it is written to."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

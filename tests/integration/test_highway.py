@@ -1,7 +1,5 @@
 """The simulator `highway` as workers run it: real SUMO and real controllers in child processes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Tests of what SUMO, or the check before it, refuses of a scenario of kind `highway`, and how the cause is told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

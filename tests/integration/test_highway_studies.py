@@ -1,7 +1,5 @@
 """A problem of kind `highway` over the REST API: an analysis with its map, references by it, a validation, and the trace of a cell."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Iterator

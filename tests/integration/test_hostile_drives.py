@@ -3,8 +3,6 @@
 6 drives in `make test`, 50 in `make test-slow`, 200 in `make test-faults`: each starts a simulator. `DRIVECAL_DRIVES=400` makes it 2,000.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections import Counter

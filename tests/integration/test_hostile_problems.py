@@ -1,7 +1,5 @@
 """A problem that attacks whatever it reaches, next to one that works: on a real server with workers, as users have them."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from typing import Any

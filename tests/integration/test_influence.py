@@ -1,7 +1,5 @@
 """Influence maps over HTTP: what an analysis found, what a user posted, within the bounds of whoever asks."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """`drivecal influence` and `drivecal influence-maps` against a real server: what is found, compared, shortened, missing."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Campaigns over continuous parameters, integers and choices within constraints, through database and dispatcher."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ZDT1 and DTLZ2 as users' problems: the bare optimizer's search, dispatchers that die, and real workers of a server that is killed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import pi

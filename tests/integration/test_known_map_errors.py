@@ -1,7 +1,5 @@
 """Tests of what validations and audits showed of an influence map stays with it: later campaigns are warned."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

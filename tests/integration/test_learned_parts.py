@@ -1,7 +1,5 @@
 """Hybrid vehicle and learned evaluator in whole runs, and at a worker whose files are damaged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

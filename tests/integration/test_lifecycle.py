@@ -1,7 +1,5 @@
 """Requests that overtake each other, versions that change, databases that do not answer: a campaign ends as it should all the same."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Influence maps of problems of users' own: posted ones, and those of analyses after another push."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The notebooks of the documentation run in a real kernel, against a real server, and give what they store."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns with several objectives and constraints: searched, resumed, predicted and confirmed by a dispatcher."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

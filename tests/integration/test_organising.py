@@ -1,7 +1,5 @@
 """Campaigns kept in order over HTTP, by the client and by `drivecal label|list|delete`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

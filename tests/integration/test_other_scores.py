@@ -1,7 +1,5 @@
 """Results of a user's problem under another of its scores, and its measures as columns: from what is stored, without a simulation."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The page's server side: its files, its session and its live connection over real HTTP."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 """Problems of kind `highway` as campaigns on two workers without Ray: the example of the built-in planner, an ACC as an FMU, and a lane
 keeper in C++."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

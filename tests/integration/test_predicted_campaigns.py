@@ -1,7 +1,5 @@
 """Predicted answers in whole campaigns: lots, samples and verdicts are stored as they happen, whoever dies meanwhile."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Versions of tools outside of a bundle belong to its results: campaigns, evaluations, comparisons and restarts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

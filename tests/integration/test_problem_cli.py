@@ -1,7 +1,5 @@
 """A problem on its way to a server and back: the command line, the client, and who may."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

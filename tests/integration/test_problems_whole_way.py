@@ -1,7 +1,5 @@
 """Problems of users' own, the whole way: pushed, calibrated on real workers, killed, resumed, and rated anew under another score."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress

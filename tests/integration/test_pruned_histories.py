@@ -1,7 +1,5 @@
 """Histories of campaigns, pruned and killed on the way: the rest stays whole and answers as before."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

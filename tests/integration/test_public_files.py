@@ -5,8 +5,6 @@ by a parser in C++, and ASAM's and ETAS's demonstrations of CDF 2.0 in the sourc
 a public project under the MIT licence is next to `tests/unit/calibration_data/test_dcm.py`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

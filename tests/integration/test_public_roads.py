@@ -6,8 +6,6 @@ omega-prime, asam-qc-opendrive, asam-qc-openscenarioxml, imap-box and pyxodr hav
 scenarios from esmini's repository (MPL-2.0), which is skipped where GitHub cannot be reached. The second reader is pyxodr.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

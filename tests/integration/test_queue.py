@@ -1,7 +1,5 @@
 """The durable queue: whoever dies when, every cell has one answer, and campaigns end as if nobody had died."""
 
-from __future__ import annotations
-
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Tests of what the API says of itself while something that it needs is missing."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.server import problem_of, serving
 

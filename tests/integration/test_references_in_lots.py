@@ -1,7 +1,5 @@
 """Answers by references in whole campaigns: inspected in lots, as predictions are, whoever dies meanwhile."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Replays of real runs on networks of users: the vehicles drive on the lanes that are drawn, at their places in the network."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tests.support.motorways import EVERYTHING, PARAMETERS, driven, motorway

@@ -1,7 +1,5 @@
 """The report that the API writes: the page alone and all files, with the rights of the request."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The report's page in a headless Chromium, where one is installed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

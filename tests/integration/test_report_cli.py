@@ -1,7 +1,5 @@
 """`drivecal report`, `explain` and the account that `show` prints, against a real server over HTTP."""
 
-from __future__ import annotations
-
 import csv
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Narrowed spaces, expert start sets and reruns by weights, scenarios and evaluator: whole campaigns on a formula."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Searches that another process resumes: a replay that proposes otherwise, and what other writers notice of a restore."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

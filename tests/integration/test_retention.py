@@ -1,7 +1,5 @@
 """Pruning: what stays is whole and answers as before, whatever was pruned and wherever it was killed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import Any

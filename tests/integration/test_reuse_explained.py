@@ -1,7 +1,5 @@
 """Explanations, contradictions and accounts of whole campaigns, with a formula in the place of the simulation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

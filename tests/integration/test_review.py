@@ -1,7 +1,5 @@
 """The review sheet over HTTP, by the client, and on the command line."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

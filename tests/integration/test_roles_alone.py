@@ -1,7 +1,5 @@
 """Each role by itself, as it runs in a container: what it says where something is missing."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

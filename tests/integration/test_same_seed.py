@@ -1,7 +1,5 @@
 """The same seed gives the same campaign, by whatever optimizer it searches."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

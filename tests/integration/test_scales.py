@@ -1,7 +1,5 @@
 """Campaigns whose scores have another scale than comfort: less is better, 0 to 100, no steps, a failed run is worth 100."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of

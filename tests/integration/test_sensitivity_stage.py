@@ -1,7 +1,5 @@
 """The sensitivity stage through database and dispatcher, with a formula of known influence in the place of the simulation."""
 
-from __future__ import annotations
-
 import random
 from math import hypot
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whole campaigns whose evaluator needs the time series: what it is given without a simulation, what is simulated again, and that once."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """`drivecal serve` as a user starts it: its log, its tokens, its end, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -1,7 +1,5 @@
 """SUMO and the closed loop with a planner made for these tests."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

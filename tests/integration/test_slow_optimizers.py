@@ -1,7 +1,5 @@
 """Optimizers that compute for long: their own campaign waits, and nothing else does."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiled kernels of the simulator `highway`: a user's code finds all of them compiled, and can change none."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

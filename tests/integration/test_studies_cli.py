@@ -1,7 +1,5 @@
 """`drivecal robustness` and `drivecal validate` against a real server whose dispatcher drives on formulas."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """The robustness and the validation stage through database and dispatcher, with formulas in the place of the simulation."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from typing import Any

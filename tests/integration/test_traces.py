@@ -1,7 +1,5 @@
 """Time series of evaluations: asked for over HTTP, driven once more by whoever drives everything else, kept for a while."""
 
-from __future__ import annotations
-
 import gzip
 import json
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The tutorials as a reader follows them: their files, their commands in their order, on a real server with real simulations."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator
 from pathlib import Path

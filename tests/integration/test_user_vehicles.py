@@ -1,7 +1,5 @@
 """Vehicles of users behind the built-in trackers: a class, a program and an FMU of one law; faults; and a lane keeper in C++."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Simulators that wait: wall-clock time in the account, in predictions of cost, and in what a predictor may cost."""
 
-from __future__ import annotations
-
 from tests.integration.test_failures import Simulated, _pushed, run, submit
 
 from drivecal.analysis.savings import account

@@ -1,7 +1,5 @@
 """The wheel and its three layers, each installed by pip into a fresh environment, with sizes and times. `make test-packages`."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

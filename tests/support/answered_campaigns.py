@@ -1,7 +1,5 @@
 """Campaigns as a dispatcher leaves them, without one: what the API has to show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The API as a process of its own, so that what it costs can be measured from outside."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

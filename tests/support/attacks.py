@@ -4,8 +4,6 @@ The scenario's data say where and how much: `mark` (a word in names of files and
 (folders), `secret` (a file), `server` (a process), `url`, `port`, `others` (addresses), `doublings` (of processes), `memory_mb`, `disk_mb`.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import ctypes

@@ -1,7 +1,5 @@
 """Opens pages in a headless Chromium, where one is installed, and tells what a user's browser would complain about or ask for."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The campaign that clusters carry out while they are broken, and what it finds with `drivecal serve` where nothing happens."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Comparisons as the tests submit them."""
 
-from __future__ import annotations
-
 from typing import Any
 from uuid import uuid4
 

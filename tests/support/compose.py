@@ -1,7 +1,5 @@
 """The cluster of `docker-compose.yml` on a Docker engine, in a project of its own that leaves nothing behind."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A backend whose simulation is a formula, so that whole campaigns run in a second; it answers in whatever order its seed says."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """New databases, of which the first of a process goes through every revision and the others are copies."""
 
-from __future__ import annotations
-
 import sqlite3
 import tempfile
 from functools import cache

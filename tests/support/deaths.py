@@ -1,7 +1,5 @@
 """Dispatchers that die at a moment of their choice, and what their campaigns find in spite of it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

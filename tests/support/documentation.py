@@ -1,7 +1,5 @@
 """The documentation's sources, and the programs in `docs`, which are no modules of any package."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

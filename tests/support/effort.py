@@ -1,7 +1,5 @@
 """How much the tests try: a fixed sample in `make test`, and all of it, at random points, in `make test-faults` (DRIVECAL_LONG=1)."""
 
-from __future__ import annotations
-
 import os
 import random
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A backend in memory, on virtual time, whose cells misbehave as their parameters say."""
 
-from __future__ import annotations
-
 import heapq
 from collections import deque
 from dataclasses import dataclass, field

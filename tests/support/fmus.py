@@ -1,7 +1,5 @@
 """FMUs that tests build: `x` grows by `rate * factor` per second, `runs` counts the runs of one process."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frenet coordinates of points and motions (Werling et al. 2010), in plain Python: the oracle of the compiled kernels."""
 
-from __future__ import annotations
-
 from math import cos, isfinite, sin
 from typing import NamedTuple
 

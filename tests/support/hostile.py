@@ -1,7 +1,5 @@
 """Problems of the hostile kind and a neighbour that works, and what each attack costs: for the embedded server and for the cluster."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Batches of a scenario under predicted or reused answers, without a campaign: choose a lot, draw, compare, release or reject."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

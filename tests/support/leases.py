@@ -1,7 +1,5 @@
 """Leases in memory that fail when they are told to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Lets a test configure the log, which belongs to the whole process."""
 
-from __future__ import annotations
-
 import logging
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Setup and cells for the driving functions in `plugins`, as a coordinator that has them installed would send them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A driving function with parameters of every kind and constraints, for campaigns on a computed backend."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from decimal import Decimal
 

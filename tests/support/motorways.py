@@ -1,7 +1,5 @@
 """Bundles of kind `highway` for tests: the examples' motorway, scenarios on it, and one ACC as Python (also compiled), program and FMU."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Damage to XML files: bytes, attributes and elements, and attempts that must end with a result or a named refusal."""
 
-from __future__ import annotations
-
 import os
 import random
 import re

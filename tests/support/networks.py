@@ -1,7 +1,5 @@
 """SUMO networks for tests: those that come with eclipse-sumo, and built ones."""
 
-from __future__ import annotations
-
 import subprocess
 import sysconfig
 import tempfile

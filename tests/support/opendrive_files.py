@@ -1,7 +1,5 @@
 """OpenDRIVE files for tests: motorways with curves, ramps and lanes that open, close and change their width."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from math import cos, sin

@@ -1,7 +1,5 @@
 """A reader of OpenDRIVE of its own, for comparison: reference lines by numerical quadrature, and lane centres from widths and offsets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from math import cos, sin

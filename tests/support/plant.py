@@ -1,7 +1,5 @@
 """Workers on virtual time around a bare scheduler, whose cells cost what a test says and always succeed."""
 
-from __future__ import annotations
-
 import heapq
 from collections import Counter, defaultdict
 from collections.abc import Sequence

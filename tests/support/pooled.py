@@ -1,7 +1,5 @@
 """Work of a pool on a backend of the test's own, and all of its answers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from tests.support.fake_backend import Behaviour

@@ -1,7 +1,5 @@
 """A real PostgreSQL server, for tests and benchmarks."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 import signal

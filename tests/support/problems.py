@@ -1,7 +1,5 @@
 """A problem that shares nothing with the motorway: less is better, parameters of every kind, failures, time series."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

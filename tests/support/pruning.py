@@ -1,7 +1,5 @@
 """Parts of tests: what tests of the removal of old results ask of a database before and after."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from typing import Any
 

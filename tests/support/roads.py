@@ -1,7 +1,5 @@
 """Roads for tests, computed from a design in the place of a network."""
 
-from __future__ import annotations
-
 from drivecal.domain.scenarios import Road
 from drivecal.highway.scenarios.designs import CurvatureKnot, RoadDesign, line_of
 

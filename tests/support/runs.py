@@ -1,7 +1,5 @@
 """Campaigns run to their end by a dispatcher on a computed backend."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """OpenSCENARIO and SUMO route files for tests, of the shape of public ones: cut in, cut out, follow and brake on a motorway."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Any

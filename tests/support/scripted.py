@@ -1,7 +1,5 @@
 """A client and a server that gives the answers of a script."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Iterator

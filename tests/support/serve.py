@@ -1,7 +1,5 @@
 """`drivecal serve` as a user starts it: a process of its own, a home folder of its own, real Ray and real SUMO."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

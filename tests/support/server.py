@@ -1,7 +1,5 @@
 """The API over real HTTP, on a database of its own."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import socket

@@ -1,7 +1,5 @@
 """Setups of the built-in motorway, as a coordinator sends them to workers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

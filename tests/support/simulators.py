@@ -1,7 +1,5 @@
 """Users' simulators for tests: sessions of scripts, and what a machine still runs of them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import stat

@@ -1,7 +1,5 @@
 """Rows to test the storage with."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Sequence
 from dataclasses import replace

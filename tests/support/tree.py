@@ -1,7 +1,5 @@
 """The source tree, for tests about its shape."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 from functools import cache

@@ -3,8 +3,6 @@
 It plays the campaigns, the database (leases, breakdowns that were written down), the workers and the clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 
 from hypothesis import HealthCheck, settings

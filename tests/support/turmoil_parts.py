@@ -1,7 +1,5 @@
 """Parts of tests: what the state machine of `tests.support.turmoil` plays with: cells in a database, workers, and their answers."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Problems of users for whole-way tests: copies of the examples, an FMU that is compiled, and what a campaign with one finds."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Values of parameter sets as tests compute with them."""
 
-from __future__ import annotations
-
 from drivecal.cli.commands.demo import BASELINE
 from drivecal.domain.parameter_sets import ParameterSet
 

@@ -1,7 +1,5 @@
 """One vehicle of a user's, a kinematic bicycle with lags, as a class, a program and an FMU; and a lane keeper in C++."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The build hook of the page, which is no module of any package. Run as a program, it fetches what the page's tests need."""
 
-from __future__ import annotations
-
 import json
 import sys
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The report behind `make audit`."""
 
-from __future__ import annotations
-
 import json
 import sys
 import time

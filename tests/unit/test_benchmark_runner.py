@@ -1,7 +1,5 @@
 """The program behind `make bench`."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the soak calls flat."""
 
-from __future__ import annotations
-
 import pytest
 from tests.benchmarks.soak import Course, verdicts
 

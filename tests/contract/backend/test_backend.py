@@ -1,7 +1,5 @@
 """What every backend promises to the work pool."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

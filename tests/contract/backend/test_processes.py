@@ -1,7 +1,5 @@
 """What workers as processes of this machine promise besides."""
 
-from __future__ import annotations
-
 import os
 import signal
 

@@ -1,7 +1,5 @@
 """One behaviour suite for both backends: every test that asks for `database` or `empty_url` runs on SQLite and on PostgreSQL."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

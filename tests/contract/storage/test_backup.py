@@ -1,7 +1,5 @@
 """Backups of a database in use, and back: one moment, complete or not there at all, whichever backend it came from and goes to."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

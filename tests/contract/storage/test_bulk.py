@@ -1,7 +1,5 @@
 """Statements over many rows do to the database what `Connection.execute` does with them, one after the other."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pushed problems: a content once, a name means the last push, and nothing is lost in a backup."""
 
-from __future__ import annotations
-
 import zipfile
 from io import BytesIO
 from pathlib import Path

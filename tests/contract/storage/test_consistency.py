@@ -1,7 +1,5 @@
 """What `drivecal db check` asks: nothing is broken at any moment of a campaign, and each thing that can be broken is found and named."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

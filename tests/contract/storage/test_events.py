@@ -1,7 +1,5 @@
 """Events: in order, complete, and written with what they tell."""
 
-from __future__ import annotations
-
 import threading
 from datetime import timedelta
 from typing import Any

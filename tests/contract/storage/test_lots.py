@@ -1,7 +1,5 @@
 """Lots of predictions and of references: stored with their batch, sampled after their commit, and concluded once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

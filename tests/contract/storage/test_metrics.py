@@ -1,7 +1,5 @@
 """Metrics take as little place as their values, and keep every bit."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from math import isfinite
 

@@ -1,7 +1,5 @@
 """Labels, lists, deletion and saved views, on both databases."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Transactions that overlap on PostgreSQL, where several write at a time; on SQLite each one that writes is alone from its start."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

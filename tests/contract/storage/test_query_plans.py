@@ -5,8 +5,6 @@ itself, so it gets some, and is asked for less than one row in a hundred, as of 
 the better plan. SQLite has no statistics unless somebody asks for them, and is asked for as many values as one `IN` may hold.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Pruning on both backends: cells, runs and keys go in slices, and what is left is whole."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from typing import Any
 

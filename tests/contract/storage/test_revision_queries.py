@@ -1,7 +1,5 @@
 """Looks at campaigns that read little: they tell the same as reading everything."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.storage import campaign
 

@@ -1,7 +1,5 @@
 """Scores of any scale are stored to the last bit, and whole ones come back as integers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Who made studies of what a campaign found."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from drivecal.domain.campaigns import StageName

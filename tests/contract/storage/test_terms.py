@@ -1,7 +1,5 @@
 """One dispatcher at a time: whoever was superseded writes nothing more, whenever it finds out."""
 
-from __future__ import annotations
-
 import threading
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Upgrades to a later revision lose nothing, run in one transaction, and have nothing between the two revisions."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

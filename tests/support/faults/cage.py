@@ -5,8 +5,6 @@ found by parentage alone, however it was orphaned. It ends with the command's ex
 input ends, because whoever started it is gone, it kills them all. Standard library only.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import select

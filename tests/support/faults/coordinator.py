@@ -1,7 +1,5 @@
 """`drivecal serve` in a cage: its processes found by parentage, killed, and started again on the same database and port."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """What campaigns found, without what may differ from one run to the next; and what has to hold however a server was treated."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The life of a server under faults: at points of its work that a seed chooses, something is done to it; then it has to go on."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable, Mapping, Sequence

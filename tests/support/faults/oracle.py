@@ -1,7 +1,5 @@
 """What campaigns find where nothing can go wrong: one simulation after the other in this process, without a server, Ray or workers."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Deadlines on a machine that does other things as well: time in which others had the processors does not count."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Sequence

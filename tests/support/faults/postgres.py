@@ -1,7 +1,5 @@
 """A PostgreSQL server that can be killed and started again on the same data, and whose commits take long enough to be hit."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import time

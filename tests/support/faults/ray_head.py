@@ -1,7 +1,5 @@
 """A Ray cluster of one node on this machine that can be killed and started again at the same address."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """What a suite of faults did to servers, and what came of it: noted by lives, carried by the tests' reports, told at the end."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

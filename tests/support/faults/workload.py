@@ -1,7 +1,5 @@
 """The work of a server under faults: three campaigns side by side and a stream of single evaluations, all of it real simulation."""
 
-from __future__ import annotations
-
 import threading
 import time
 import uuid

@@ -3,8 +3,6 @@
 Found like any installed package once this folder is on the path: its entry point is in the dist-info folder next to it.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Mapping, Sequence

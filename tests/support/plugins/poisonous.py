@@ -1,8 +1,6 @@
 """A user's package with a driving function that keeps lane and speed, but for a few values of `dose`, which really break the worker:
 a null pointer inside libsumo, a call that does not return, memory that runs out. Found as `misbehaving` is."""
 
-from __future__ import annotations
-
 import resource
 import time
 from collections.abc import Mapping, Sequence

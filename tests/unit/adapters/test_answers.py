@@ -1,7 +1,5 @@
 """Replays in answers: read of simulators that drive on roads, ignored of others, and refused if a page could not draw them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Hostile children: what is held back, and what is counted."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

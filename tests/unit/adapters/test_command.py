@@ -1,7 +1,5 @@
 """Simulators of kind `command`: files in, a file out, an exit code."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

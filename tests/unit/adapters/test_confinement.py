@@ -1,7 +1,5 @@
 """What a simulator cannot do to its neighbours where the kernel has Landlock, and what it may do all the same."""
 
-from __future__ import annotations
-
 import os
 import socket
 from contextlib import ExitStack

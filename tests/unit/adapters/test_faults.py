@@ -1,7 +1,5 @@
 """Many faults and many runs of one session, with a simulator in C++."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Simulators of kind `fmu`: whole systems of FMI 2 and 3, built here."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import replace
 from pathlib import Path

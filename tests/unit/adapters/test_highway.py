@@ -1,7 +1,5 @@
 """Simulators of kind `highway`: how long a child serves, and what a machine or a bundle lacks, without starting one."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

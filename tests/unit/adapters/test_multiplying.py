@@ -1,7 +1,5 @@
 """Simulators whose processes multiply: how many they may be, and how all of them end."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

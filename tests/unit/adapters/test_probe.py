@@ -1,7 +1,5 @@
 """Probes of bundles: commands that print the version of tools outside of the bundle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

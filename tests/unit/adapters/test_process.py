@@ -1,7 +1,5 @@
 """Simulators of kind `process`: the protocol, its faults, and what a fault costs."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Simulators of kind `python`: a function in a file of the bundle."""
 
-from __future__ import annotations
-
 import sys
 import zipfile
 from pathlib import Path

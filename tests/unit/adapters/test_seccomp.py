@@ -1,7 +1,5 @@
 """The filter of system calls, carried out as Linux does it, on all architectures."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

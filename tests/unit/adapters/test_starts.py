@@ -1,7 +1,5 @@
 """Starts that a simulator refuses: on this machine, or on every machine."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Table 5 over seeds, and pairs of runs that differ in their reduction alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

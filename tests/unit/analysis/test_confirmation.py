@@ -1,7 +1,5 @@
 """The best set of a search is simulated where it owes scores to references, until one is as good as it seems."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

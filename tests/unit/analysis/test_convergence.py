@@ -1,7 +1,5 @@
 """When an optimization counts as converged, on the cases of Tables 5 and 7."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

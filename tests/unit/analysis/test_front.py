@@ -1,7 +1,5 @@
 """Fronts: against pymoo's sorting and moocore's hypervolume, and by what their definitions say."""
 
-from __future__ import annotations
-
 import moocore
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Objectives and constraints of a set, and the front of a ranking."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Permutation importance of parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

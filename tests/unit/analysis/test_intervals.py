@@ -1,7 +1,5 @@
 """The interval over base sets: coverage by simulation with alike variants, limits in closed form, invariance."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

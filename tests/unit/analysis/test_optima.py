@@ -1,7 +1,5 @@
 """Regions of equal optima."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Boxes of vehicles, the three conditions, and the degree of robustness found by growing boxes and by bisection."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

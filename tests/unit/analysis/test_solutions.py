@@ -1,7 +1,5 @@
 """Evaluated parameter sets are ranked under any weights."""
 
-from __future__ import annotations
-
 import random
 
 import numpy as np

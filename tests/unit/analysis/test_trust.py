@@ -1,7 +1,5 @@
 """The light of a campaign's result, and the verdicts behind it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

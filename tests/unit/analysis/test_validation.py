@@ -1,7 +1,5 @@
 """The sets of Section V: all effects of the reducible parameters covered, and variants that stay in their regions."""
 
-from __future__ import annotations
-
 from itertools import combinations, product
 
 import numpy as np

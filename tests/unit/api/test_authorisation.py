@@ -1,7 +1,5 @@
 """What passes the door, request by request: the application behind it answers 200 to everything."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Sequence
 from typing import Any

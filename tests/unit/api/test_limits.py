@@ -1,7 +1,5 @@
 """What is too much, request by request."""
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Sequence

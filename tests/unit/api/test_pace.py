@@ -1,7 +1,5 @@
 """The time of simulations before they are submitted."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivecal.api.submission import Pace

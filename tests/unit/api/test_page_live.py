@@ -1,7 +1,5 @@
 """A page that does not read is no longer served, and one that floods the server waits."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Every error that drivecal raises has its status, and every one its shape."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import pickle

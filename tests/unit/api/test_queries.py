@@ -1,7 +1,5 @@
 """Which format a client asks for."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivecal.api.http.queries import TableOf, form_of

@@ -1,7 +1,5 @@
 """What is noted of each request, in the log and in the metrics; the application behind it does what each test needs."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

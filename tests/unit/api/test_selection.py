@@ -1,7 +1,5 @@
 """Rows of a table by conditions on its columns."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

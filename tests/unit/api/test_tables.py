@@ -1,7 +1,5 @@
 """Whole tables as files."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import io

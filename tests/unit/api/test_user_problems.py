@@ -1,7 +1,5 @@
 """Who may push a problem, what is refused, and what is listed and shown; the whole application, without a server."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Archives of bundles: round trips, digests of the content, and hostile zips."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

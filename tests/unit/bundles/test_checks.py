@@ -1,7 +1,5 @@
 """Manifests: every fault is named with its field and a remedy, all at once."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import math

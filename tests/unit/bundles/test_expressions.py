@@ -1,7 +1,5 @@
 """Formulas and constraints: what parses, what has a value, and that nothing else happens."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import pickle

@@ -1,7 +1,5 @@
 """The documentation of the simulator `highway` lists exactly what it observes, takes, measures and records."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

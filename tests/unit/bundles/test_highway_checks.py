@@ -1,7 +1,5 @@
 """Manifests of kind `highway`: the simulator section, scenarios, and what they may declare of answers."""
 
-from __future__ import annotations
-
 import copy
 from types import SimpleNamespace
 from typing import Any

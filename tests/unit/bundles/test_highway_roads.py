@@ -1,7 +1,5 @@
 """Scenarios of kind `highway` against their networks: every fault by its field, conversions in archives, and notes."""
 
-from __future__ import annotations
-
 import copy
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Constraints of a manifest that leave nothing, or seem to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 `DRIVECAL_LONG` in the environment makes it 10,000 of each.
 """
 
-from __future__ import annotations
-
 import random
 import zipfile
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Scores of runs: one function for campaigns and for the check of a problem before its push."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.scales import COST
 

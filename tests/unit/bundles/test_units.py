@@ -1,7 +1,5 @@
 """Units as texts: spellings of the same unit, and others."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import pytest

@@ -1,7 +1,5 @@
 """A2L: limits, units, resolutions and enumerations of scalar characteristics; faults are named with their line."""
 
-from __future__ import annotations
-
 import contextlib
 
 import pytest

@@ -1,7 +1,5 @@
 """CDF 2.x: values survive, quality data is where tools look for it, hostile XML is refused with its line."""
 
-from __future__ import annotations
-
 import string
 from xml.etree import ElementTree as ET
 

@@ -1,7 +1,5 @@
 """Calibration files of a campaign's sets: their quality data belong to the ranking that was asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

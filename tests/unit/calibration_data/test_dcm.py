@@ -1,7 +1,5 @@
 """DCM 2.0: what is written is read again without loss, by drivecal and by dcmReader; faults are named with their line."""
 
-from __future__ import annotations
-
 import contextlib
 import string
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sections of problem.yaml from the characteristics of files, and files of names."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

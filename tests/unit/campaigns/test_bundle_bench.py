@@ -1,7 +1,5 @@
 """Campaigns with a problem bundle: what they resolve to, and how the coordinator rates measures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which campaigns a comparison consists of."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

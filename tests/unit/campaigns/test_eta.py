@@ -1,7 +1,5 @@
 """The time left is told once there is something to judge it by."""
 
-from __future__ import annotations
-
 from drivecal.campaigns.stages.stage import EtaEstimate
 
 

@@ -1,7 +1,5 @@
 """Objectives and constraints against what a problem declares."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Influence maps of analyses hold where their runs and ratings do."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from typing import Any
 

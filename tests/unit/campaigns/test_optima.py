@@ -1,7 +1,5 @@
 """Sets that share the best objective."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from drivecal.analysis.optima import regions

@@ -1,7 +1,5 @@
 """A campaign is resolved against what is installed, and everything wrong with it is said at once, field by field."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

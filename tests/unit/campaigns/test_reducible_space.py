@@ -1,7 +1,5 @@
 """Validations: regions are those of the reference keys, and histograms are limited, and wrong where R_err says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from decimal import Decimal
 

@@ -1,7 +1,5 @@
 """The demo's own coordinator; the demo as a whole is run by `make demo`."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

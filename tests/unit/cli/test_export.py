@@ -1,7 +1,5 @@
 """Files that `drivecal export -o -` writes to standard output hold names and messages of other people."""
 
-from __future__ import annotations
-
 import io
 import os
 

@@ -1,7 +1,5 @@
 """What `drivecal influence` says under its tables."""
 
-from __future__ import annotations
-
 import pytest
 
 from drivecal.cli.commands.influence import decided_text, print_influence

@@ -1,7 +1,5 @@
 """Time series as MF4: written by asammdf, read by its data frames and by mdfreader."""
 
-from __future__ import annotations
-
 import io
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """`drivecal problem check`: what a user learns of a problem before any server sees it."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The progress of a campaign on a terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from io import StringIO
 from typing import Any

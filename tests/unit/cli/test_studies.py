@@ -1,7 +1,5 @@
 """Known studies: which campaign's results a command takes."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import pytest

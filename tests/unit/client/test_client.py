@@ -1,7 +1,5 @@
 """Errors, repetitions, tokens and submissions of the client."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Reading campaign files."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Event streams, as the standard's own examples and as ours."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

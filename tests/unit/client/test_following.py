@@ -1,7 +1,5 @@
 """Events and states of a campaign that is watched, over streams that break off."""
 
-from __future__ import annotations
-
 import json
 import time
 from typing import Any

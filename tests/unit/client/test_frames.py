@@ -1,7 +1,5 @@
 """Downloaded tables and time series as frames, files and tables of notebooks."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

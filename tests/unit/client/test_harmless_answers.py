@@ -1,7 +1,5 @@
 """Answers hold names and messages of other people, which end on a terminal."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

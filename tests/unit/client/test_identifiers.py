@@ -1,7 +1,5 @@
 """Abbreviated ids of campaigns and influence maps."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

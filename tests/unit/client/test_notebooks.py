@@ -1,7 +1,5 @@
 """What notebooks display; the kernel is a fake here and a real one in tests/integration/test_notebooks.py."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +24,7 @@ class Output:
     def __init__(self) -> None:
         self.shown: list[Any] = []
 
-    def display(self, value: Any, *, display_id: bool) -> Output:
+    def display(self, value: Any, *, display_id: bool) -> "Output":
         assert display_id
         self.shown.append(value)
         return self

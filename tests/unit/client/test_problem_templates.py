@@ -1,7 +1,5 @@
 """New problems: each template is a bundle that runs, and an FMU's description is read with care."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Reading bundles from disk: every fault is named with its line of problem.yaml."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

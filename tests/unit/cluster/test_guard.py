@@ -1,7 +1,5 @@
 """A node ends with its vital parts."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess

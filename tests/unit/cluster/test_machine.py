@@ -1,7 +1,5 @@
 """CPUs and memory within the limits of a container."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Checks of a node before it joins a cluster."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The release that nodes compare."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

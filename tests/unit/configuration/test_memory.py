@@ -1,7 +1,5 @@
 """Memory that goes back to the system, on Linux."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The secret by which the user of a server without tokens is known."""
 
-from __future__ import annotations
-
 import stat
 from pathlib import Path
 

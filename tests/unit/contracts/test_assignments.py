@@ -1,7 +1,5 @@
 """`NAME=VALUE` on a command line: numbers, and texts for choices."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The answers about campaigns hold the fields that the interface promises."""
 
-from __future__ import annotations
-
 from drivecal.contracts.campaign import Campaign, CellCounts, ErrorRate
 from drivecal.domain.evaluations import Outcome
 

@@ -1,7 +1,5 @@
 """The campaign file against the interface's example, and against everything that must not get in."""
 
-from __future__ import annotations
-
 import copy
 import json
 from typing import Any

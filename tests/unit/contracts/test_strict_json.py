@@ -1,7 +1,5 @@
 """Reading JSON from outside."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """Texts of users: characters that steer a terminal or reverse what is read are refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """What a user reads when a specification does not fit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

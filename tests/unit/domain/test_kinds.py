@@ -1,7 +1,5 @@
 """Continuous parameters, integers and choices: values, keys and bounds."""
 
-from __future__ import annotations
-
 import json
 from decimal import Decimal
 from itertools import permutations

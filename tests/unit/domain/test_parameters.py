@@ -1,7 +1,5 @@
 """Parameters on integer grids, parameter sets and spaces."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows of reference lines, and the way between Cartesian and Frenet coordinates there and back."""
 
-from __future__ import annotations
-
 from math import cos, sin
 
 import numpy as np

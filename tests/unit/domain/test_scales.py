@@ -1,7 +1,5 @@
 """What a score's numbers mean."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

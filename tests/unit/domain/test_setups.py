@@ -1,7 +1,5 @@
 """Setups and their fingerprints."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from drivecal.execution.backend import WorkerInfo
 from drivecal.execution.observing import Activity
 

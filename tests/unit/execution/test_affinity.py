@@ -1,7 +1,5 @@
 """Who takes which setup: a worker stays with what it knows, and nobody stands idle for it."""
 
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 

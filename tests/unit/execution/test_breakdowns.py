@@ -1,7 +1,5 @@
 """Attempts, over restarts too, and what was not sent after all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from tests.support.plant import TARGET, V, W, answers, cells, ids, send

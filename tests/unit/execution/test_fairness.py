@@ -1,7 +1,5 @@
 """Whose turn it is: priorities, worker time, and the setups within a campaign."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

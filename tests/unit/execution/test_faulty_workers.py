@@ -1,7 +1,5 @@
 """Exceptions, spoilt workers and refusals: no good cell pays for them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

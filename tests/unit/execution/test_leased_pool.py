@@ -1,7 +1,5 @@
 """The pool sends nothing without a lease, and keeps none that it does not need."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

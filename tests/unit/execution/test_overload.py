@@ -1,7 +1,5 @@
 """Campaigns beside others that ask for far more, or whose cells take far longer: simulated on virtual time, so that only work counts."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

@@ -1,7 +1,5 @@
 """On which nodes workers are started."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from hypothesis import given

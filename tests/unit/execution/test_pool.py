@@ -1,7 +1,5 @@
 """The pool on a backend whose time is computed: attempts, sizes of batches, priorities, withdrawal."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

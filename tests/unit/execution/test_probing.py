@@ -1,8 +1,6 @@
 """Tools outside of bundles: the pool asks a worker for their versions, and knows when no worker has those of a campaign, or when none can
 run a problem at all."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Identical cells of parallel campaigns are simulated once."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

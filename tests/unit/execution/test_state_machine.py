@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from tests.support.turmoil import run_turmoil
 
 STEPS = 4_000

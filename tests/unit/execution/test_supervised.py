@@ -1,7 +1,5 @@
 """Workers whose bundle cache fails get the files of a bundle again with a new process; workers that start slowly get more time."""
 
-from __future__ import annotations
-
 import io
 import math
 import zipfile

@@ -1,7 +1,5 @@
 """Stored kernels follow edits of the modules whose kernels they call."""
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

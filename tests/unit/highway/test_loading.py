@@ -1,7 +1,5 @@
 """What SUMO says when it refuses the files that it loads: in the exception, and on standard error, where it stays if the process dies."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable

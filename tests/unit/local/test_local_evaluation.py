@@ -1,7 +1,5 @@
 """Evaluation in process gives what a worker gives."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The check of a problem before its push rates as a campaign does."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

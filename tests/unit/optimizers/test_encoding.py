@@ -1,7 +1,5 @@
 """Bit patterns and grid indices."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

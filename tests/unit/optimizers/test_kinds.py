@@ -1,7 +1,5 @@
 """Every optimizer on continuous parameters, integers and choices."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

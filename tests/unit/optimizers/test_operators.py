@@ -1,7 +1,5 @@
 """Recombination, mutation, ranking and start designs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

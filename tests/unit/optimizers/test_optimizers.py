@@ -1,7 +1,5 @@
 """What every optimizer promises, what those of the replacing kind promise, and what the genetic algorithm promises beyond."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The genetic algorithm against its floor, random search, and against pymoo's binary genetic algorithm."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

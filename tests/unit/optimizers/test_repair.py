@@ -1,7 +1,5 @@
 """Constraints kept by repair: always feasible, pure, near, and resumable with every optimizer."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 import numpy as np

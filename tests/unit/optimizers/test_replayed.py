@@ -1,7 +1,5 @@
 """Optimizers of other libraries behind the port: deterministic, resumable, and better than chance."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Optimizers of several objectives with violations, behind the port: NSGA-II and NSGA-III of pymoo, Optuna's samplers."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

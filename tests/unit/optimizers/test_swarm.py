@@ -1,7 +1,5 @@
 """The particle swarm: Equations 4 and 5 to the letter, its edges, and pyswarms beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

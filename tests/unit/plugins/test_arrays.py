@@ -1,7 +1,5 @@
 """Files of arrays: what was written comes back, and whatever else there may be in a file is refused."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

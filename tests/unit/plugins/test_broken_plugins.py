@@ -1,7 +1,5 @@
 """A package that cannot be imported, or that claims what another one has, costs only what is asked of it by name."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

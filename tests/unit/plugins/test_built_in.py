@@ -1,7 +1,5 @@
 """Every built-in plug-in satisfies its port, and describing itself costs the coordinator no simulator and no compiler."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import subprocess

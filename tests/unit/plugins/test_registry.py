@@ -1,7 +1,5 @@
 """Finding plug-ins by their entry points."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What answers a cell is decided in the order repeated, reused, simulated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hypothesis import given

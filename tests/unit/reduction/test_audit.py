@@ -1,7 +1,5 @@
 """The self-check measures the share of wrong answers."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

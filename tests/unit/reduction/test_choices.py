@@ -1,7 +1,5 @@
 """Choices in reference keys, comparisons, common areas and features: by their text, whatever the list."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 import numpy as np

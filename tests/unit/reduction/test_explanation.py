@@ -1,7 +1,5 @@
 """The nearest stored set and what blocks it, held against a scan by hand and against the reference keys."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 from math import sqrt
 from typing import get_args

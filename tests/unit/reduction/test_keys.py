@@ -1,7 +1,5 @@
 """The reference key says the same as a scan of the whole table by Figure 6, which is kept here as the oracle."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from decimal import Decimal

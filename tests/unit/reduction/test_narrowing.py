@@ -1,7 +1,5 @@
 """The common reduction: the smallest box that holds all influential bounds, on the places of the space's own grid."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 
 import numpy as np

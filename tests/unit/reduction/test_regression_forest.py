@@ -1,7 +1,5 @@
 """The forest behind predictions of scores without steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

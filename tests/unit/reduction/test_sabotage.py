@@ -1,8 +1,6 @@
 """Whatever a predictor or an influence map does, the errors released stay below the limit in the mean, for each answer in a lot. All that a
 useless predictor costs is its fits and its samples."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plain data that figures and pages are made from."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from drivecal.contracts.accounting import Accounting, BalanceItem, BreakEven, ScenarioAccount, SensitivityCost

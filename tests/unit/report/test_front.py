@@ -1,7 +1,5 @@
 """Fronts in the report and on the command line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

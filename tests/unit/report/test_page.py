@@ -1,7 +1,5 @@
 """The page of a report and the files beside it."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from html.parser import HTMLParser

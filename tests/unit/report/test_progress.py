@@ -1,7 +1,5 @@
 """Figures 10 and 11: what the lines and areas stand for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """The review sheet from plain data: its content, its digest, and what verification finds."""
 
-from __future__ import annotations
-
 import html
 import re
 from dataclasses import replace

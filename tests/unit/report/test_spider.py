@@ -1,7 +1,5 @@
 """Figure 9: what is grey, where, and that everything can be read."""
 
-from __future__ import annotations
-
 import re
 from itertools import combinations
 from xml.etree import ElementTree as ET

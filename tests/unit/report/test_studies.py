@@ -1,7 +1,5 @@
 """Figures 12 and 14, Tables 1, 2 and 9: against what was found."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

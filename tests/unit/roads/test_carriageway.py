@@ -1,7 +1,5 @@
 """Roads of equal lanes, measured from networks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tests.support.networks import entrance

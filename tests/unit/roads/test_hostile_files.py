@@ -3,8 +3,6 @@
 `DRIVECAL_LONG` in the environment makes it thorough.
 """
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 

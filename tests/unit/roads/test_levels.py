@@ -1,7 +1,5 @@
 """Roads above and below a route."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.networks import REAL, bridges, built, edge, entrance, node, real_corridor, real_network
 

@@ -1,7 +1,5 @@
 """Reading networks: what is refused, with file and line."""
 
-from __future__ import annotations
-
 import gzip
 import re
 from contextlib import suppress

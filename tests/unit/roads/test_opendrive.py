@@ -1,7 +1,5 @@
 """OpenDRIVE: geometry and conversion against a reader of its own, notes, and files that are refused."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Speed limits of OpenDRIVE files: by place, missing ones, and lanes on which any speed is allowed."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Notes on OpenDRIVE files, and lanes that have no place in them."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

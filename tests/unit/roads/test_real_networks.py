@@ -1,7 +1,5 @@
 """Real networks: coordinates, widths, limits and connections against sumolib, and how smooth the line is."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 from typing import Any

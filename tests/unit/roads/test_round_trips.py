@@ -1,7 +1,5 @@
 """Properties of corridors: places on the road and coordinates belong to each other."""
 
-from __future__ import annotations
-
 from math import cos, sin
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corridors of routes with ramps, merges and changing lanes, and the routes that are refused."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

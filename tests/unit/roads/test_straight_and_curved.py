@@ -1,7 +1,5 @@
 """Corridors of motorways without ramps, against the designs that the networks were built from."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

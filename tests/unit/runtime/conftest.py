@@ -1,7 +1,5 @@
 """A problem's archive and a request of its runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Cells of problem bundles on a worker: sessions, declared measures, time series and the cache of files."""
 
-from __future__ import annotations
-
 import errno
 import gzip
 import json

@@ -1,7 +1,5 @@
 """The cache of bundles on a node: whole, private, and what its digests say."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -3,8 +3,6 @@
 And ends of sessions that fail.
 """
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Versions of tools outside of bundles: a worker runs the probe, and refuses a campaign that began with another answer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scenarios with known influential boxes, for tests of the whole analysis."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from decimal import Decimal
 

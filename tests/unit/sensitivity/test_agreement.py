@@ -1,7 +1,5 @@
 """When two influence maps say the same."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

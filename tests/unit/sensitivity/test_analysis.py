@@ -1,7 +1,5 @@
 """The analysis as a whole: phases, replay, what is given back, what stays unknown, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from decimal import Decimal

@@ -4,8 +4,6 @@ Some hold for every step law; those of the g-function and sigma of x^2 are for b
 design is drawn without the shortest step there. With it, the exact values are summed over the grid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

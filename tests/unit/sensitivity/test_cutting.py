@@ -1,7 +1,5 @@
 """What is cut from which intervals, and what is given back."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The analysis that decides about each parameter, for every kind of decision."""
 
-from __future__ import annotations
-
 import re
 from math import nan
 

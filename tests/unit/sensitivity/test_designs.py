@@ -1,7 +1,5 @@
 """What every design keeps, whatever the space: grids, boxes, one parameter per step, no zero steps, numbers of runs."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Measures from effects: units, symmetries, and runs that failed."""
 
-from __future__ import annotations
-
 from math import isnan
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Analyses of continuous parameters, integers and choices, and within constraints."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 from typing import Literal
 

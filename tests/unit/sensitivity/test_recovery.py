@@ -1,7 +1,5 @@
 """Both designs find influential boxes that are known, within one interval."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SALib's radial design and `radial_ee` as an independent implementation, where no step is zero; and what it does where one is."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

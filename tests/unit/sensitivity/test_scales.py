@@ -1,7 +1,5 @@
 """Analyses of scores on other scales than comfort."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

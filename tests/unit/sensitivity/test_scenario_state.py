@@ -1,7 +1,5 @@
 """Regions of one parameter in one scenario: what is confirmed, given back, and left open by the global analysis."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from decimal import Decimal
 

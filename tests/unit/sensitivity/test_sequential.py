@@ -1,7 +1,5 @@
 """Intervals from both ends inwards: the same bounds as all runs of the design give, from fewer of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import isnan
 from typing import Any

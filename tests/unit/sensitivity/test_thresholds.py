@@ -1,7 +1,5 @@
 """What counts as influential: on s_rel, on mu and sigma apart, and what `auto` tolerates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

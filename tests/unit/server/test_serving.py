@@ -1,7 +1,5 @@
 """When a server that was just started is ready."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 from typing import Any

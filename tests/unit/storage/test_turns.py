@@ -1,7 +1,5 @@
 """Threads of a process that write to one SQLite file."""
 
-from __future__ import annotations
-
 import sqlite3
 import threading
 from concurrent.futures import ThreadPoolExecutor

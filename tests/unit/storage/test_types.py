@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime, timedelta, timezone

@@ -1,7 +1,5 @@
 """The hook that builds the page when drivecal is installed: what it does where it cannot."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The program that builds the documentation: links between files, inline scripts, and what it does if it cannot."""
 
-from __future__ import annotations
-
 import json
 from base64 import b64encode
 from pathlib import Path

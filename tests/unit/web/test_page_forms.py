@@ -1,7 +1,5 @@
 """What the page's forms say of fields by themselves fits what there is: fields that exist, and all plug-ins that come with drivecal."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

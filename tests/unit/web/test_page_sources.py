@@ -1,7 +1,5 @@
 """The unit tests of the page's own sources, where what runs them is there."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 

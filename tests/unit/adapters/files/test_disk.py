@@ -1,7 +1,5 @@
 """Limits of the files of a session: in folders, without a name, hidden, and in memory."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

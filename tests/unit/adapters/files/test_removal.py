@@ -1,7 +1,5 @@
 """Folders are removed as hostile simulators leave them, and nothing besides."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checks of problems against FMUs: inputs without a value, constants, directions of signals, units of parameters."""
 
-from __future__ import annotations
-
 import copy
 import time
 import tracemalloc

@@ -1,7 +1,5 @@
 """Places by coordinates: on the roads of the drive, and on one of those that lie above each other."""
 
-from __future__ import annotations
-
 from functools import cache
 from math import pi
 

@@ -1,7 +1,5 @@
 """Damaged route and OpenSCENARIO files: whatever is in them, reading ends soon, with a scenario or a refusal that names file and cause."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """OpenSCENARIO files as traffic: places, speeds, actions, conditions and their references; what is ignored is noted."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

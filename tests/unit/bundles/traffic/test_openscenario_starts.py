@@ -1,7 +1,5 @@
 """OpenSCENARIO files: starts, ends, and what is refused by line or field."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """SUMO route files: what is on the list is passed on to SUMO, everything else is refused with file, line and element."""
 
-from __future__ import annotations
-
 from typing import Any
 from xml.etree import ElementTree as ET
 

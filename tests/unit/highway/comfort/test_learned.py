@@ -1,7 +1,5 @@
 """The learned evaluator: what it rates, what it refuses, and that it is what was trained."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import subprocess

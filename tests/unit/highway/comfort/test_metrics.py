@@ -1,7 +1,5 @@
 """The comfort metrics of a run."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

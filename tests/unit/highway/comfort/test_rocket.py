@@ -1,7 +1,5 @@
 """MiniRocket features: against the definition, and against aeon's transform."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The reference comfort scale."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The frequency weightings of ISO 2631-1 against the standard's table, its transfer functions, and scipy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

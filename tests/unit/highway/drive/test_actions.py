@@ -1,8 +1,6 @@
 """Triggered actions against a recorded SUMO: when they begin, and what they give back."""
 
 # ruff: noqa: N802  # the fake has SUMO's names
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

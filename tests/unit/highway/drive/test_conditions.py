@@ -1,7 +1,5 @@
 """Triggers of actions: quantities between vehicles, edges, delays and what has happened."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from math import nan

@@ -1,7 +1,5 @@
 """Controllers in this process: what functions and classes get and may return."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Answers of the child with time series: a replay that cannot be sent leaves the rest."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

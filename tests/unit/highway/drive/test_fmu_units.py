@@ -1,7 +1,5 @@
 """Units that controllers and vehicles in FMUs state, against those of signals, commands and states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace

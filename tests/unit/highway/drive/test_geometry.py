@@ -1,7 +1,5 @@
 """Geometry of the corridor: places, observations, records and the lane keeper's path, against hand-made roads and `domain.roads`."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

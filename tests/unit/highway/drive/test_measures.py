@@ -1,7 +1,5 @@
 """Measures of runs against hand-made cases."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

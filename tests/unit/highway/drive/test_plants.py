@@ -1,7 +1,5 @@
 """Vehicles of users: conventions of their states."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

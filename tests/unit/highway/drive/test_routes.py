@@ -1,7 +1,5 @@
 """SUMO's route file and options of scenarios."""
 
-from __future__ import annotations
-
 from typing import Any
 from xml.etree.ElementTree import Element, fromstring
 

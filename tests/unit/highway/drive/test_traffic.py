@@ -1,7 +1,5 @@
 """The ego vehicle in SUMO: where it is placed, and the lane and the speed that the others see."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any

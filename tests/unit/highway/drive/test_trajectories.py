@@ -1,7 +1,5 @@
 """Trajectories of users' points: checked, joined smoothly, and laid along the track."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import SimpleNamespace
 from typing import Any

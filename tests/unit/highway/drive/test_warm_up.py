@@ -1,7 +1,5 @@
 """Traffic before a run: who is there at time 0, what room the ego vehicle has, and that each run begins with the same bits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

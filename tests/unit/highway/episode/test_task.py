@@ -1,7 +1,5 @@
 """When a task counts as fulfilled."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The planner's decision from the features of all candidates, in the planner's order of summation, without any bound."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

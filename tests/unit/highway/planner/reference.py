@@ -4,8 +4,6 @@ It shares the constants with it (candidate ends, magnitudes), not a formula: pol
 algebra, the Cartesian motion of a candidate from differences of its path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """Scenarios and planning instants to test with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The candidate set and the desired speed along the road."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

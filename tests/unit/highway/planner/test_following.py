@@ -1,7 +1,5 @@
 """The desired speed behind a slower vehicle on a corridor."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

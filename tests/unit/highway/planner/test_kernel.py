@@ -1,7 +1,5 @@
 """The compiled planner against the one written out in `reference`."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Vectors of eight numbers against numpy, bit for bit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """P1..P11: their spaces, limits and weights."""
 
-from __future__ import annotations
-
 from decimal import Decimal
 from pathlib import Path
 

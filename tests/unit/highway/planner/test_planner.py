@@ -1,7 +1,5 @@
 """How the planner drives: seen from outside, by its trajectories and by which features a situation changes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import cos, sin

@@ -1,7 +1,5 @@
 """The built-in catalogue and its networks."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

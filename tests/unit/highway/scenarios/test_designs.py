@@ -1,7 +1,5 @@
 """Designs of roads against closed forms."""
 
-from __future__ import annotations
-
 from math import pi, sqrt
 
 import numpy as np

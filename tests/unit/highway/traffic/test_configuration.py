@@ -1,7 +1,5 @@
 """SUMO's options and route file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from xml.etree import ElementTree as ET
 

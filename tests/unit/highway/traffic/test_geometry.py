@@ -1,7 +1,5 @@
 """The compiled geometry against independent ways to compute the same."""
 
-from __future__ import annotations
-
 from math import cos, hypot, pi, sin
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lanes of a corridor as SUMO counts them."""
 
-from __future__ import annotations
-
 import pytest
 from tests.support.networks import entrance
 

@@ -1,7 +1,5 @@
 """Trajectories as a planner gives them: rows every 0.1 s of (t, x, y, heading, curvature, speed, acceleration), shape (n, 7)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

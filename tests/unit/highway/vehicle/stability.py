@@ -1,7 +1,5 @@
 """Stability of the single track without a controller."""
 
-from __future__ import annotations
-
 import math
 
 from drivecal.highway.vehicle.parameters import SingleTrackParameters, understeer_gradient

@@ -1,7 +1,5 @@
 """The plant and its trackers of commands: steering angle, curvature, path."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

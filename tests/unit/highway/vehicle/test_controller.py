@@ -1,7 +1,5 @@
 """The tracking controller: designed for the nominal vehicle, kept for every other one of Table 8's box."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

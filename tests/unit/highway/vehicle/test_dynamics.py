@@ -1,7 +1,5 @@
 """The equations of motion and their integration: closed forms, order of convergence, consistency at the switch of models."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """`follow`: the kernel against a naive implementation, symmetries, and what it does with input that does not fit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """The hybrid vehicle: its residual against the training framework, its range and bounds, symmetries, and what happens to damaged files."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys

@@ -7,8 +7,6 @@ constant acceleration both are constants, so a fictitious height h gives any pai
 mu C_S m (g l_r - a h) / L = c_f and mu C_S m (g l_f + a h) / L = c_r.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

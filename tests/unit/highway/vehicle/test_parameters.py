@@ -1,7 +1,5 @@
 """Table 8, and what follows from its values in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

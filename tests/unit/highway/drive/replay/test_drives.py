@@ -1,7 +1,5 @@
 """Drives as a replay shows them: the ego vehicle, and each other vehicle as long as it is near."""
 
-from __future__ import annotations
-
 import tracemalloc
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Roads as a replay draws them: the lanes of a route with its ramps, and what is beside it, where the network has them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 
