@@ -1,8 +1,9 @@
 """Answers about a campaign's setup: its problem and all that decides its runs."""
 
-from pydantic import Field
+from pydantic import Field, computed_field
 
 from drivecal.contracts.campaign import Answer
+from drivecal.contracts.tables import parameter_column
 
 
 class SearchedParameter(Answer):
@@ -21,6 +22,12 @@ class SearchedParameter(Answer):
     choices: list[str] = Field(default_factory=list)
     description: str = ""
     """Its meaning, empty if the problem has none."""
+
+    @computed_field  # type: ignore[prop-decorator]  # pydantic's own way
+    @property
+    def column(self) -> str:
+        """Its column in tables."""
+        return parameter_column(self.name)
 
 
 class ScenarioSetup(Answer):

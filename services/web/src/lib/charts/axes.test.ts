@@ -6,9 +6,9 @@ import { chosen, colouring, marks, parameterAxes, positions, scoreAxis } from ".
 
 const COST: Scale = { name: "cost", direction: "minimise", lower: 0, upper: 100, tolerance: 2, failed: 120, step: null, unit: "EUR" };
 const PARAMETERS = [
-  { name: "T", unit: "s", lower: 0.8, upper: 2.5, kind: "continuous" },
-  { name: "mode", unit: "1", lower: 0, upper: 2, kind: "choice", choices: ["eco", "normal", "sport"] },
-  { name: "stage", unit: "m", lower: 1, upper: 6, kind: "integer" },
+  { name: "T", column: "T", unit: "s", lower: 0.8, upper: 2.5, kind: "continuous" },
+  { name: "mode", column: "mode", unit: "1", lower: 0, upper: 2, kind: "choice", choices: ["eco", "normal", "sport"] },
+  { name: "stage", column: "parameter_stage", unit: "m", lower: 1, upper: 6, kind: "integer" },
 ];
 
 function table() {
@@ -18,22 +18,22 @@ function table() {
 }
 
 test("every kind of parameter has an axis, choices in their own order and unknown ones behind them", () => {
-  const [time, mode, stage] = parameterAxes(table(), ["T", "mode", "parameter_stage"], PARAMETERS);
-  expect(time).toEqual({ name: "T", title: "T / s", lower: 0.8, upper: 2.5 });
-  expect(mode).toEqual({ name: "mode", title: "mode", lower: 0, upper: 3, choices: ["eco", "normal", "sport", "old"] });
-  expect(stage).toEqual({ name: "parameter_stage", title: "stage / m", lower: 1, upper: 6 });
+  const [time, mode, stage] = parameterAxes(table(), PARAMETERS);
+  expect(time).toEqual({ name: "T", title: "T / s", parameter: "T", lower: 0.8, upper: 2.5 });
+  expect(mode).toEqual({ name: "mode", title: "mode", parameter: "mode", lower: 0, upper: 3, choices: ["eco", "normal", "sport", "old"] });
+  expect(stage).toEqual({ name: "parameter_stage", title: "stage / m", parameter: "stage", lower: 1, upper: 6 });
   expect([...positions(table(), mode ?? { name: "" })]).toEqual([2, 0, 3, 0]);
-  expect(parameterAxes(table(), ["T", "mode"], [])).toMatchObject([{ lower: 0.9, upper: 2.4 }, { choices: ["eco", "old", "sport"] }]);
+  expect(parameterAxes(table(), [])).toEqual([]);
 });
 
 test("a range of a choice keeps its texts", () => {
-  const [mode] = parameterAxes(table(), ["mode"], PARAMETERS);
+  const [, mode] = parameterAxes(table(), PARAMETERS);
   expect([...select(table(), { words: {}, ranges: { mode: [0, 1.4] }, axes: mode ? [mode] : [] })]).toEqual([1, 3]);
   expect(mode && chosen(mode, [0.5, Infinity])).toEqual(["normal", "sport", "old"]);
 });
 
 test("a selection is written as conditions of the API", () => {
-  const axes = parameterAxes(table(), ["T", "mode"], PARAMETERS);
+  const axes = parameterAxes(table(), PARAMETERS);
   expect(conditions({ words: { stage: ["calibration", "validation"] }, ranges: { T: [1, Infinity], mode: [0, 1], score: [-Infinity, 50] }, axes })).toEqual([
     "stage=calibration", "stage=validation", "mode=eco", "mode=normal", "T>=1", "score<=50",
   ]);
@@ -41,7 +41,7 @@ test("a selection is written as conditions of the API", () => {
 });
 
 test("a choice that is kept by words and by a range has the rows of both in a file as well", () => {
-  const axes = parameterAxes(table(), ["mode"], PARAMETERS);
+  const axes = parameterAxes(table(), PARAMETERS);
   const both = (mode: string[], range: [number, number]) => conditions({ words: { mode }, ranges: { mode: range }, axes });
   expect(both(["eco", "sport"], [0, 1])).toEqual(["mode=eco"]);
   expect(both(["sport"], [0, 1])).toEqual(["mode="]);

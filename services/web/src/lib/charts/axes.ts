@@ -8,6 +8,8 @@ import type { Axis } from "./polylines";
 /** A parameter as a campaign's setup describes it; bounds of a choice are positions in `choices`. */
 export interface Ranged {
   name: string;
+  /** Its column in tables. */
+  column: string;
   unit: string;
   lower: number;
   upper: number;
@@ -28,33 +30,21 @@ export function titled(name: string, unit: string | null | undefined): string {
   return unit && unit !== "1" ? `${name} / ${unitText(unit)}` : name;
 }
 
-/** The parameter that a column holds: names that the table itself uses have a prefix. */
-export function parameterOf<T extends { name: string }>(column: string, parameters: readonly T[]): T | undefined {
-  return parameters.find(({ name }) => name === column) ?? parameters.find(({ name }) => `parameter_${name}` === column);
-}
-
-/** The parameter of a column with its unit and meaning; the column's name for others. */
-export function meaningOf(column: string, parameters: readonly Ranged[]): string {
-  const known = parameterOf(column, parameters);
-  return known ? [titled(known.name, known.unit), known.description].filter(Boolean).join(": ") : column;
+/** The parameter that a column holds. */
+export function parameterOf<T extends { column: string }>(column: string, parameters: readonly T[]): T | undefined {
+  return parameters.find((parameter) => parameter.column === column);
 }
 
 /** An axis for each column of a parameter. Texts stand in the order of the parameter's choices, then of the alphabet. */
-export function parameterAxes(table: Table, columns: readonly string[], parameters: readonly Ranged[]): Axis[] {
-  return columns.flatMap((name): Axis[] => {
-    const column = table.columns[name];
-    if (column === undefined) return [];
-    const known = parameterOf(name, parameters);
-    const title = known ? titled(known.name, known.unit) : name;
-    const said = known?.description ? { meaning: known.description } : {};
-    if (column.kind === "text") {
-      const listed = known?.choices ?? [];
-      const choices = [...listed, ...column.words.filter((word) => !listed.includes(word)).sort()];
-      return [{ name, title, lower: 0, upper: Math.max(1, choices.length - 1), choices, ...said }];
-    }
-    if (known && !known.choices?.length) return [{ name, title, lower: known.lower, upper: known.upper, ...said }];
-    const [lower, upper] = extent(table, name) ?? [0, 1];
-    return [{ name, title, lower, upper }];
+export function parameterAxes(table: Table, parameters: readonly Ranged[]): Axis[] {
+  return table.names.flatMap((name): Axis[] => {
+    const [column, known] = [table.columns[name], parameterOf(name, parameters)];
+    if (column === undefined || known === undefined) return [];
+    const axis = { name, title: titled(known.name, known.unit), parameter: known.name, ...(known.description ? { meaning: known.description } : {}) };
+    if (column.kind === "number") return [{ ...axis, lower: known.lower, upper: known.upper }];
+    const listed = known.choices ?? [];
+    const choices = [...listed, ...column.words.filter((word) => !listed.includes(word)).sort()];
+    return [{ ...axis, lower: 0, upper: Math.max(1, choices.length - 1), choices }];
   });
 }
 

@@ -8,6 +8,8 @@ export const HEIGHT = 330;
 export interface Axis {
   name: string;
   title: string;
+  /** The parameter whose values it has. */
+  parameter?: string;
   lower: number;
   upper: number;
   /** What it is. */

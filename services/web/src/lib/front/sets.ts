@@ -2,7 +2,6 @@
 
 import { COLOURS, SERIES } from "../charts/palette";
 import type { Column, Table } from "../server/columns";
-import { parameterColumn } from "../server/rows";
 import type { FrontRow, FrontSummary, TradeOff } from "../server/types";
 
 type Value = number | string | boolean | null | undefined;
@@ -14,7 +13,7 @@ export const objectiveColumn = (name: string): string => `objective_${name}`;
 export const constraintColumn = (name: string): string => `constraint_${name}`;
 
 /** Sets as a table with the columns of its files, and `further` ones. */
-export function tableOf(rows: readonly FrontRow[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
+export function tableOf(rows: readonly FrontRow[], parameters: readonly { name: string; column: string }[], further: Readonly<Record<string, readonly Value[]>> = {}): Table {
   const first = rows[0];
   const columns: Record<string, Column> = {};
   const add = (name: string, value: (row: FrontRow, place: number) => Value): void => void (columns[name] = columnOf(name, rows.map(value)));
@@ -35,7 +34,7 @@ export function tableOf(rows: readonly FrontRow[], further: Readonly<Record<stri
   spread((key) => `value_${key}`, (row) => row.values);
   add("reused", (row) => row.reused.join(" ") || null);
   spread((key) => `answer_${key}`, (row) => row.answers ?? {});
-  spread(parameterColumn, (row) => row.parameters);
+  for (const { name, column } of parameters) add(column, (row) => row.parameters[name]);
   add("iteration", (row) => row.iteration);
   add("individual", (row) => row.individual);
   return { length: rows.length, names: Object.keys(columns), columns };

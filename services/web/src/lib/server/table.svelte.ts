@@ -3,18 +3,18 @@
 import { parameterOf, type Ranged } from "../charts/axes";
 import { Refusal, ask } from "./api";
 import { CsvReader, EMPTY, type Table } from "./columns";
-import { columnsOf, type RowName } from "./rows";
 
-/** Of a long table the beginning is shown at once, and more of it each time that it has become so many times as long. */
+/** Rows of a long table that are shown at once, and the growth until more of it is shown. */
 const FIRST_SHOWN = 3_000;
 const TIMES_AS_LONG = 4;
-/** Of one that is known to be long, the first rows are shown before: the others take many times as long. */
+/** First rows of a table that is known to be long. */
 const FIRST_OF_MANY = 200;
+
+/** Columns of words, which may look like numbers. */
+const WORDS = new Set(["stage", "scenario", "outcome", "failure", "worker"]);
 
 export class TableState {
   table = $state.raw<Table>(EMPTY);
-  /** The columns that rows of this kind have: whether each holds numbers. Columns besides these hold numbers, except choices. */
-  readonly columns: ReadonlyMap<string, boolean>;
   /** Rows that were read so far, while it is being read. */
   reading = $state<number | null>(null);
   problem = $state("");
@@ -30,16 +30,8 @@ export class TableState {
   /** Asked for again while it is being read. */
   private again = false;
 
-  /** `parameters`: those with choices hold words, which may look like numbers. `expected`: about so many rows, if that is known. */
-  constructor(row: RowName, private readonly parameters: () => readonly Ranged[] = () => [], private readonly expected: () => number = () => 0) {
-    this.columns = columnsOf(row);
-  }
-
-  /** Whether a column holds words. */
-  private isText(name: string): boolean {
-    const numeric = this.columns.get(name);
-    return numeric === undefined ? (parameterOf(name, this.parameters())?.choices ?? []).length > 0 : !numeric;
-  }
+  /** `parameters`: choices are words, which may look like numbers. `expected`: the number of rows, as far as it is known. */
+  constructor(private readonly parameters: () => readonly Pick<Ranged, "column" | "choices">[] = () => [], private readonly expected: () => number = () => 0) {}
 
   /** Asks for a table that is read later: its first rows come while other things do that the reading needs. */
   askFor(path: string): void {
@@ -61,7 +53,7 @@ export class TableState {
     [this.path, this.again, this.reading, this.abort, this.ahead] = [path, false, 0, abort, null];
     try {
       const answer = await asked;
-      const reader = new CsvReader({ has: (name) => this.isText(name) });
+      const reader = new CsvReader({ has: (name) => WORDS.has(name) || (parameterOf(name, this.parameters())?.choices ?? []).length > 0 });
       const stream = answer.body?.pipeThrough(new TextDecoderStream()).getReader();
       let worth = this.expected() > FIRST_SHOWN ? FIRST_OF_MANY : FIRST_SHOWN;
       for (;;) {

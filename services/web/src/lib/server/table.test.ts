@@ -5,11 +5,11 @@ import { TableState } from "./table.svelte";
 afterEach(() => void vi.unstubAllGlobals());
 
 const CSV = "id,scenario,gear,parameter_score,P1,score\n1,S1,1,2.0,1,7\n2,S1,5,4.0,2,3\n";
-const CHOICES = [{ name: "gear", choices: ["1", "2", "5"] }, { name: "score", choices: ["2.0", "4.0"] }, { name: "P1" }].map((parameter) => ({ unit: "1", lower: 0, upper: 2, ...parameter }));
+const CHOICES = [{ column: "gear", choices: ["1", "2", "5"] }, { column: "parameter_score", choices: ["2.0", "4.0"] }, { column: "P1" }];
 
 test("parameters with choices hold words, whatever they look like, and columns of the table stay numbers", async () => {
   vi.stubGlobal("fetch", async () => new Response(CSV));
-  const rows = new TableState("EvaluationRow", () => CHOICES);
+  const rows = new TableState(() => CHOICES);
   await rows.load("/evaluations");
   expect(["gear", "parameter_score", "P1", "score"].map((name) => cell(rows.table, name, 1))).toEqual(["5", "4.0", 2, 3]);
 });
@@ -35,7 +35,7 @@ function answers(): { asked: string[]; send: (request: number, csv: string, last
 
 test("rows of another path are known to be old until the first rows of the new one are here, also if there are fewer", async () => {
   const { send } = answers();
-  const rows = new TableState("Solution");
+  const rows = new TableState();
   const many = `rank,objective\n${Array.from({ length: 9_000 }, (_, row) => `${row},1\n`).join("")}`;
   void rows.load("/solutions");
   await send(0, many);
@@ -50,7 +50,7 @@ test("rows of another path are known to be old until the first rows of the new o
 
 test("a table that grows faster than it can be read is read to its end, then once more", async () => {
   const { asked, send } = answers();
-  const rows = new TableState("Solution");
+  const rows = new TableState();
   for (let moment = 0; moment < 3; moment++) void rows.load("/solutions");
   await send(0, "rank\n1\n");
   expect([rows.table.length, asked.length]).toEqual([1, 2]);
@@ -60,7 +60,7 @@ test("a table that grows faster than it can be read is read to its end, then onc
 
 test("a table that was asked for ahead is asked for once, and for its own path alone", async () => {
   const { asked, send } = answers();
-  const rows = new TableState("Solution");
+  const rows = new TableState();
   rows.askFor("/solutions");
   void rows.load("/solutions");
   await send(0, "rank\n1\n");
@@ -73,7 +73,7 @@ test("a table that was asked for ahead is asked for once, and for its own path a
 
 test("the first rows of a long table are shown at once", async () => {
   const { send } = answers();
-  const rows = new TableState("EvaluationRow", () => [], () => 12_000);
+  const rows = new TableState(() => [], () => 12_000);
   void rows.load("/evaluations");
   await send(0, `id\n${"1\n".repeat(300)}`, false);
   expect([rows.table.length, rows.whole]).toEqual([300, false]);
