@@ -36,16 +36,3 @@ export function condition(settings: Readonly<Record<string, unknown>>): string {
   if (settings["condition"] === "mean") return `the mean relative change over the vehicles below ${eta}`;
   return `no score changes by more than ${eta}`;
 }
-
-/** The sets of two studies, each with its row in either: those of the first in their order, then those that only the other has. */
-export function sideBySide(rows: readonly RobustnessRow[], others: readonly RobustnessRow[]): { first: RobustnessRow | null; other: RobustnessRow | null }[] {
-  const key = (row: RobustnessRow): string => JSON.stringify(Object.entries(row.parameters).sort(([a], [b]) => a.localeCompare(b)));
-  const beside = new Map(others.map((row) => [key(row), row]));
-  const mine = new Set(rows.map(key));
-  return [...rows.map((row) => ({ first: row, other: beside.get(key(row)) ?? null })), ...others.filter((other) => !mine.has(key(other))).map((other) => ({ first: null, other }))];
-}
-
-/** A degree that may only be known from below. */
-export function degreeText(row: RobustnessRow | null): string {
-  return row === null ? "–" : `${row.at_least ? "≥ " : ""}${row.degree}`;
-}

@@ -2,13 +2,12 @@
 
 import { Refusal, Tagged, all, isUnreached } from "./api";
 import { follow } from "./live.svelte";
-import { Rate } from "../charts/rate";
 import type { Campaign, CampaignEvent, Generation } from "./types";
 
 export const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
-/** Between two readings that events ask for: a fast search has several iterations a second. */
-const APART_MILLISECONDS = 400;
+/** After an event: a fast search has several iterations a second. */
+const APART_MILLISECONDS = 300;
 /** After these the answer of the campaign itself holds more than its progress. */
 const TELLING = new Set(["best", "baseline", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
 
@@ -17,17 +16,14 @@ export class CampaignState {
   events = $state.raw<CampaignEvent[]>([]);
   generations = $state.raw<Generation[]>([]);
   problem = $state<Refusal | null>(null);
-  rate = $state<number | null>(null);
 
   private readonly tagged: Tagged<Campaign>;
-  private readonly speed = new Rate();
   private stop: (() => void) | null = null;
   private timer: ReturnType<typeof setTimeout> | undefined;
   /** When the timer rings. */
   private due = Infinity;
   private tick: ReturnType<typeof setInterval> | undefined;
   private reading = false;
-  private readAt = -Infinity;
   /** Something changed while the answer was on its way. */
   private missed = false;
   private knownGenerations = -1;
@@ -41,9 +37,7 @@ export class CampaignState {
     this.stop = follow(this.id, {
       event: (event) => this.take(event),
       progress: (moving) => {
-        if (this.campaign === null) return;
-        this.campaign = { ...this.campaign, ...moving };
-        this.measure();
+        if (this.campaign !== null) this.campaign = { ...this.campaign, ...moving };
       },
       ended: () => this.soon(0),
       again: () => this.soon(0),
@@ -77,7 +71,7 @@ export class CampaignState {
     this.events = [...this.events, event].slice(-MOST_EVENTS);
     if (event.kind === "degraded" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: String(event.data["reason"] ?? "degraded") };
     if (event.kind === "recovered" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: null };
-    if (TELLING.has(event.kind)) this.soon(Math.max(0, this.readAt + APART_MILLISECONDS - performance.now()));
+    if (TELLING.has(event.kind)) this.soon(APART_MILLISECONDS);
   }
 
   private async read(): Promise<void> {
@@ -86,13 +80,9 @@ export class CampaignState {
       return;
     }
     this.reading = true;
-    this.readAt = performance.now();
     try {
       const next = await this.tagged.next();
-      if (next) {
-        this.campaign = next;
-        this.measure();
-      }
+      if (next) this.campaign = next;
       const { kind, ended_at, iteration, cells } = this.campaign ?? {};
       const known = ended_at === null ? (iteration ?? -1) : Infinity;
       if (kind === "calibration" && cells && cells.proposed > 0 && known !== this.knownGenerations) {
@@ -109,12 +99,5 @@ export class CampaignState {
       if (this.missed && this.stop !== null) this.soon();
       this.missed = false;
     }
-  }
-
-  private measure(): void {
-    const campaign = this.campaign;
-    if (campaign === null) return;
-    const answered = Object.values(campaign.stages).reduce((sum, cells) => sum + cells.requested, 0);
-    this.rate = campaign.ended_at === null ? this.speed.at(performance.now() / 1000, answered) : null;
   }
 }

@@ -10,30 +10,12 @@ export interface Entry {
   act?: () => void;
 }
 
-/** How well an entry fits what is written: null if a word is in none of its texts; less is better. */
-function fit(entry: Entry, words: readonly string[]): number | null {
-  const title = entry.title.toLowerCase();
-  const all = `${title} ${entry.about} ${entry.words ?? ""}`.toLowerCase();
-  let sum = 0;
-  for (const word of words) {
-    if (!all.includes(word)) return null;
-    const at = title.indexOf(word);
-    sum += at === 0 ? 0 : at > 0 && /[\s\W]/.test(title[at - 1] ?? "") ? 1 : at > 0 ? 2 : 3;
-  }
-  return sum;
-}
-
-/** At most so many entries, the best first; those that fit alike stay in their order. */
+/** At most so many entries with all written words, first those whose title begins with the first word; the others stay in their order. */
 export function found(entries: readonly Entry[], written: string, most = 12): Entry[] {
   const words = written.toLowerCase().split(/\s+/).filter(Boolean);
-  return entries
-    .flatMap((entry) => {
-      const sum = fit(entry, words);
-      return sum === null ? [] : [{ entry, sum }];
-    })
-    .sort((a, b) => a.sum - b.sum)
-    .slice(0, most)
-    .map(({ entry }) => entry);
+  const begins = ({ title }: Entry): number => Number(title.toLowerCase().startsWith(words[0] ?? ""));
+  const fitting = entries.filter(({ title, about, words: more = "" }) => words.every((word) => `${title} ${about} ${more}`.toLowerCase().includes(word)));
+  return fitting.sort((one, other) => begins(other) - begins(one)).slice(0, most);
 }
 
 /** The place after a step through a list, which goes on at its other end. */

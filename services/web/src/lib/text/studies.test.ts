@@ -1,7 +1,6 @@
 import { expect, test } from "vitest";
-import { sideBySide } from "../charts/robust";
-import { calibrates, kindOf, possibleStudies, sameBoxes, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
-import type { Campaign, RobustnessRow } from "../server/types";
+import { calibrates, kindOf, possibleStudies, settingsText, studiesOf, studySettings, studySpecification } from "./studies";
+import type { Campaign } from "../server/types";
 
 const ROBUSTNESS = { delta: 0.01, steps: 10, samples: 30, eta: 1, condition: "max", of: "abc" };
 
@@ -17,14 +16,6 @@ test("a study says how it is made", () => {
   expect(settingsText("robustness", ROBUSTNESS)).toBe("up to 10 boxes, each wider by 0.01, with 30 simulated vehicles in each; condition: no score changes by more than 1; up to 9.5 % of all vehicles in a box that holds may still break it (95 % confidence)");
   expect(settingsText("validation", { samples: 200, references: 30, largest: 20_000 })).toContain("30 variants of each set");
   expect(settingsText("validation", { samples: 500, references: 30, largest: 20_000, of: "a" })).toMatch(/500 released predictions/);
-  expect([sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, of: "other" }), sameBoxes(ROBUSTNESS, { ...ROBUSTNESS, delta: 0.02 })]).toEqual([true, false]);
-});
-
-test("two studies are laid side by side by their sets, whatever the order of parameters", () => {
-  const row = (rank: number, parameters: Record<string, number>): RobustnessRow =>
-    ({ rank, parameters, degree: rank, objective: 1, rating: 1, at_least: false, radius: 0, recommended: false, reason: null, region: 1, to_worse: null, scores: {}, trials: [] });
-  const pairs = sideBySide([row(1, { P1: 1, P2: 2 }), row(2, { P1: 5, P2: 2 })], [row(1, { P1: 7, P2: 7 }), row(2, { P2: 2, P1: 1 })]);
-  expect(pairs.map((entry) => [entry.first?.rank ?? null, entry.other?.rank ?? null])).toEqual([[1, 2], [2, null], [null, 1]]);
 });
 
 const ENDED = { id: "abc", name: "mine (robustness)", kind: "calibration", spec: { optimizer: { kind: "genetic" }, vehicle: { model: "hybrid" }, validation: {} }, links: {}, best: {}, ended_at: "2026-01-01", cells: { predicted: 0 } } as unknown as Campaign;

@@ -7,8 +7,6 @@ import type { Campaign, Study } from "../server/types";
 export type StudyStage = Study["stage"];
 
 const STAGES: readonly StudyStage[] = ["robustness", "validation"];
-/** What decides what a degree means; `seed` draws the vehicles. */
-const BOXES = ["delta", "steps", "samples", "eta", "condition", "seed"] as const;
 
 type Known = Pick<Campaign, "kind" | "spec">;
 
@@ -36,11 +34,6 @@ export function settingsText(stage: StudyStage, settings: Readonly<Record<string
   if (stage === "validation") return `${count(value("references"))} variants of each set, of Latin hypercubes from ${count(value("samples"))} to ${count(value("largest"))} sets`;
   const failing = settings["condition"] === "mean" ? "" : `; up to ${percent(1 - 0.05 ** (1 / value("samples")))} of all vehicles in a box that holds may still break it (95 % confidence)`;
   return `up to ${value("steps")} boxes, each wider by ${number(value("delta"), 4)}, with ${count(value("samples"))} simulated vehicles in each; condition: ${condition(settings)}${failing}`;
-}
-
-/** Whether the degrees of two robustness studies mean the same. */
-export function sameBoxes(first: Readonly<Record<string, unknown>>, other: Readonly<Record<string, unknown>>): boolean {
-  return BOXES.every((name) => JSON.stringify(first[name]) === JSON.stringify(other[name]));
 }
 
 /** All released predictions of a scenario. */
