@@ -35,7 +35,7 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert answer["campaign"] == ended
     assert answer["page"] == str(folder / "index.html")
     assert {path for path in folder.rglob("*") if path.is_file()} == {Path(name) for name in answer["files"]}
-    names = ["9-influence", "9-S1", "9-S4", "10-population", "11-cells", "12-optima"]
+    names = ["9-influence", "10-population", "11-cells", "12-optima"]
     assert {path.name for path in (folder / "figures").iterdir()} == {
         f"figure-{n}.{form}" for n in names for form in ("svg", "png")
     }

@@ -46,7 +46,7 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class FileLinks:
-    """Links to files beside the page."""
+    """Links to files of the page's folder."""
 
     names: Sequence[str]
 
@@ -61,7 +61,7 @@ class CommandLines:
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table. Columns of numbers are right-aligned; None is a dash. `command` prints its numbers again; review sheets show it. `wrap`
-    breaks long texts into lines; `wrap_header` breaks those of the header too, if they are longer than the values."""
+    breaks long texts into lines; `wrap_header` breaks titles too that are longer than the values."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[object]]

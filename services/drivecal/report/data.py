@@ -48,8 +48,8 @@ class ScoreOrigin:
 
 @dataclass(frozen=True, slots=True)
 class ReviewedSet:
-    """A chosen set and the results of its campaign, with the verdicts on the set. `cells`: by scenario; `front`: empty for a single
-    objective."""
+    """A chosen set and the results of its campaign, with the verdicts on the set. Cells are sorted by scenario; a single objective has no
+    front."""
 
     results: CampaignResults
     table: RankedIn

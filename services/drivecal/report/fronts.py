@@ -86,9 +86,11 @@ def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
 
 
 def shown_of_front(rows: Sequence[FrontRow], limit: int, chosen: Collection[int] = ()) -> list[FrontRow]:
-    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit. Then
-    come those that win often. The others are the first ones under weights, else spread over the front: each is the farthest from all that
-    are kept."""
+    """Returns `limit` sets of a front in their order; knee, best of each objective and ranks `chosen` are kept even beyond the limit.
+
+    Then come the sets that win often. The others are the first ones under weights, else spread over the front: each is the farthest from
+    all that are kept.
+    """
     kept = [place for place, row in enumerate(rows) if row.knee or row.best_in or row.rank in chosen]
     winners = sorted(
         (place for place, row in enumerate(rows) if (row.wins or 0) >= OFTEN), key=lambda place: -(rows[place].wins or 0)

@@ -171,9 +171,7 @@ def _validation(findings: ReportData, drawings: Sequence[Block]) -> list[Block]:
     for study in results.of_stage("validation", of_predictions=True)[:1]:
         blocks += sections.validation_tables(study.validation, scale)
     for study in results.of_stage("validation")[:1]:
-        rows = study.validation
-        sizes, deviations = sections.sizes_table(rows, findings.influence), sections.deviations_table(rows, scale)
-        return [*blocks, sizes, *sections.validation_tables(rows, scale), *drawings, *deviations]
+        return [*blocks, *sections.validation_tables(study.validation, scale), *drawings]
     if findings.influence:
         command = CommandLines(f"drivecal validate {results.campaign.id}")
         blocks += [Paragraph("Not studied. This compares, by simulation, what the map calls equal:"), command]

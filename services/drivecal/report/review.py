@@ -169,7 +169,7 @@ def _score(baseline: Baseline | None, scenario: str) -> float | None:
 
 
 def _compared(name: str, baseline: float | None, values: Sequence[float | None], text: Text | None = None) -> list[object]:
-    """Returns the baseline's value, those of the sets, and the difference of the last from the one before."""
+    """Returns the values of the baseline and the sets, and the difference of the last value from the value before."""
     reference = baseline if len(values) == 1 else values[0]
     shown = [amount(value) if text is None or value is None else Number(text(value)) for value in (baseline, *values)]
     last = values[-1]

@@ -1,7 +1,6 @@
 """Sections about a campaign's results that report, review sheet and command line share. Pure."""
 
 import json
-import math
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
@@ -42,14 +41,12 @@ SHOWN = 20
 """The best sets that the page shows; all of them are in the table."""
 MOST_REGIONS = 12
 """Regions that are listed."""
-MOST_COLUMNS = 15
-"""Differences that the table of a validation lists even if no variant has them."""
 QUESTIONS = {"scores": "Are the scores right?", "search": "Is the search finished?"}
 LOTS_NOTE = (
     "The limit holds for the expected number of errors over all lots together, by the rule that releases them; the 95 % bound is what the "
     "samples of this campaign alone prove, even if all are right: a few samples of a lot prove little about its other answers."
 )
-"""Explains a bound beside a smaller limit."""
+"""Explains a bound that exceeds the limit."""
 LOTS = ("scenario", "asked", "lots", "rejected", "released", "sampled", "beyond tolerance", "limit", "at most (95 %)")
 _CAUSES = {"no_result": "no result", "failed": "failed run", "unscored": "score without a value"}
 
@@ -351,7 +348,7 @@ def _to_worse(members: Iterable[OptimumRow]) -> list[Number | None]:
 
 
 def solutions_table(solutions: Sequence[Solution], optima: Sequence[OptimumRow] = (), shown: int = SHOWN) -> list[Block]:
-    """Returns the best sets, with the regions of those that share the best objective; nothing without one."""
+    """Returns the best sets, with the regions of the sets that share the best objective; nothing without a set."""
     if not solutions:
         return []
     known = {optimum.rank: optimum.region for optimum in optima}
@@ -422,21 +419,6 @@ def errors_text(what: str, rows: Sequence[ValidationRow], scale: Scale) -> str:
     return f"Of {count:,} {what} {differ}{wrong:,} were wrong, off by more than {tolerated} (R_err {wrong / count:.2%})."
 
 
-def intervals_text(rows: Sequence[ValidationRow]) -> str:
-    """Returns a sentence about the 95 % intervals of a validation; empty if nothing was compared."""
-    if not any(row.compared for row in rows):
-        return ""
-    if all(row.released is not None for row in rows):
-        return (
-            "Each 95 % interval is that of a binomial share (Clopper-Pearson): each simulated prediction is a draw of its own from the "
-            "released ones."
-        )
-    return (
-        "Each 95 % interval is one of the mean over base sets (by betting, for any distribution), because variants of one base set are "
-        "alike. More base sets narrow it, more variants of each hardly do."
-    )
-
-
 def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str = "") -> list[Block]:
     """Returns the shares of wrong answers by scenario: of released predictions, or of variants that a map calls equal."""
     if any(row.released is not None for row in rows):
@@ -451,7 +433,8 @@ def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str 
             "wrong",
         ]
         caption = (
-            "Released predictions, simulated afterwards; limit: of the expected errors released, for each prediction in a lot"
+            "Released predictions, simulated afterwards; limit: of the expected errors released, for each prediction in a lot; each 95 % "
+            "interval is that of a binomial share (Clopper-Pearson)"
         )
         cells = [
             [
@@ -462,13 +445,22 @@ def validation_tables(rows: Sequence[ValidationRow], scale: Scale, command: str 
         ]
         text = errors_text("predictions", rows, scale)
     else:
-        header = ["scenario", "compared", "different", "wrong"]
-        caption = "Share of wrong answers of the influence map with its 95 % interval"
-        cells = [[row.scenario, row.compared, row.different, row.wrong, *_rate(row)] for row in rows]
+        header = ["scenario", "reducible", "effects", "covered", "drawn", "bases", "variants", "compared", "different", "wrong"]
+        caption = (
+            "Share of wrong answers of the influence map with its 95 % interval. Reducible parameters have a region in which they do not "
+            "matter; effects: of these and their interactions; bases: sets of the drawn Latin hypercube that qualify, each with variants. "
+            "The interval is one of the mean over bases (by betting, for any distribution): variants of one basis are alike"
+        )
+        cells = [
+            [
+                *(row.scenario, row.reducible, row.effects, row.covered, row.drawn, row.bases, row.references),
+                *(row.compared, row.different, row.wrong, *_rate(row)),
+            ]
+            for row in rows
+        ]
         text = errors_text("variants, which differ from a basis only where the map says that it does not matter,", rows, scale)
     header += ["R_err", "95 % from", "to"]
-    texts: list[Block] = [Paragraph(each) for each in (text, intervals_text(rows)) if each]
-    return [Table(header, cells, caption, command, wrap_header=True), *texts]
+    return [Table(header, cells, caption, command, wrap_header=True), *([Paragraph(text)] if text else [])]
 
 
 def _rate(row: ValidationRow) -> list[object]:
@@ -476,43 +468,10 @@ def _rate(row: ValidationRow) -> list[object]:
 
 
 def _per_inspected(row: ValidationRow) -> float | None:
-    """Returns the errors released for each prediction in a lot, if those that were drawn are like the others."""
+    """Returns the errors released for each prediction in a lot, if the drawn predictions are like the others."""
     if not row.compared or not row.inspected:
         return None
     return (row.beyond or 0) / row.bases * (row.released or 0) / row.inspected
-
-
-def reducible(rows: Sequence[InfluenceRow]) -> list[str]:
-    """Returns the parameters of one scenario with a non-influential region of more than one value."""
-    parameters = []
-    for row in rows:
-        if row.space_lower is None or row.space_upper is None or row.n_values is None:
-            continue
-        if not row.influential:
-            regions = [row.n_values]
-        else:
-            step = (row.space_upper - row.space_lower) / (row.n_values - 1)
-            below = 0.0 if row.lower is None else row.lower - row.space_lower
-            above = 0.0 if row.upper is None else row.space_upper - row.upper
-            regions = [round(below / step), round(above / step)]
-        if max(regions) > 1:
-            parameters.append(row.parameter)
-    return parameters
-
-
-def sizes_table(rows: Sequence[ValidationRow], influence: Sequence[InfluenceRow]) -> Table:
-    """Returns the sample sizes of a validation of the map (Table 1 of the paper)."""
-    known = by_scenario(influence)
-    lines = [
-        [
-            *(row.scenario, " ".join(reducible(known.get(row.scenario, []))), row.reducible, row.effects, row.covered),
-            *(row.drawn, row.bases, row.references, row.bases * row.references),
-        ]
-        for row in rows
-    ]
-    header = ["scenario", "reducible parameters", "n", "effects", "covered", "LHS", "n*_LHS", "n_ref", "n_validation"]
-    caption = "Sample sizes: n reducible parameters have 2^n - 1 effects; n*_LHS of the LHS sets that qualify were compared"
-    return Table(header, lines, caption)
 
 
 def histogram_bins(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> range:
@@ -520,23 +479,3 @@ def histogram_bins(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> ran
     usual = round(scale.span / rows[0].histogram_step)
     last = max([usual, *(abs(number) for row in rows for number in row.histogram)])
     return range(-last, last + 1)
-
-
-def deviations_table(rows: Sequence[ValidationRow], scale: Scale) -> list[Block]:
-    """Returns the histograms of a validation in numbers; nothing if nothing was compared."""
-    compared = [row for row in rows if row.compared]
-    if not compared:
-        return []
-    bins: Sequence[int] = histogram_bins(compared, scale)
-    if len(bins) > MOST_COLUMNS:
-        bins = sorted({0, *(number for row in compared for number in row.histogram)})
-    lines = [[row.scenario, *(row.histogram.get(number, 0) for number in bins)] for row in compared]
-    header = ["scenario", *(_difference(number, compared[0].histogram_step, scale) for number in bins)]
-    return [Table(header, lines, f"Variants by their difference from the basis{unit_text(scale.unit, ', in ')}")]
-
-
-def _difference(number: int, width: float, scale: Scale) -> str:
-    """Returns the middle of a bar, or the difference from which on it holds all."""
-    is_outermost = width == scale.bin and abs(number) > scale.last_bar
-    text = f"{math.copysign(scale.span, number) if is_outermost else number * width:+g}".replace("-", "\N{MINUS SIGN}")
-    return f"beyond {text}" if is_outermost else text if number else "0"

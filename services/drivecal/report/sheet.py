@@ -19,7 +19,8 @@ _DIGEST = re.compile(r'<meta name="drivecal-digest" content="([0-9a-f]{64})">')
 _QUERY = re.compile(r'<meta name="drivecal-review" content="([^"<>]{1,500})">')
 _VERSION = re.compile(r'<meta name="drivecal-version" content="([^"<>]{1,100})">')
 _PLACE = re.compile(r"/campaigns/([0-9A-Za-z-]{1,64})/review")
-_BLOCKS = ("h1", "h2", "h3", "p", "li", "caption", "figcaption", "td", "th", "pre", "title", "style", "text")
+_DRAWING = re.compile(r"<svg.*?</svg>", re.DOTALL)
+_BLOCKS = ("h1", "h2", "h3", "p", "li", "caption", "figcaption", "td", "th", "pre", "title", "style")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,7 @@ class Sheet:
     version: str
     digest: str
     is_unchanged: bool
-    """Whether the digest is that of its content."""
+    """Its content has this digest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +74,7 @@ def read_sheet(text: str, name: str) -> Sheet:
 
 
 def differences(first: str, second: str) -> Iterator[ChangedEntry]:
-    """Yields the entries in which two sheets differ, in their order, without their digests."""
+    """Yields the differing entries of two sheets in their order, without the digests."""
     ours, theirs = (dict(_entries(text)) for text in (first, second))
     for place in dict.fromkeys([*ours, *theirs]):
         texts = ours.get(place, ""), theirs.get(place, "")
@@ -84,80 +85,56 @@ def differences(first: str, second: str) -> Iterator[ChangedEntry]:
 def _entries(text: str) -> Iterator[tuple[str, str]]:
     """Yields place and text of all that a sheet shows. A place holds the section, and in a table the caption, the row and the column."""
     digest = _DIGEST.search(text)
+    content = text if digest is None else text.replace(digest[1], UNSEALED)
     reader = _Reader()
-    reader.feed(text if digest is None else text.replace(digest[1], UNSEALED))
+    reader.feed(_DRAWING.sub("", content))
     reader.close()
     seen: dict[str, int] = {}
-    for place, entry in reader.entries:
+    for place, entry in [*reader.entries, *(("drawing", drawing) for drawing in _DRAWING.findall(content))]:
         seen[place] = seen.get(place, 0) + 1
         yield f"{place} ({seen[place]})" if seen[place] > 1 else place, entry
 
 
 class _Reader(HTMLParser):
-    """Collects entries. A drawing is one entry: its markup."""
+    """Collects the entries of a sheet without drawings."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
         self.entries: list[tuple[str, str]] = []
         self._section = "page"
-        self._caption = ""
         self._header: list[str] = []
         self._row: list[str] = []
         self._text: list[str] | None = None
-        self._drawing: list[str] | None = None
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         """Opens an entry."""
         del attrs
-        if self._drawing is not None or tag == "svg":
-            self._drawing = [*(self._drawing or []), self.get_starttag_text() or ""]
-        elif tag == "table":
-            self._caption, self._header = "", []
+        if tag == "table":
+            self._header = []
         elif tag == "tr":
             self._row = []
         elif tag in _BLOCKS:
             self._text = []
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Reads an element without content."""
-        if self._drawing is not None:
-            self.handle_starttag(tag, attrs)
-
     def handle_data(self, data: str) -> None:
         """Reads text."""
-        if self._drawing is not None:
-            self._drawing.append(data.strip())
-        elif self._text is not None:
+        if self._text is not None:
             self._text.append(data)
         elif data.strip():
             self.entries.append((f"{self._section}: text", data.strip()))
 
     def handle_endtag(self, tag: str) -> None:
         """Closes an entry."""
-        if self._drawing is not None:
-            if tag == "svg":
-                self.entries.append((f"{self._section}: drawing", "".join(self._drawing)))
-                self._drawing = None
-            return
         if self._text is None or tag not in _BLOCKS:
             return
         text, self._text = " ".join("".join(self._text).split()), None
+        place = f"{self._section}: {tag}"
         if tag in {"h1", "h2", "h3"}:
-            self._section = text
-            self.entries.append(("heading", text))
-        elif tag == "caption":
-            self._caption = text
-            self.entries.append((f"{self._section}: caption", text))
+            self._section, place = text, "heading"
         elif tag == "th":
             self._header.append(text)
-            self.entries.append((f"{self._section}: column", text))
         elif tag == "td":
-            self._cell(text)
-        else:
-            self.entries.append((f"{self._section}: {tag}", text))
-
-    def _cell(self, text: str) -> None:
-        column = self._header[len(self._row)] if len(self._row) < len(self._header) else ""
-        self._row.append(text)
-        words = [word for word in (self._section, self._row[0], column) if word]
-        self.entries.append((", ".join(words) if len(self._row) > 1 else f"{self._section}: row", text))
+            column = self._header[len(self._row)] if len(self._row) < len(self._header) else ""
+            self._row.append(text)
+            place = ", ".join(word for word in (self._section, self._row[0], column) if word) if len(self._row) > 1 else place
+        self.entries.append((place, text))

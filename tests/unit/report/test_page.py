@@ -81,7 +81,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, set[str]]:
 def test_a_report_has_its_figures_tables_and_page(whole: tuple[str, set[str]]) -> None:
     source, files = whole
     names = [
-        "9-influence", "9-S1", "9-S2", "10-population", "11-cells", "12-optima", "12-robustness", "14-validation",
+        "9-influence", "10-population", "11-cells", "12-optima", "12-robustness", "14-validation",
     ]  # fmt: skip
     assert files == {f"figures/figure-{name}.{form}" for name in names for form in ("svg", "png")} | {
         "tables/generations.csv",

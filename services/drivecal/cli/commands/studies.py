@@ -20,7 +20,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.blocks import fixed, objective_number
-from drivecal.report.sections import sizes_table, validation_tables
+from drivecal.report.sections import validation_tables
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
 BENCH = ("problem", "catalogue", "weights", "driving_function", "vehicle", "evaluator")
@@ -136,8 +136,7 @@ def _map_of(campaign: Campaign) -> dict[str, str]:
 
 def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> None:
     """Prints Tables 1 and 2 of the paper for a map, or how many released predictions are right."""
-    is_of_map = all(row.released is None for row in rows)
-    print_blocks([*([sizes_table(rows, [])] if is_of_map else []), *validation_tables(rows, scale)])
+    print_blocks(validation_tables(rows, scale))
     nothing = [row.scenario for row in rows if not row.compared]
     if nothing:
         typer.echo(f"nothing to validate in {', '.join(nothing)}: no parameter has a region in which it does not matter")

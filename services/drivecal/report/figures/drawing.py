@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import matplotlib as mpl
 from markupsafe import Markup
@@ -20,6 +20,8 @@ from matplotlib.ticker import MaxNLocator
 from drivecal.report.blocks import Figure as Block
 
 DOTS_PER_INCH = 200
+PANELS_PER_SHEET = 12
+Panel = TypeVar("Panel")
 BLUE, SKY, GREEN, VERMILION, ORANGE, PURPLE = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00", "#CC79A7"
 """Colours of the palette of Okabe and Ito, distinct for the colour-blind."""
 Dashes = Literal["-", "--", "-."] | tuple[float, Sequence[float]]
@@ -65,13 +67,11 @@ FALLBACK = "'DejaVu Sans', Verdana, sans-serif"
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A figure, the `name` of its files, and whether it is in the page itself. `alt`: its description for screen readers."""
+    """A figure with the `name` of its files."""
 
     name: str
     caption: str
     figure: Figure
-    in_page: bool = True
-    alt: str = ""
 
 
 _DRAWING = threading.RLock()
@@ -86,7 +86,7 @@ def style() -> Iterator[None]:
 
 
 def svg(figure: Figure, name: str) -> str:
-    """Returns the figure as SVG. `name` keeps its ids apart from those of other figures in one page."""
+    """Returns the figure as SVG. `name` keeps its ids apart from the ids of other figures in one page."""
     FigureCanvasSVG(figure)
     stream = io.StringIO()
     with style(), mpl.rc_context({"svg.hashsalt": name}):
@@ -119,12 +119,17 @@ def inlined(document: str, name: str, title: str) -> str:
 
 def in_page(drawn: Drawn, document: str, files: Iterable[str] = ()) -> Block:
     """Returns a figure, whose SVG is known, as a part of a page."""
-    inline = Markup(inlined(document, drawn.name, escape(drawn.alt or drawn.caption)))  # noqa: S704  # matplotlib's own SVG
+    inline = Markup(inlined(document, drawn.name, escape(drawn.caption)))  # noqa: S704  # matplotlib's own SVG
     return Block(inline, drawn.caption, list(files))
 
 
+def sheets(panels: Sequence[Panel]) -> list[Sequence[Panel]]:
+    """Returns the panels by sheet."""
+    return [panels[start : start + PANELS_PER_SHEET] for start in range(0, len(panels), PANELS_PER_SHEET)]
+
+
 def plotted(value: float | None) -> float:
-    """Returns a value for a line, in which an unknown value is a gap."""
+    """Returns a value for a line; an unknown value is a gap."""
     return float("nan") if value is None else value
 
 

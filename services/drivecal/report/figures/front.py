@@ -21,12 +21,7 @@ def drawn(rows: Sequence[FrontRow], summary: FrontSummary, chosen: Collection[in
         "Each point is a set that no other set dominates. Star: the knee, which gives the most for what it costs; diamonds: the "
         "best set of each objective; cross: the baseline. Last panel: the hypervolume of all sets by iteration."
     )
-    alt = f"{len(rows)} sets: " + "; ".join(
-        f"{each.name} from {each.worst:.6g} to {each.best:.6g}"
-        for each in summary.objectives
-        if each.worst is not None and each.best is not None
-    )
-    return Drawn("figure-front", caption, front_figure(rows, summary, chosen), alt=alt)
+    return Drawn("figure-front", caption, front_figure(rows, summary, chosen))
 
 
 def front_figure(rows: Sequence[FrontRow], summary: FrontSummary, chosen: Collection[int] = ()) -> Figure:

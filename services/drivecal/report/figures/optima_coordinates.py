@@ -10,17 +10,16 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from drivecal.contracts.assignments import value_text
 from drivecal.contracts.setup import SearchedParameter
 from drivecal.contracts.tables import OptimumRow, Solution
 from drivecal.domain.scales import unit_text
 from drivecal.plugins.ports import Floats
 from drivecal.report.blocks import counted
 from drivecal.report.figures.drawing import INK, KINDS, RULE, Drawn, style
-from drivecal.report.sections import constant, optima_text, searched
+from drivecal.report.sections import searched
 
 MOST_BEST, MOST_OTHERS = 200, 200
-"""Lines that are drawn of the best sets and of those that rank next."""
+"""Lines that are drawn of the best sets and of the sets that rank next."""
 OTHER_REGIONS = "#555555"
 WORSE = "#D0D0D0"
 
@@ -53,7 +52,6 @@ def drawn(
     """
     axes = searched(parameters)
     worse = [solution for solution in solutions if solution.rank > len(optima)][:MOST_OTHERS]
-    same = constant(optima, axes)
     shown = f"the first {MOST_BEST} of the {len(optima)} sets" if len(optima) > MOST_BEST else counted(len(optima), "set")
     caption = (
         f"{shown[0].upper()}{shown[1:]} with the best objective, each a line through its values, from the lower to the "
@@ -61,24 +59,18 @@ def drawn(
     )
     if worse:
         caption += f" Grey: the {len(worse)} sets that rank next."
-    if same:
-        caption += " A diamond marks an axis on which all sets with the best objective have the same value."
     if recommended is not None:
         caption += " Black with dots: the set that the robustness study recommends."
-    alt = f"Parallel coordinates of {optima_text(optima)}"
-    if same:
-        alt += " All have " + ", ".join(f"{name} = {value_text(value)}" for name, value in same.items()) + "."
-    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, same, recommended), alt=alt)
+    return Drawn("figure-12-optima", caption, optima_figure(optima[:MOST_BEST], worse, axes, recommended))
 
 
 def optima_figure(
     best: Sequence[OptimumRow],
     worse: Sequence[Solution],
     parameters: Sequence[SearchedParameter],
-    same: Mapping[str, float | str],
     recommended: Mapping[str, float | str] | None = None,
 ) -> Figure:
-    """Draws parallel coordinates over the searched `parameters`. `same`: the value that all best sets share, by parameter."""
+    """Draws parallel coordinates over the searched `parameters`."""
     places = np.arange(len(parameters))
     with style():
         figure = Figure(figsize=(max(7.4, 0.55 * len(parameters)), 3.7), layout="constrained")
@@ -95,25 +87,15 @@ def optima_figure(
         if worse:
             handles.append(Line2D([], [], color=WORSE, linewidth=1.2, label="ranked next"))
         for place, parameter in enumerate(parameters):
-            _axis(axes, place, parameter, same.get(parameter.name))
-        labels = [_name(parameter, same.get(parameter.name)) for parameter in parameters]
-        axes.set_xticks(places, labels)
+            ends = (parameter.choices[-1], parameter.choices[0]) if parameter.choices else (parameter.upper, parameter.lower)
+            for height, value, side in ((1.03, ends[0], "bottom"), (-0.03, ends[1], "top")):
+                axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
+        axes.set_xticks(places, [f"{parameter.name}\n{unit_text(parameter.unit, '')}" for parameter in parameters])
         axes.tick_params(axis="x", length=0, pad=11)
         axes.set_yticks([])
         axes.set(xlim=(-0.4, len(parameters) - 0.6), ylim=(-0.04, 1.04))
         figure.legend(handles=handles, loc="outside lower left", ncols=4, handlelength=3.2)
     return figure
-
-
-def _axis(axes: Axes, place: int, parameter: SearchedParameter, same: float | str | None) -> None:
-    """Draws the bounds of a parameter, and a diamond if all best sets have the `same` value."""
-    upper, lower = (parameter.choices[-1], parameter.choices[0]) if parameter.choices else (parameter.upper, parameter.lower)
-    for height, value, side in ((1.03, upper, "bottom"), (-0.03, lower, "top")):
-        axes.text(place, height, _value(value), ha="center", va=side, fontsize=6.5, color="#555555")
-    if same is not None:
-        height = _share(same, parameter)
-        axes.vlines(place, 0, 1, color=INK, linewidth=2.2, zorder=4)
-        axes.plot(place, height, "D", color="white", markeredgecolor=INK, markersize=6, zorder=6, gid=f"same.{parameter.name}")
 
 
 def _regions(axes: Axes, best: Sequence[OptimumRow], parameters: Sequence[SearchedParameter]) -> list[Line2D]:
@@ -140,11 +122,6 @@ def _lines(axes: Axes, heights: Floats, colour: str, dashes: object, width: floa
     lines = LineCollection(list(np.stack([across, heights], axis=2)), colors=colour, linestyles=dashes, linewidths=width)
     lines.set(zorder=order, gid=gid)
     axes.add_collection(lines)
-
-
-def _name(parameter: SearchedParameter, same: float | str | None) -> str:
-    below = unit_text(parameter.unit, "") if same is None else f"= {_value(same)}{unit_text(parameter.unit)}"
-    return f"{parameter.name}\n{below}"
 
 
 def _value(value: float | str) -> str:

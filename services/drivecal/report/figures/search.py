@@ -23,15 +23,13 @@ def population(generations: Sequence[Generation], baseline: float | None = None)
         "by then with the best objective by then."
     )
     answered = [generation for generation in generations if generation.best is not None]
-    alt = "Nothing is answered yet."
     if answered:
         first, last = answered[0], answered[-1]
-        alt = (
-            f"The best objective goes from {_text(first.best)} in iteration {first.iteration + 1} to {_text(last.best)} in iteration "
-            f"{last.iteration + 1}, the mean from {_text(first.mean)} to {_text(last.mean)}; at the end {last.alternatives} parameter sets "
-            "share the best objective."
+        caption += (
+            f" The best objective goes from {first.best:.3f} in iteration {first.iteration + 1} to {last.best:.3f} in iteration "
+            f"{last.iteration + 1}; {last.alternatives} parameter sets share it."
         )
-    return Drawn("figure-10-population", caption, population_figure(generations, baseline), alt=alt)
+    return Drawn("figure-10-population", caption, population_figure(generations, baseline))
 
 
 def population_figure(generations: Sequence[Generation], baseline: float | None = None) -> Figure:
@@ -70,10 +68,6 @@ def population_figure(generations: Sequence[Generation], baseline: float | None 
     return figure
 
 
-def _text(value: float | None) -> str:
-    return "nothing" if value is None else f"{value:.3f}"
-
-
 OUTCOMES = (
     ("simulated", "simulated", "#D9D9D9", ""),
     ("audited", "simulated as an audit", "#B0B0B0", "\\\\\\\\"),
@@ -96,10 +90,7 @@ def cells(generations: Sequence[Generation]) -> Drawn:
         "Requested cells, one parameter set in one scenario each, added up over the iterations by what answered them. What "
         "the optimizer carried over unchanged is not requested; the runs of the sensitivity analysis are not in it."
     )
-    totals = accumulated(generations)
-    parts = ", ".join(f"{totals[field][-1]:,} {label}" for field, label, *_ in OUTCOMES)
-    alt = f"Stacked areas that end at {sum(total[-1] for total in totals.values()):,} requested cells: {parts}."
-    return Drawn("figure-11-cells", caption, cells_figure(generations), alt=alt)
+    return Drawn("figure-11-cells", caption, cells_figure(generations))
 
 
 def cells_figure(generations: Sequence[Generation]) -> Figure:

@@ -11,8 +11,8 @@ from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 from drivecal.contracts.results import StudyResult
 from drivecal.contracts.tables import BoxTrial, RobustnessRow, ValidationRow
 from drivecal.domain.scales import COMFORT, Scale, unit_text
-from drivecal.report.figures.drawing import BLUE, INK, SKY, VERMILION, Drawn, style
-from drivecal.report.robustness import condition, degree
+from drivecal.report.figures.drawing import BLUE, INK, SKY, VERMILION, Drawn, sheets, style
+from drivecal.report.robustness import condition
 from drivecal.report.sections import histogram_bins
 
 MOST_DRAWN = 40
@@ -42,11 +42,7 @@ def _drawn(studied: StudyResult, name: str) -> Drawn:
     )
     if any(row.recommended for row in studied.robustness[:MOST_DRAWN]):
         caption += " A star marks the recommended set."
-    alt = "Bars by examined set. " + "; ".join(
-        f"rank {row.rank}: degree {degree(row).replace('≥', 'at least')}, holds up to {row.radius:g}"
-        for row in studied.robustness[:MOST_DRAWN]
-    )
-    return Drawn(name, caption, robustness_figure(studied.robustness[:MOST_DRAWN]), alt=f"{alt}.")
+    return Drawn(name, caption, robustness_figure(studied.robustness[:MOST_DRAWN]))
 
 
 def robustness_figure(rows: Sequence[RobustnessRow]) -> Figure:
@@ -91,9 +87,6 @@ def _worst(trial: BoxTrial) -> float | None:
     return max(known) if len(known) == len(trial.deviations) else None
 
 
-PANELS_PER_SHEET = 12
-
-
 def validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Iterator[Drawn]:
     """Yields the sheets of Figure 14; none if nothing was compared."""
     compared = [row for row in rows if row.compared]
@@ -102,14 +95,9 @@ def validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Iterato
         "the score of the basis; on a logarithmic scale, or all but the zeros would be invisible. Hatched: by more than "
         f"{scale.amount(scale.tolerance)}, wrong."
     )
-    for number, start in enumerate(range(0, len(compared), PANELS_PER_SHEET), 1):
-        sheet = compared[start : start + PANELS_PER_SHEET]
-        alt = "; ".join(
-            f"{row.scenario}: {row.compared - row.different:,} of {row.compared:,} unchanged, {row.wrong:,} wrong"
-            for row in sheet
-        )
+    for number, sheet in enumerate(sheets(compared), 1):
         name = "figure-14-validation" if number == 1 else f"figure-14-validation-{number}"
-        yield Drawn(name, caption, validation_figure(sheet, scale), alt=f"Histograms of deviations. {alt}.")
+        yield Drawn(name, caption, validation_figure(sheet, scale))
 
 
 def validation_figure(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> Figure:
