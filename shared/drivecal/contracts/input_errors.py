@@ -1,9 +1,7 @@
 """Pydantic's errors as drivecal's problems: the field as the user wrote it, its fault and remedy."""
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from difflib import get_close_matches
-from itertools import islice
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -15,10 +13,7 @@ Specification = TypeVar("Specification", bound=BaseModel)
 Detail = Mapping[str, Any]
 """An entry of `ValidationError.errors()`."""
 MOST_FINDINGS = 500
-"""Of a larger document, the beginning of every list and object is checked first: all errors of a hostile megabyte would take minutes."""
-BEGINNING = 30
-ROUNDS = 8
-"""Attempts to leave out what does not fit: what a field holds may not fit without a part of it."""
+"""Errors of a document that are reported."""
 
 _WANTED = {
     "string_type": "text",
@@ -61,88 +56,12 @@ def validated(model: type[Specification], document: object) -> Specification:
 
     Raises InvalidInputError with every field that does not fit, or the first of very many.
     """
-    if _is_large(document):
-        _check_beginning(model, document)
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        count = error.error_count()
-        details = error.errors(include_url=False) if count <= MOST_FINDINGS else []
+        details = error.errors(include_url=False)[:MOST_FINDINGS]
     # Raised out here, without pydantic's error, which holds on to the whole document.
-    if details:
-        raise InvalidInputError(*problems(details, model, document))
-    message = f"{count:,} values do not fit, none of them among the first {BEGINNING} of its list or object"
-    raise InvalidInputError(Problem("", message, "look for values of another kind"))
-
-
-def fitting(model: type[Specification], document: object) -> tuple[Specification, list[str]] | None:
-    """Returns the part of a document from outside that fits, and the fields that were left out for it.
-
-    None if a required field is among them, and for a document with very many values.
-    """
-    if _is_large(document):
-        return None
-    part, left_out = deepcopy(document), set[str]()
-    for _ in range(ROUNDS):
-        try:
-            return model.model_validate(part), sorted(left_out)
-        except ValidationError as error:
-            paths = {_path(detail, part) for detail in error.errors(include_url=False)}
-        inner = [path for path in paths if not any(other != path and other[: len(path)] == path for other in paths)]
-        removed = [_remove(part, path) for path in inner]
-        left_out.update(filter(None, removed))
-        if not any(removed):
-            break
-    return None
-
-
-def _remove(document: object, path: Sequence[int | str]) -> str:
-    """Removes the value at a path from its object, or the innermost object's value that holds it. Returns its field; empty if it is gone
-    already, or has no object around it."""
-    value, last = document, -1
-    holders: list[object] = []
-    for place, part in enumerate(path):
-        holders.append(value)
-        if isinstance(value, dict) and part in value:
-            last = place
-        elif not (isinstance(value, list) and isinstance(part, int) and part < len(value)):
-            break
-        value = value[part]  # type: ignore[index]  # it holds the part
-    if last < 0:
-        return ""
-    del holders[last][path[last]]  # type: ignore[attr-defined]  # an object
-    return field_name(path[: last + 1])
-
-
-def _check_beginning(model: type[BaseModel], document: object) -> None:
-    """Raises InvalidInputError if the first entries of lists and objects do not fit. What is missing there may be in the rest."""
-    beginning = _beginning(document)
-    try:
-        model.model_validate(beginning)
-    except ValidationError as error:
-        details = [detail for detail in error.errors(include_url=False) if detail["type"] != "missing"][:MOST_FINDINGS]
-    else:
-        return
-    if details:
-        raise InvalidInputError(*problems(details, model, beginning))
-
-
-def _is_large(document: object) -> bool:
-    """Returns whether a document is so large that it may have more than MOST_FINDINGS errors."""
-    waiting, seen = [document], 0
-    while waiting and seen <= MOST_FINDINGS:
-        value = waiting.pop()
-        if isinstance(value, (dict, list)):
-            seen += len(value)
-            waiting.extend(value.values() if isinstance(value, dict) else value[: MOST_FINDINGS + 1])
-    return seen > MOST_FINDINGS
-
-
-def _beginning(value: object) -> object:
-    """Returns a document with only the first entries of its lists and objects."""
-    if isinstance(value, dict):
-        return {key: _beginning(inner) for key, inner in islice(value.items(), BEGINNING)}
-    return [_beginning(inner) for inner in value[:BEGINNING]] if isinstance(value, list) else value
+    raise InvalidInputError(*problems(details, model, document))
 
 
 def problems(details: Sequence[Any], model: type[BaseModel], document: object) -> list[Problem]:

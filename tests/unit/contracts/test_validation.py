@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel
 
-from drivecal.contracts.input_errors import fitting, validated
+from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import InvalidInputError
 
@@ -97,58 +97,12 @@ def test_any_document_is_either_accepted_or_refused_with_reasons(document: objec
     assert all(said)
 
 
-@pytest.mark.parametrize(
-    ("document", "rest", "left_out"),
-    [
-        ({"optimizer": {"kind": "x", "population": "1"}}, {"optimizer": {"kind": "x"}}, ["optimizer.population"]),
-        ({"catalogue": ["S1", 5], "name": "a"}, {"name": "a"}, ["catalogue"]),
-        ({"parameters": [{"name": "P1"}, {"lower": 0}], "name": "a"}, {"name": "a"}, ["parameters"]),
-        (
-            {"parameters": [{"name": "P1"}, {"name": "P2", "lower": "0"}]},
-            {"parameters": [{"name": "P1"}, {"name": "P2"}]},
-            ["parameters[1].lower"],
-        ),
-        ({"constraints": [{"score": "a"}], "name": "a"}, {"name": "a"}, ["constraints"]),
-    ],
-)
-def test_what_fits_of_a_document_is_the_rest_without_the_wrong_fields(
-    document: object, rest: dict[str, Any], left_out: list[str]
-) -> None:
-    assert fitting(CampaignSpecification, document) == (CampaignSpecification.model_validate(rest), left_out)
-
-
-def test_nothing_fits_of_a_document_without_a_required_field() -> None:
-    assert fitting(EvaluationSpecification, {"scenario": "S1"}) is None
-    assert fitting(CampaignSpecification, [1]) is None
-
-
-@settings(deadline=None)
-@given(st.dictionaries(st.sampled_from(fields), anything), st.sampled_from([CampaignSpecification, EvaluationSpecification]))
-def test_what_fits_of_any_document_leaves_out_only_what_is_wrong(document: dict[str, Any], model: type[BaseModel]) -> None:
-    part = fitting(model, document)
-    assert part is None or bool(part[1]) == bool(fails(model, document))
-
-
-def fails(model: type[BaseModel], document: object) -> bool:
-    try:
-        validated(model, document)
-    except InvalidInputError:
-        return True
-    return False
-
-
 def test_of_very_many_wrong_values_the_first_ones_are_told() -> None:
     document = {"scenarios": {f"S{one}": {f"P{other}": 1 for other in range(100)} for one in range(100)}}
     with pytest.raises(InvalidInputError) as caught:
         validated(InfluenceMapSpecification, document)
     assert len(caught.value.problems) == 500
     assert caught.value.problems[0].field == "scenarios.S0.P0"
-
-
-def test_very_many_wrong_values_behind_good_ones_are_counted() -> None:
-    regions: dict[str, object] = {f"P{other}": {} if other < 100 else 1 for other in range(190)}
-    with pytest.raises(InvalidInputError, match=r"^900 "):
-        validated(InfluenceMapSpecification, {"scenarios": {f"S{one}": regions for one in range(10)}})
 
 
 def test_a_large_document_that_fits_is_read_whole() -> None:

@@ -1,6 +1,6 @@
 """Strict reading of request bodies before FastAPI sees them, so that nothing odd reaches a handler or an error message."""
 
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine
 from email.message import Message
 from typing import Any
 
@@ -12,17 +12,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from drivecal.api.dependencies import Limits
-from drivecal.api.submission import resolved
-from drivecal.campaigns.comparison import resolve_comparison
-from drivecal.campaigns.resolve.problem import resolve_evaluation
-from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.configuration.memory import give_back
 from drivecal.contracts import strict_json
-from drivecal.contracts.comparison import ComparisonSpecification
-from drivecal.contracts.input_errors import fitting, validated
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification
-from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
-from drivecal.storage.engine.database import Database
+from drivecal.contracts.input_errors import validated
+from drivecal.domain.errors import DrivecalError
 
 LARGE = 16_384
 """Size in bytes from which bodies are read in turn: a hostile megabyte takes up to a second."""
@@ -40,14 +33,14 @@ class StrictRoute(APIRoute):
         if not (isinstance(model, type) and issubclass(model, BaseModel)):
             raise TypeError(f"{self.path} takes a body that is not a model")
 
-        def read(request: Request, content: bytes) -> BaseModel:
-            return read_body(model, content, request.app.state.database)
+        def read(request: Request, content: bytes) -> _Read:
+            return _Read(request, validated(model, strict_json.loads(content)))
 
         async def strictly(request: Request) -> Response:
             _check_declaration(request)
             content = await body_of(request)
             if len(content) < LARGE:
-                return await handle(_Read(request, await to_thread.run_sync(read, request, content)))
+                return await handle(await to_thread.run_sync(read, request, content))
             limits: Limits = request.app.state.limits
             with limits.waiting_bodies.take():
                 async with limits.large_bodies:
@@ -55,7 +48,7 @@ class StrictRoute(APIRoute):
 
         async def large(request: Request, content: bytes) -> Response:
             try:
-                return await handle(_Read(request, await to_thread.run_sync(read, request, content)))
+                return await handle(await to_thread.run_sync(read, request, content))
             except DrivecalError as error:
                 # Its sentences are all that is needed; the frames and errors behind it hold on to the document.
                 error.__cause__ = error.__context__ = None
@@ -108,71 +101,3 @@ def _is_json(content_type: str) -> bool:
     message["content-type"] = content_type
     main, _, sub = message.get_content_type().partition("/")
     return main == "application" and (sub == "json" or sub.endswith("+json"))
-
-
-Check = Callable[[Database, Any], object]
-
-CHECKS: Mapping[type[BaseModel], Check] = {
-    CampaignSpecification: resolved,
-    ComparisonSpecification: lambda database, document: resolve_comparison(document, stored_bundles(database)),
-    EvaluationSpecification: lambda database, document: resolve_evaluation(document, stored_bundles(database)),
-}
-"""Raise InvalidInputError for a document whose fields fit."""
-
-_SPACE = ("problem", "driving_function", "parameters", "fixed")
-_GOALS = ("problem", "evaluator", "catalogue", "weights", "objectives", "constraints")
-JUDGED_BY: Mapping[str, Sequence[str]] = {
-    "problem": (),
-    "optimizer": (),
-    "optimizers": (),
-    "catalogue": ("problem",),
-    "driving_function": ("problem",),
-    "evaluator": ("problem",),
-    "vehicle": ("problem",),
-    "weights": ("problem", "catalogue"),
-    "scenario": ("problem", "catalogue"),
-    "parameters": ("problem", "driving_function"),
-    "fixed": _SPACE,
-    "baseline": _SPACE,
-    "optimizer.start_sets": _SPACE,
-    "objectives": _GOALS,
-    "constraints": _GOALS,
-    "sensitivity.map": (),
-}
-"""Sections that a field is judged by. A fault of another field may come from any section that was left out."""
-
-
-def read_body(model: type[BaseModel], content: bytes, database: Database) -> BaseModel:
-    """Returns a JSON body as a `model`. Raises InvalidInputError with every fault."""
-    document = strict_json.loads(content)
-    try:
-        return validated(model, document)
-    except InvalidInputError as error:
-        own = error.problems
-    raise InvalidInputError(*own, *_further(model, document, database))
-
-
-def _further(model: type[BaseModel], document: object, database: Database) -> list[Problem]:
-    """Returns the faults of the fields that fit, without those that may come from a missing one."""
-    part = fitting(model, document) if model in CHECKS else None
-    if part is None:
-        return []
-    specification, left_out = part
-    try:
-        CHECKS[model](database, specification)
-    except InvalidInputError as error:
-        return [problem for problem in error.problems if _stands(problem.field, left_out)]
-    except UnavailableError:  # the document's own faults are known without a database
-        pass
-    return []
-
-
-def _stands(field: str, left_out: Sequence[str]) -> bool:
-    if any(_within(field, missing) or _within(missing, field) for missing in left_out):
-        return False
-    bases = next((JUDGED_BY[name] for name in sorted(JUDGED_BY, key=len, reverse=True) if _within(field, name)), None)
-    return bases is not None and not any(_within(missing, base) for missing in left_out for base in bases)
-
-
-def _within(field: str, outer: str) -> bool:
-    return field == outer or field.startswith((f"{outer}.", f"{outer}["))
