@@ -9,10 +9,8 @@ import typer
 
 from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, tell
-from drivecal.cli.views import robustness_differences
 from drivecal.cli.views.output import dumped, parameters_text, print_blocks, print_columns, print_json
 from drivecal.cli.views.progress import follow
-from drivecal.cli.views.robustness_differences import MadeStudy, degree_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.tables import RobustnessRow, ValidationRow
@@ -20,6 +18,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.scales import COMFORT, Scale
 from drivecal.report.blocks import fixed, objective_number
+from drivecal.report.robustness import degree
 from drivecal.report.sections import validation_tables
 
 STAGES = ("optimizer", "sensitivity", *STUDIES)
@@ -153,39 +152,32 @@ def robustness(
     samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
     eta: Annotated[float | None, typer.Option(help="What the condition allows; else 1.")] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="Make the study in this vehicle model too, and show what changes.")
+        str | None,
+        typer.Option(help="Examine the same sets in this vehicle model; the report shows both studies side by side."),
     ] = None,
-    compare: Annotated[str | None, typer.Option(help="Another campaign's study: show what changes.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
     url: UrlOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
-    if vehicle is not None and compare is not None:
-        raise typer.BadParameter("name a vehicle model or another campaign, not both")
     given = {"solutions": solutions, "delta": delta, "steps": steps, "samples": samples, "eta": eta}
     with connect(url) as client:
         campaign = client.campaign(client.full_id(identifier))
         wanted = wanted_of(campaign, "robustness", given)
-        other = None if compare is None else _study_of(client, client.campaign(client.full_id(compare)))
         maker = None if again else known(client, campaign, wanted)
         if maker is None:
             stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
-            if vehicle is not None:  # a name that is none is refused before anything is driven
+            if vehicle is not None:  # an unknown vehicle is refused before anything is driven
                 there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
                 client.expected_runs(specification(campaign, "robustness", stages | there))
             maker = make(client, campaign, "robustness", stages)
-        here = _study(client, maker)
         if vehicle is not None:
-            other = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
-        beside = None if other is None else _study(client, other)
+            maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+        rows = client.robustness(maker.id)
     if as_json:
-        print_json(dumped(here.rows) if beside is None else robustness_differences.document(here, beside))
-        return
-    if beside is None:
-        print_robustness(here.rows, here.maker.spec["robustness"])
+        print_json(dumped(rows))
     else:
-        robustness_differences.print_difference(here, beside)
+        print_robustness(rows, maker.spec["robustness"])
 
 
 def _source(campaign: Campaign) -> str:
@@ -205,17 +197,6 @@ def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, mod
     return made or make(client, maker, f"robustness in {model}", stages)
 
 
-def _study_of(client: Client, campaign: Campaign) -> Campaign:
-    maker = known(client, campaign, wanted_of(campaign, "robustness", {}))
-    if maker is None:
-        raise ConflictError(f"campaign {campaign.id} has no robustness study; `drivecal robustness {campaign.id}` makes one")
-    return maker
-
-
-def _study(client: Client, maker: Campaign) -> MadeStudy:
-    return MadeStudy(maker, client.setup(maker.id), client.robustness(maker.id))
-
-
 def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any]) -> None:
     """Prints the examined sets of a study with these `settings`, most robust first."""
     if not rows:
@@ -225,7 +206,7 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any])
         ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
         [
             [
-                *(row.rank, degree_text(row), f"{row.radius:.4g}", objective_number(row.objective)),
+                *(row.rank, degree(row), f"{row.radius:.4g}", objective_number(row.objective)),
                 " ".join(f"{name} {'-' if score is None else score}" for name, score in row.scores.items()),
                 *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters)),
             ]
