@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from tests.architecture.test_configuration import project
 
-from drivecal.adapters import highway
+from drivecal.adapters import kinds
 from drivecal.cli import application
 
 WITHOUT = """
@@ -94,7 +94,7 @@ def test_a_command_that_needs_more_names_the_extra(words: tuple[str, ...], tmp_p
 
 
 def test_the_extra_that_a_message_names_brings_the_missing_module() -> None:
-    named = application.EXTRAS | highway.EXTRAS
+    named = application.EXTRAS | kinds.EXTRAS
     owners = packages_distributions()
     brought = {name: {canonicalize_name(owner) for owner in owners[name]} & layer(extra) for name, extra in named.items()}
     assert {name for name, packages in brought.items() if not packages} == set()

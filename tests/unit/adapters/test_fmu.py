@@ -10,7 +10,7 @@ import pytest
 from tests.support.fmus import SECOND_DESCRIPTION, archive, build
 from tests.support.simulators import hung, lost, opened
 
-from drivecal.adapters import python
+from drivecal.adapters import kinds
 from drivecal.adapters.driver import UnusableError, blames_files
 from drivecal.adapters.fmu_driver import Fmu, OutputStatistics
 from drivecal.domain.errors import UnavailableError
@@ -99,7 +99,7 @@ def test_the_last_step_may_be_shorter(folder: Path) -> None:
 
 def test_the_child_is_replaced_before_it_is_worn_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The FMU can be instantiated once per process; `runs` counts its runs."""
-    monkeypatch.setattr(python, "MOST_RUNS", 3)
+    monkeypatch.setattr(kinds, "MOST_FMU_RUNS", 3)
     with run(folder, "trial2.fmu", Declared("p", ("n",)), measures={"n": "last(runs)"}) as session:
         assert [session.evaluate({}).measures["n"] for _ in range(8)] == [1, 2, 3, 1, 2, 3, 1, 2]
 
@@ -204,7 +204,7 @@ def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:
 
 
 def test_a_machine_without_fmpy_cannot_open_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(python, "find_spec", lambda _: None)
+    monkeypatch.setattr(kinds, "find_spec", lambda _: None)
     with pytest.raises(UnavailableError, match=r"drivecal\[fmu\]"), run(folder, "trial2.fmu"):
         pass
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from drivecal.adapters import highway
+from drivecal.adapters import kinds
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins.simulators import Declared, UnsuitableError
 
@@ -17,11 +17,11 @@ VEHICLE = {"kind": "fmu", "file": "car.fmu", "signals": {}}
 @pytest.mark.parametrize(
     ("controller", "vehicle", "most_runs"),
     [
-        (CONTROLLER, "single_track", highway.MOST_FMU_RUNS),
-        (CONTROLLER | {"reset": True}, VEHICLE | {"reset": True}, highway.MOST_FMU_RUNS),
+        (CONTROLLER, "single_track", kinds.MOST_FMU_RUNS),
+        (CONTROLLER | {"reset": True}, VEHICLE | {"reset": True}, kinds.MOST_FMU_RUNS),
         (CONTROLLER | {"reset": False}, "single_track", 1),
         (CONTROLLER, VEHICLE | {"reset": False}, 1),
-        ({"kind": "python", "file": "acc.py"}, "single_track", highway.MOST_RUNS),
+        ({"kind": "python", "file": "acc.py"}, "single_track", kinds.MOST_HIGHWAY_RUNS),
         ({"kind": "python", "file": "acc.py"}, VEHICLE | {"reset": False}, 1),
     ],
 )
@@ -29,25 +29,25 @@ def test_a_part_that_is_not_reset_has_a_child_for_each_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: dict[str, Any], vehicle: Any, most_runs: int
 ) -> None:
     opened: list[dict[str, Any]] = []
-    monkeypatch.setattr(highway, "ProcessSession", lambda *_, **settings: opened.append(settings))
+    monkeypatch.setattr(kinds, "ProcessSession", lambda *_, **settings: opened.append(settings))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # nobody removes the folder of a session that does not open
     for name in ("acc.fmu", "acc.py", "car.fmu", "road.net.xml"):
         (tmp_path / name).touch()
     section = {"controller": controller, "vehicle": vehicle, "timeout": 1.0, "memory_mb": 100}
-    highway.HighwayAdapter().open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
+    kinds.simulator("highway").open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
     assert [settings["most_runs"] for settings in opened] == [most_runs]
 
 
-@pytest.mark.parametrize(("package", "extra"), highway.EXTRAS.items())
+@pytest.mark.parametrize(("package", "extra"), kinds.EXTRAS.items())
 def test_a_machine_without_a_library_names_what_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str, extra: str
 ) -> None:
-    monkeypatch.setattr(highway, "find_spec", lambda name: None if name == package else name)
+    monkeypatch.setattr(kinds, "find_spec", lambda name: None if name == package else name)
     for name in ("acc.fmu", "road.net.xml"):
         (tmp_path / name).touch()
     section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
     with pytest.raises(UnavailableError) as error:
-        highway.HighwayAdapter().open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
+        kinds.simulator("highway").open(section, "S", {"network": "road.net.xml"}, tmp_path, Declared("trial", ("energy_kwh",)))
     assert type(error.value) is UnavailableError  # another machine may have it
     assert package in str(error.value)
     assert f"drivecal[{extra}]" in str(error.value)
@@ -60,4 +60,4 @@ def test_a_bundle_without_a_file_suits_no_machine(tmp_path: Path, missing: str) 
     section = {"controller": CONTROLLER, "vehicle": "single_track", "timeout": 1.0, "memory_mb": 100}
     data = {"network": "road.net.xml", "routes": "day.rou.xml"}
     with pytest.raises(UnsuitableError, match=missing):
-        highway.HighwayAdapter().open(section, "S", data, tmp_path, Declared("trial", ("energy_kwh",)))
+        kinds.simulator("highway").open(section, "S", data, tmp_path, Declared("trial", ("energy_kwh",)))

@@ -20,7 +20,7 @@ from tests.support.simulators import (
     write_server,
 )
 
-from drivecal.adapters import answers, pipes, process
+from drivecal.adapters import answers, kinds, pipes, process
 from drivecal.adapters.scratch import GRANTED, environment
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -378,7 +378,7 @@ def test_an_answer_that_is_not_flushed_is_named_as_a_cause(
         monkeypatch.setattr(simulators, "START_SECONDS", 0.5)
     held = "sys.stdout.write('{\"ready\": true}\\n'); time.sleep(600)"
     with served(tmp_path, held if ready else "", start="pass" if ready else held, timeout=0.5) as session:
-        assert process.UNFLUSHED in lost(session, {"x": 1.0}, Breakdown.HANG)
+        assert kinds.UNFLUSHED in lost(session, {"x": 1.0}, Breakdown.HANG)
 
 
 def test_a_program_on_the_path_can_be_used(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from drivecal.adapters.scratch import Scratch, discard
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import PROBE_SECONDS, VERSIONS, Declared, NoMeasuresError, RunOutcome
+from drivecal.plugins.simulators import PROBE_SECONDS, Declared, NoMeasuresError, RunOutcome
 
 LONGEST_ANSWER = 4000
 """Largest answer in characters."""
@@ -97,25 +97,6 @@ class CommandSession:
             pipes.stop()
         content = _content(self._files["results"], pipes.tail())
         return answers.outcome(answers.document(content, "the results file"), self._declared, series=series)
-
-
-class CommandAdapter:
-    """Simulator kind `command`."""
-
-    version = VERSIONS["command"]
-
-    def open(
-        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
-    ) -> CommandSession:
-        """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
-        del scenario
-        scratch = Scratch(folder)
-        try:
-            check_command(section["command"], scratch.work)
-        except UnavailableError:
-            scratch.remove()
-            raise
-        return CommandSession(section, scratch, declared, data=data)
 
 
 def _content(path: Path, tail: str) -> bytes:

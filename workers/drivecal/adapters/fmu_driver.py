@@ -288,7 +288,7 @@ def described_version(file: Path) -> str:
 
 
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
-    """Instantiates the FMU and checks all names. `settings`: see `drivecal.adapters.python`."""
+    """Instantiates the FMU and checks all names. `settings`: see `drivecal.adapters.kinds`."""
     measures = parsed(settings["measures"])
     duration, step = settings["duration"], settings["step"]
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))

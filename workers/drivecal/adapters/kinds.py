@@ -1,31 +1,217 @@
-"""The simulator kinds that run in child processes."""
+"""The simulator kinds that run in child processes: each is a function that opens a session.
 
+`process` and `command` start a program. `python` (a function in a file), `fmu` (an FMI 2 or 3 co-simulation FMU, run by FMPy) and `highway`
+(a vehicle with a user's controller in SUMO) start a driver of drivecal's own, which speaks the protocol of `process`.
+"""
+
+import json
+import os
 import sys
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
-from drivecal.adapters.command import CommandAdapter
-from drivecal.adapters.highway import HighwayAdapter
-from drivecal.adapters.process import ProcessAdapter
-from drivecal.adapters.python import FmuAdapter, PythonAdapter
+from drivecal.adapters.children import Launch, check_command
+from drivecal.adapters.command import CommandSession
+from drivecal.adapters.process import ProcessSession
+from drivecal.adapters.scratch import Scratch
+from drivecal.bundles import units
 from drivecal.domain.errors import NotFoundError, UnavailableError
-from drivecal.plugins.simulators import Simulator
+from drivecal.plugins import setups
+from drivecal.plugins.simulators import VERSIONS, Declared, Simulator, SimulatorSession, UnsuitableError
+from drivecal.roads.network import network_file
 
-_SIMULATORS: Mapping[str, Simulator] = MappingProxyType(
-    {
-        "process": ProcessAdapter(),
-        "command": CommandAdapter(),
-        "python": PythonAdapter(),
-        "fmu": FmuAdapter(),
-        "highway": HighwayAdapter(),
-    }
-)
+UNFLUSHED = ", or let the program flush its standard output after each answer, if it does not"
+"""Another cause of a run without an answer, of programs that users wrote: drivecal's own drivers flush."""
+MOST_FMU_RUNS = 500
+"""Runs of a child before another replaces it: FMPy has crashed after some thousand instantiations, and FMUs leak at every reset."""
+MOST_HIGHWAY_RUNS = 2000
+"""Runs of a child with SUMO, so that what SUMO or a controller leaks stays small."""
+EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
+"""Extra of drivecal that installs a module."""
+_PYTHON = (sys.executable, "-I", "-B", "-m")
+"""Start of a driver's command: no environment variables or user packages, no bytecode in the bundle's folder."""
+
+Section = Mapping[str, Any]
+Open = Callable[[Section, str, Mapping[str, Any], Path, Declared], SimulatorSession]
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    version: str
+    open: Open
 
 
 def simulator(kind: str) -> Simulator:
     """Returns the simulator of a kind. Raises NotFoundError, and UnavailableError if this system cannot hold child processes back."""
-    if kind not in _SIMULATORS:
-        raise NotFoundError("simulator kind", kind, f"there are {', '.join(_SIMULATORS)}")
+    if kind not in _OPEN:
+        raise NotFoundError("simulator kind", kind, f"there are {', '.join(_OPEN)}")
     if sys.platform != "linux":
         raise UnavailableError(f"simulators of kind {kind} need Linux; this system is {sys.platform}")
-    return _SIMULATORS[kind]
+    return _Kind(VERSIONS[kind], _OPEN[kind])
+
+
+@contextmanager
+def _scratch(folder: Path) -> Iterator[Scratch]:
+    """Yields a scratch folder, which is removed if the session cannot be opened."""
+    scratch = Scratch(folder)
+    try:
+        yield scratch
+    except BaseException:
+        scratch.remove()
+        raise
+
+
+def _refuse_missing(folder: Path, names: Iterable[str | None]) -> None:
+    """Raises UnsuitableError if a file or folder is not in the bundle."""
+    for name in names:
+        if name is not None and not (folder / name).exists():
+            raise UnsuitableError(f"{name} does not exist in the bundle")
+
+
+def _refuse_without(*packages: str) -> None:
+    """Raises UnavailableError if a package is not installed."""
+    for package in packages:
+        if find_spec(package) is None:
+            raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{EXTRAS[package]}]'")
+
+
+def _open_process(
+    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+) -> SimulatorSession:
+    """Starts the program in a scratch folder with links to the bundle's files."""
+    with _scratch(folder) as scratch:
+        check_command(section["command"], scratch.work)
+        launch = Launch.of(section["command"], section)
+        timeout = section["timeout"]
+        return ProcessSession(launch, scratch, declared, timeout=timeout, scenario=scenario, data=data, advice=UNFLUSHED)
+
+
+def _open_command(
+    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+) -> SimulatorSession:
+    """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
+    del scenario
+    with _scratch(folder) as scratch:
+        check_command(section["command"], scratch.work)
+        return CommandSession(section, scratch, declared, data=data)
+
+
+def _open_python(
+    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+) -> SimulatorSession:
+    """Starts the interpreter and imports the function."""
+    folder, wheels = folder.resolve(), section.get("wheels")
+    _refuse_missing(folder, (section["file"], wheels))
+    with _scratch(folder) as scratch:
+        settings = {
+            "file": str(folder / section["file"]),
+            "function": section.get("function", "evaluate"),
+            "wheels": None if wheels is None else str(folder / wheels),
+            "packages": str(scratch.folder / "packages"),
+        }
+        launch = Launch.of([*_PYTHON, "drivecal.adapters.python_driver", json.dumps(settings)], section)
+        timeout = section["timeout"]
+        return ProcessSession(launch, scratch, declared, timeout=timeout, scenario=scenario, data=data, blames_files=True)
+
+
+def _open_fmu(section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared) -> SimulatorSession:
+    """Starts the child, which unpacks, checks and instantiates the FMU."""
+    folder = folder.resolve()
+    _refuse_missing(folder, (section["file"],))
+    _refuse_without("fmpy")
+    with _scratch(folder) as scratch:
+        settings = {
+            "file": str(folder / section["file"]),
+            "unpacked": str(scratch.folder / "fmu"),
+            "duration": section["duration"],
+            "step": section["step"],
+            "measures": dict(section["measures"]),
+            "series": list(declared.series),
+            "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
+            "data": dict(data),
+            "parameters": dict(declared.parameters),
+        }
+        launch = Launch.of([*_PYTHON, "drivecal.adapters.fmu_driver", json.dumps(settings)], section)
+        return ProcessSession(
+            launch,
+            scratch,
+            declared,
+            timeout=section["timeout"],
+            scenario=scenario,
+            data={},
+            most_runs=MOST_FMU_RUNS if section.get("reset", True) else 1,
+            blames_files=True,
+        )
+
+
+def _open_highway(
+    section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+) -> SimulatorSession:
+    """Starts the child, which reads the network, loads SUMO and starts the controller."""
+    folder, controller = folder.resolve(), section["controller"]
+    vehicle = section["vehicle"] if isinstance(section["vehicle"], Mapping) else {}
+    parts = (controller, vehicle)
+    has_fmu = any(part.get("kind") == "fmu" for part in parts)
+    network = network_file(data["network"]) if "network" in data else None
+    files = [part.get(key) for part in parts for key in ("file", "wheels")]
+    _refuse_missing(folder, (network, data.get("routes"), data.get("openscenario"), *files))
+    _refuse_without("libsumo", "numba", *(["fmpy"] if has_fmu else []))
+    kernels = os.environ.get("NUMBA_CACHE_DIR")
+    with _scratch(folder) as scratch:
+        confinement = scratch.confinement()
+        settings = {
+            "folder": str(folder),
+            "work": str(scratch.work),
+            "scratch": str(scratch.folder),
+            "simulator": {"kind": "highway", **section},
+            "scenario": scenario,
+            "data": dict(data),
+            "sumo": setups.sumo(),
+            "kernels": kernels,
+            "changeable": None if confinement is None else confinement["writable"],
+            "measures": list(declared.measures),
+            "series": list(declared.series),
+            "parameters": dict(declared.parameters),
+        }
+        for part in parts:
+            if part.get("kind") == "process":
+                check_command(part["command"], scratch.work)
+        text = json.dumps(settings, allow_nan=False)
+        file = scratch.keep("highway.json", text)  # may be larger than a command line
+        # An earlier child can change the file; a later one refuses it then.
+        command = [*_PYTHON, "drivecal.highway.drive.driver", str(file), sha256(text.encode()).hexdigest()]
+        most_runs = MOST_FMU_RUNS if has_fmu else MOST_HIGHWAY_RUNS
+        return ProcessSession(
+            Launch.of(command, section, _compiled(kernels)),
+            scratch,
+            declared,
+            timeout=section["timeout"],
+            scenario=scenario,
+            data={},
+            most_runs=most_runs if all(part.get("reset", True) for part in parts) else 1,
+            replays=True,
+            blames_files=True,
+        )
+
+
+def _compiled(folder: str | None) -> list[str]:
+    """Returns the folders of numba's compiled kernels: numba neither stores nor loads them if it may not write there. The child gives up
+    that right before it loads a user's code (`highway.drive.rehearsal`)."""
+    if folder is not None:
+        return [folder]
+    highway = Path(__file__).parents[1] / "highway"
+    return [str(path) for path in (highway, *highway.rglob("*/")) if path.name == "__pycache__"]
+
+
+_OPEN: Mapping[str, Open] = {
+    "process": _open_process,
+    "command": _open_command,
+    "python": _open_python,
+    "fmu": _open_fmu,
+    "highway": _open_highway,
+}

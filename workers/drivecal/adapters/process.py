@@ -7,24 +7,21 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from drivecal.adapters import answers
-from drivecal.adapters.children import Children, Launch, check_command
+from drivecal.adapters.children import Children, Launch
 from drivecal.adapters.pipes import RUN_LIMIT, Pipes
 from drivecal.adapters.scratch import Scratch
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import VERSIONS, Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, UnsuitableError, start_limit
 
 START_LIMIT = (
     "the limit of a start (`simulator.timeout` in problem.yaml, s, or 60 if that is less); raise it if starts may take longer"
 )
 """Origin of that limit, for the message of a hang."""
-UNFLUSHED = ", or let the program flush its standard output after each answer, if it does not"
-"""Another cause of a run without an answer, of programs that users wrote: drivecal's own drivers flush."""
 QUIT_SECONDS = 1.0
 """Time that a program has to end after `quit`."""
 WATCH_SECONDS, WATCH_SHARE = 1.0, 0.002
@@ -182,25 +179,3 @@ class ProcessSession:
         pipes, self._pipes = self._pipes, None
         if pipes is not None:
             pipes.stop()
-
-
-class ProcessAdapter:
-    """Simulator kind `process`."""
-
-    version = VERSIONS["process"]
-
-    def open(
-        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
-    ) -> ProcessSession:
-        """Starts the program in a scratch folder with links to the bundle's files."""
-        command = section["command"]
-        scratch = Scratch(folder)
-        try:
-            check_command(command, scratch.work)
-        except UnavailableError:
-            scratch.remove()
-            raise
-        launch = Launch.of(command, section)
-        return ProcessSession(
-            launch, scratch, declared, timeout=section["timeout"], scenario=scenario, data=data, advice=UNFLUSHED
-        )

@@ -1,6 +1,6 @@
 """The child of simulator kind `highway`: loads the network, SUMO and the controller, and serves runs.
 
-Runs as `python -I -B -m ... SETTINGS DIGEST`. SETTINGS is a file with the object that `drivecal.adapters.highway` writes, DIGEST its
+Runs as `python -I -B -m ... SETTINGS DIGEST`. SETTINGS is a file with the object that `drivecal.adapters.kinds` writes, DIGEST its
 SHA-256.
 
 Until it calls `hold`, it may change the compiled kernels that workers execute. So it reads nothing until then that an earlier child of the
