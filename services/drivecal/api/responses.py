@@ -1,7 +1,7 @@
 """Builds answers from stored rows."""
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from functools import lru_cache
 from operator import attrgetter
@@ -31,17 +31,16 @@ _place, _rest = attrgetter(*_FIELDS[:PLACE]), attrgetter(*_FIELDS[PLACE:])
 
 def campaign_answer(stored: StoredCampaign, now: datetime, silent: str | None) -> Campaign:
     """Returns a campaign as clients see it at the moment `now`; `silent` is a message about a silent dispatcher."""
-    as_it_is = {name: getattr(stored, name) for name in Campaign.model_fields if hasattr(stored, name)}
-    changing = {
-        "state": state_of(stored),
-        "degraded": degraded(stored, silent),
-        "stages": {stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
-        "seconds": seconds_of(stored, now),
-        "scale": stored_scale(stored.resolution),
-        "objective": _first_objective(stored),
-        "links": _links(stored),
-    }
-    return Campaign(**as_it_is | changing)
+    return Campaign.of(
+        stored,
+        state=state_of(stored),
+        degraded=degraded(stored, silent),
+        stages={stage: CellCounts(**cells) for stage, cells in stored.stages.items()},
+        seconds=seconds_of(stored, now),
+        scale=stored_scale(stored.resolution),
+        objective=_first_objective(stored),
+        links=_links(stored),
+    )
 
 
 def _first_objective(stored: StoredCampaign) -> FirstObjective | None:
@@ -123,12 +122,6 @@ def evaluation_row(stored: StoredEvaluation) -> dict[str, Any]:
     row |= {_column(name): value for name, value in stored.parameters.floats.items()}
     row |= zip(_FIELDS[PLACE:], _rest(stored), strict=True)
     return row
-
-
-def evaluated_cell(stored: StoredEvaluation, metrics: Mapping[str, float | None] | None) -> EvaluatedCell:
-    """Returns a cell of a single evaluation."""
-    as_it_is = {name: getattr(stored, name) for name in EvaluatedCell.model_fields if name != "metrics"}
-    return EvaluatedCell(**as_it_is, metrics=None if metrics is None else dict(metrics))
 
 
 def evaluation_answer(stored: StoredCampaign, items: list[EvaluatedCell]) -> Evaluation:

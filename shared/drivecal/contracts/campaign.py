@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from html import escape
-from typing import Any, Generic, Literal, TypeVar, get_args
+from typing import Any, Generic, Literal, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, computed_field
 
@@ -21,6 +21,12 @@ class Answer(BaseModel):
     """The base of all answers: immutable; a client ignores unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", json_schema_serialization_defaults_required=True)
+
+    @classmethod
+    def of(cls, stored: object, **more: Any) -> Self:
+        """Returns the answer with the values that an object has under the names of its fields, and `more`, which count before these."""
+        known = {name: getattr(stored, name) for name in cls.model_fields if name not in more and hasattr(stored, name)}
+        return cls(**known, **more)
 
 
 class Page(Answer, Generic[RowModel]):

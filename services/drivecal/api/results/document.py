@@ -251,11 +251,9 @@ def _search(connection: Connection, campaign: StoredCampaign) -> Search | None:
 
 
 def _searched(parameter: Parameter, fixed: Mapping[str, Value], descriptions: Mapping[str, str]) -> SearchedParameter:
-    as_it_is = {name: getattr(parameter, name) for name in SearchedParameter.model_fields if name != "fixed"}
     held = fixed.get(parameter.name)
     value = held if held is None or isinstance(held, str) else float(held)
-    description = descriptions.get(parameter.name, "")
-    return SearchedParameter.model_validate(as_it_is | {"fixed": value, "description": description})
+    return SearchedParameter.of(parameter, fixed=value, description=descriptions.get(parameter.name, ""))
 
 
 def _descriptions(connection: Connection, campaign: StoredCampaign) -> dict[str, str]:
@@ -305,6 +303,5 @@ def is_same_for_a_map(theirs: Mapping[str, Any], ours: Mapping[str, Any]) -> boo
 
 def study_answer(made: StoredStudy, campaign: StoredCampaign) -> Study:
     """Returns a study of the results of a campaign."""
-    as_it_is = {name: getattr(made, name) for name in Study.model_fields if hasattr(made, name)}
-    own = studies.is_in_own_vehicle(made, campaign)
-    return Study(**as_it_is, settings=made.spec.get(made.stage) or {}, vehicle=_vehicle(made.spec), in_own_vehicle=own)
+    own, settings = studies.is_in_own_vehicle(made, campaign), made.spec.get(made.stage) or {}
+    return Study.of(made, settings=settings, vehicle=_vehicle(made.spec), in_own_vehicle=own)

@@ -1,6 +1,5 @@
 """Campaigns: submit, read, steer, run again."""
 
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Response
@@ -98,7 +97,7 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
         deleted = None if referring else deletion.delete_campaign(connection, campaign_id)
     if deleted is not None:
         deletion.remove_cells(database, deleted)
-    listed = [Referring(**asdict(reference)) for reference in referring]
+    listed = [Referring.of(reference) for reference in referring]
     return Deletion(id=campaign_id, deleted=not listed, archived=bool(listed), referring=listed)
 
 

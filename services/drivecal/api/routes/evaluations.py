@@ -11,12 +11,13 @@ from drivecal.api import submission
 from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, computed
 from drivecal.api.http.authorisation import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
-from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluated_cell, evaluation_answer, evaluation_row, matches, takes_gzip
+from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluation_answer, evaluation_row, matches, takes_gzip
 from drivecal.campaigns.cells.tracing import is_to_be_made, no_trace, request_trace
 from drivecal.campaigns.resolve.resolved_spec import stored_scale
 from drivecal.campaigns.results.explanation import explain
 from drivecal.contracts.evaluation import (
     CampaignOfEvaluation,
+    EvaluatedCell,
     Evaluation,
     EvaluationDetail,
     PendingTrace,
@@ -118,7 +119,7 @@ def _single(connection: Connection, evaluation_id: str) -> StoredCampaign:
 def _evaluation(connection: Connection, stored: StoredCampaign) -> Evaluation:
     rows, _ = results.page(connection, stored.sequence, limit=MOST_SCENARIOS)
     measured = runs.metrics(connection, [row.run_id for row in rows if row.run_id is not None])
-    return evaluation_answer(stored, [evaluated_cell(row, measured.get(row.run_id or 0)) for row in rows])
+    return evaluation_answer(stored, [EvaluatedCell.of(row, metrics=measured.get(row.run_id or 0)) for row in rows])
 
 
 ANSWERS: dict[int | str, dict[str, object]] = {

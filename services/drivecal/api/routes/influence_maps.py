@@ -55,9 +55,8 @@ def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Ac
 
 
 def _answer(stored: StoredInfluenceMap, *, with_rows: bool) -> InfluenceMapAnswer:
-    as_it_is = {name: getattr(stored, name) for name in ("id", "name", "source", "driving_function", "created_at")}
-    return InfluenceMapAnswer(
-        **as_it_is,
+    return InfluenceMapAnswer.of(
+        stored,
         rows=map_rows(stored) if with_rows else None,
         basis=dict(stored.basis) if with_rows and stored.basis is not None else None,
         links={"self": f"{ROOT}/influence-maps/{stored.id}"},

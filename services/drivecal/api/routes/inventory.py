@@ -1,6 +1,5 @@
 """Inventory: scenarios, parameter spaces, references, workers."""
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -62,10 +61,11 @@ def scenarios(database: DatabaseDependency, problem: str | None = None) -> Scena
         return ProblemScenarioPage(
             items=[ProblemScenario(id=name, problem=manifest.problem, data=data) for name, data in manifest.scenarios.items()]
         )
-    headings = [
-        _heading(catalogue.name, scenario) for catalogue in registry.catalogues() for scenario in catalogue.scenarios.values()
+    items = [
+        ScenarioAnswer.of(scenario, **_heading(catalogue.name, scenario))
+        for catalogue in registry.catalogues()
+        for scenario in catalogue.scenarios.values()
     ]
-    items = [ScenarioAnswer.model_validate(heading) for heading in headings]
     return ScenarioPage(
         items=items, scores=[COMFORT.name], measures=dict(CLOSED_LOOP_MEASURES), broken=_broken(registry.CATALOGUES)
     )
@@ -152,12 +152,11 @@ def _of_problem(database: Database, problem: str, scenario_id: str) -> Scenario 
 
 
 def _broken(group: str) -> list[BrokenPluginAnswer]:
-    return [BrokenPluginAnswer.model_validate(asdict(plugin)) for plugin in registry.broken() if plugin.group == group]
+    return [BrokenPluginAnswer.of(plugin) for plugin in registry.broken() if plugin.group == group]
 
 
 def _heading(catalogue: str, scenario: Scenario) -> dict[str, Any]:
-    as_it_is = {name: getattr(scenario, name) for name in ("id", "title", "duration", "step")}
-    return as_it_is | {"catalogue": catalogue, "manoeuvre": scenario.rated_as, "vehicles": len(scenario.traffic)}
+    return {"catalogue": catalogue, "manoeuvre": scenario.rated_as, "vehicles": len(scenario.traffic)}
 
 
 def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:
@@ -165,7 +164,8 @@ def _detail(catalogue: str, scenario: Scenario) -> ScenarioDetail:
     line = reference_line(road, SPACING)
     across = [road.right_edge + number * road.lane_width for number in range(road.lanes + 1)]
     left = np.column_stack([-np.sin(line[:, 3]), np.cos(line[:, 3])])
-    return ScenarioDetail(
+    return ScenarioDetail.of(
+        scenario,
         **_heading(catalogue, scenario),
         road=RoadAnswer(
             length_m=road.length,
@@ -190,16 +190,10 @@ def _vehicle(identifier: str | None, d: float, start: EgoStart | TrafficVehicle)
 def _parameter(parameter: Parameter) -> ParameterAnswer:
     step = (parameter.upper - parameter.lower) / (parameter.n_values - 1)
     grid = {"step": None, "n_values": None} if parameter.kind == "continuous" else {"step": step}
-    return ParameterAnswer.model_validate(asdict(parameter) | grid)
+    return ParameterAnswer.of(parameter, **grid)
 
 
 def _reference(stored: SetupCount) -> ReferenceAnswer:
     setup = Setup(stored.scenario, stored.document)
-    return ReferenceAnswer(
-        scenario=stored.scenario,
-        fingerprint=stored.fingerprint,
-        driving_function=setup.document.get("controller"),
-        vehicle=setup.document.get("vehicle"),
-        simulator=setup.simulator,
-        runs=stored.runs,
-    )
+    parts = {"driving_function": setup.document.get("controller"), "vehicle": setup.document.get("vehicle")}
+    return ReferenceAnswer.of(stored, simulator=setup.simulator, **parts)

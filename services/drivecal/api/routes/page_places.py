@@ -68,5 +68,4 @@ def remove_view(view_id: str, database: DatabaseDependency) -> None:
 
 
 def _view(stored: StoredView) -> SavedView:
-    as_it_is = {name: getattr(stored, name) for name in ("id", "name", "address", "created_at")}
-    return SavedView(**as_it_is, campaign=stored.campaign or None)
+    return SavedView.of(stored, campaign=stored.campaign or None)

@@ -67,7 +67,7 @@ def list_problems(query: ProblemsQuery, database: DatabaseDependency) -> Problem
     """The current problem of each name, last pushed first; with `name` every push of it."""
     with database.read() as connection:
         page, following = bundles.listing(connection, name=query.name, limit=query.limit, cursor=query.cursor)
-    return ProblemPage(items=[ProblemHeading(**_heading(stored)) for stored in page], next_cursor=following)
+    return ProblemPage(items=[ProblemHeading.of(stored, links=_links(stored)) for stored in page], next_cursor=following)
 
 
 @router.get("/{problem}")
@@ -107,10 +107,9 @@ def _store(database: Database, limits: Limits, content: bytes, signed: str | Non
 
 def _answer(stored: StoredBundle) -> ProblemAnswer:
     sections = {name: stored.manifest[name] for name in ProblemAnswer.model_fields if name in stored.manifest}
-    return ProblemAnswer(**_heading(stored), **sections)
+    return ProblemAnswer.of(stored, links=_links(stored), **sections)
 
 
-def _heading(stored: BundleHeading) -> dict[str, Any]:
-    as_it_is = {name: getattr(stored, name) for name in ("name", "digest", "size", "latest", "created_at")}
+def _links(stored: BundleHeading) -> dict[str, str]:
     here = f"{PATH}/{stored.digest}"
-    return as_it_is | {"links": {"self": here, "archive": f"{here}/archive"}}
+    return {"self": here, "archive": f"{here}/archive"}
