@@ -9,7 +9,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from itertools import islice
 from os import PathLike
@@ -23,7 +23,7 @@ from drivecal.contracts import strict_json
 from drivecal.contracts.campaign import CampaignPage
 from drivecal.contracts.inventory import InfluenceMapPage
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
 """A submitted document: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
@@ -85,15 +85,11 @@ def plain(document: Document) -> Mapping[str, Any]:
 
 def _content(file: str) -> tuple[bytes, str]:
     name = "standard input" if file == "-" else file
-    try:
-        if file == "-":
-            content = sys.stdin.buffer.read(LARGEST_FILE + 1)
-        else:
-            with Path(file).open("rb") as stream:
-                content = stream.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise InvalidInputError(Problem(name, f"it cannot be read: {reason}", "give a YAML or JSON file, or -")) from error
+    with (
+        file_faults(name, "read", "give a YAML or JSON file, or -"),
+        nullcontext(sys.stdin.buffer) if file == "-" else Path(file).open("rb") as stream,
+    ):
+        content = stream.read(LARGEST_FILE + 1)
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(name, f"it is larger than {LARGEST_FILE:,} bytes", "give a smaller file"))
     return content, name

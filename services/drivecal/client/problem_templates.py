@@ -14,7 +14,7 @@ from drivecal.bundles.fmus.description import FmuDescription, FmuVariable, read_
 from drivecal.bundles.installed import installed_problems
 from drivecal.client.documents import located_yaml
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 from drivecal.domain.parameters import text
 
 PLANNER = "highway-planner"
@@ -43,16 +43,12 @@ def write_problem(kind: str, name: str, folder: str | Path | None = None, fmu: s
     else:
         contents["problem.yaml"] = fmu_manifest(name, path.name, file, description)
     checked(located_yaml(contents["problem.yaml"].encode())[0])
-    try:
+    with file_faults(shown(str(path), 200), "written", "give another folder"):
         path.mkdir(parents=True, exist_ok=True)
         for inner, content in contents.items():
             (path / inner).write_text(content, encoding="utf-8")
         if fmu is not None:
             shutil.copyfile(fmu, path / file)
-    except OSError as error:
-        raise InvalidInputError(
-            Problem(shown(str(path), 200), f"it cannot be written: {error.strerror}", "give another folder")
-        ) from error
     return sorted(path.iterdir())
 
 

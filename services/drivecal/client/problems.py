@@ -15,7 +15,7 @@ from drivecal.client.documents import LARGEST_FILE, located, located_yaml
 from drivecal.configuration.pushing import HEADER, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 _Checked = TypeVar("_Checked")
 
@@ -118,10 +118,8 @@ def archive_of(problem: Pushed) -> bytes:
     path = Path(problem)
     if not path.is_file():
         return read_bundle(path)[1]
-    try:
+    with file_faults(path, "read", "give a folder"):
         return path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError(Problem(str(path), f"it cannot be read: {error.strerror}", "give a folder")) from error
 
 
 def push_headers(archive: bytes, *, signed: bool) -> dict[str, str]:

@@ -4,7 +4,10 @@ Each message states in one sentence what is wrong and, if a remedy exists, how t
 they survive pickling between processes.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal
 
 
 class DrivecalError(Exception):
@@ -114,3 +117,13 @@ class ReplayError(DrivecalError):
             f"the search cannot be resumed: for iteration {self.iteration}, {self.installed} proposes another population than {before};"
             " submit the campaign again: stored results answer the cells that were simulated"
         )
+
+
+@contextmanager
+def file_faults(file: object, verb: Literal["read", "written"], remedy: str) -> Iterator[None]:
+    """Raises InvalidInputError if the block cannot read or write a file, with the reason of the system."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise InvalidInputError(Problem(str(file), f"it cannot be {verb}: {reason}", remedy)) from error

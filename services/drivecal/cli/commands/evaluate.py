@@ -27,7 +27,7 @@ from drivecal.contracts.evaluation import Evaluation, SeriesAnswer, TraceAnswer
 from drivecal.contracts.explanation import Difference, Explanation, Prediction
 from drivecal.contracts.specification import DEFAULT_PROBLEM
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import NotFoundError
+from drivecal.domain.errors import NotFoundError, file_faults
 from drivecal.domain.scales import told
 
 SECONDS_BETWEEN_QUESTIONS = 0.3
@@ -88,7 +88,9 @@ def evaluate(
         if trace is not None:
             series = trace_of(client, evaluation.id, timeout)
             if trace.suffix == time_series.MEASUREMENT:
-                time_series.save_measurement(trace, _measurement(client, evaluation, series, problem))
+                content = _measurement(client, evaluation, series, problem)
+                with file_faults(trace, "written", "give another file"):
+                    trace.write_bytes(content)
             else:
                 time_series.save(series, trace)
             tell(f"time series: {trace}")

@@ -20,7 +20,7 @@ from drivecal.client.documents import read_document
 from drivecal.client.problem_templates import write_problem
 from drivecal.client.problems import read_bundle_with_notes
 from drivecal.contracts.inventory import ProblemAnswer
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import file_faults
 
 if TYPE_CHECKING:
     from drivecal.bundles.manifest import Manifest
@@ -287,7 +287,11 @@ def parameters(
     as_json: JsonOption = False,
 ) -> None:
     """Print the parameters of calibration files as sections of problem.yaml."""
-    contents = [(source, files.read(_bytes(source), source)) for source in sources]
+    contents = []
+    for source in sources:
+        with file_faults(source, "read", "give an A2L, DCM or CDFX file"), Path(source).open("rb") as stream:
+            read = stream.read(LARGEST_FILE + 1)
+        contents.append((source, files.read(read, source)))
     labels = files.labels_of(read_document(names)) if names is not None else {}
     chosen = chosen_by(joined(content.characteristics for _, content in contents), match or [])
     sections = sections_of(chosen, {label: name for name, label in labels.items()}, span)
@@ -317,12 +321,3 @@ def _yaml(sections: Sections) -> Iterator[str]:
     if sections.baseline:
         yield "baseline:"
         yield from (f"  {name}: {json.dumps(value, ensure_ascii=False)}" for name, value in sections.baseline.items())
-
-
-def _bytes(file: str) -> bytes:
-    try:
-        with Path(file).open("rb") as stream:
-            return stream.read(LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise InvalidInputError(Problem(file, f"it cannot be read: {reason}", "give an A2L, DCM or CDFX file")) from error

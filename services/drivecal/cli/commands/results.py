@@ -26,7 +26,7 @@ from drivecal.client.transport import harmless_text
 from drivecal.contracts.assignments import assignments, value_text
 from drivecal.contracts.results import TradeOff, ValuePair
 from drivecal.contracts.tables import FrontRow, Solution, TableName
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 from drivecal.report import PAGE
 from drivecal.report.fronts import front_blocks
 from drivecal.report.sheet import differences, digest_in, read_sheet
@@ -285,25 +285,18 @@ def _print(pieces: Iterator[bytes], stream: TextIO) -> None:
 @contextmanager
 def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
     """Opens a file that appears under its name only when it is complete. Devices and pipes are written as they are."""
-    if path.exists() and not path.is_file():  # before links are followed: those of /dev/stdout lead nowhere
-        try:
-            with path.open("wb") as stream:
-                yield stream
-        except OSError as error:
-            raise InvalidInputError(
-                Problem(str(path), f"it cannot be written: {error.strerror}", "give another file")
-            ) from error
-        return
-    path = path.resolve()
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    is_special = path.exists() and not path.is_file()  # before links are followed: those of /dev/stdout lead nowhere
+    path = path if is_special else path.resolve()
+    written = path if is_special else path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with unfinished.open("wb") as stream:
-            yield stream
-        unfinished.replace(path)
-    except OSError as error:
-        raise InvalidInputError(Problem(str(path), f"it cannot be written: {error.strerror}", "give another file")) from error
+        with file_faults(path, "written", "give another file"):
+            with written.open("wb") as stream:
+                yield stream
+            if not is_special:
+                written.replace(path)
     finally:
-        unfinished.unlink(missing_ok=True)
+        if not is_special:
+            written.unlink(missing_ok=True)
 
 
 MOST_PRINTED = 50
@@ -324,11 +317,8 @@ def report(
     with connect(url) as client:
         campaign = client.full_id(identifier)
         archive = zipfile.ZipFile(io.BytesIO(client.report(campaign, "zip")))
-    try:
+    with file_faults(output, "written", "give another folder"):
         archive.extractall(output)
-    except OSError as error:
-        where = str(error.filename or output)
-        raise InvalidInputError(Problem(where, f"it cannot be written: {error.strerror}", "give another folder")) from error
     written = [str(output / name) for name in archive.namelist()]
     page = str(output / PAGE)
     if as_json:
@@ -376,11 +366,8 @@ def review(
     with connect(url) as client:
         campaign = client.full_id(identifier)
         page = client.review(campaign, rank, front, against)
-    try:
+    with file_faults(output, "written", "give another file"):
         output.write_bytes(page.encode())
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InvalidInputError(Problem(str(output), f"it cannot be written: {reason}", "give another file")) from error
     digest = digest_in(page)
     if as_json:
         print_json({"campaign": campaign, "file": str(output), "digest": digest})
@@ -389,7 +376,8 @@ def review(
 
 
 def _verify(file: Path, url: str | None, as_json: bool) -> None:
-    text = _text(file)
+    with file_faults(file, "read", "give a review sheet"), file.open("rb") as stream:
+        text = stream.read(LARGEST).decode()
     sheet = read_sheet(text, str(file))
     given = sheet.query
     with connect(url) as client:
@@ -420,12 +408,3 @@ def _verify(file: Path, url: str | None, as_json: bool) -> None:
             tell(f"drivecal {sheet.version} wrote the file and the server is {now.version}: wording and layout may differ")
         typer.echo(f"equal: {sheet.digest}" if equal else f"different: {sheet.digest} in the file, {now.digest} now")
     raise typer.Exit(ExitCode.OK if equal else ExitCode.FAILED)
-
-
-def _text(file: Path) -> str:
-    try:
-        with file.open("rb") as stream:
-            return stream.read(LARGEST).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else "it is no text in UTF-8"
-        raise InvalidInputError(Problem(str(file), f"it cannot be read: {reason}", "give a review sheet")) from error

@@ -15,7 +15,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from drivecal.contracts.evaluation import SeriesAnswer, TraceAnswer
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 from drivecal.domain.scales import told
 
 VERSION = "4.10"
@@ -160,7 +160,7 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
     columns = columns_of(trace)
     if not columns:
         raise InvalidInputError(Problem("--trace", "the run has no time series", "declare some under `series` in problem.yaml"))
-    try:
+    with file_faults(file, "written", "give another file"):
         if file.suffix == ".json":
             file.write_text(trace.model_dump_json(indent=1), encoding="utf-8")
         elif file.suffix == ".parquet":
@@ -171,20 +171,6 @@ def save(trace: TraceAnswer | SeriesAnswer, file: Path) -> None:
         else:
             with file.open("w", newline="", encoding="utf-8") as out:
                 csv.writer(out).writerows([columns, *zip_longest(*columns.values())])
-    except OSError as error:
-        raise _unwritable(file, error) from error
-
-
-def save_measurement(file: Path, content: bytes) -> None:
-    """Writes a measurement file. Raises InvalidInputError if it cannot be written."""
-    try:
-        file.write_bytes(content)
-    except OSError as error:
-        raise _unwritable(file, error) from error
-
-
-def _unwritable(file: Path, error: OSError) -> InvalidInputError:
-    return InvalidInputError(Problem(str(file), f"it cannot be written: {error.strerror or error}", "give another file"))
 
 
 def _filled(columns: Mapping[str, Sequence[float]]) -> dict[str, list[float | None]]:
