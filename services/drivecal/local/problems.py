@@ -5,7 +5,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -41,12 +41,15 @@ Tell = Callable[[str], None]
 """Takes a sentence on what is waited for."""
 
 
-@dataclass(frozen=True, slots=True)
-class OtherRun:
-    """Result of another set in a scenario; the fields mean what they do in `CheckedScenario`.
+FAULTS = (NoMeasuresError, UnavailableError, OSError)
 
-    `alone`: this set as the first run of a new process gave the same bits; None if that was not tried. `alone_error`: why it has no result
-    there.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedRun:
+    """Result of a set in a scenario.
+
+    `error`: why there is no result. `undefined`: why a score has no value, by name; such a score has the worth of a failed run. `cut`: true
+    values of the scores that are worse than a failed run's worth, and count as it.
     """
 
     measures: Mapping[str, float] = field(default_factory=dict)
@@ -55,30 +58,30 @@ class OtherRun:
     undefined: Mapping[str, str] = field(default_factory=dict)
     cut: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OtherRun(CheckedRun):
+    """Result of another set. `alone`: as the first run of a new process it gave the same bits; None if that was not tried. `alone_error`:
+    why it has no result there."""
+
     alone: bool | None = None
     alone_error: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedScenario:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedScenario(CheckedRun):
     """Result of a scenario's two runs, and of another set.
 
-    `error`: why there is no result. `repeats`: both runs gave the same bits. `undefined`: why a score has no value, by name; such a score
-    has the worth of a failed run. `cut`: true values of the scores that are worse than a failed run's worth, and count as it.
-    `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready. `other`: None if no other set was tried.
+    `repeats`: both runs gave the same bits. `seconds`: of each run, wall-clock; `start_seconds`: until the simulator was ready. `other`:
+    None if no other set was tried.
     """
 
     scenario: str
-    measures: Mapping[str, float] = field(default_factory=dict)
-    failure: str | None = None
-    scores: Mapping[str, float] = field(default_factory=dict)
-    undefined: Mapping[str, str] = field(default_factory=dict)
-    cut: Mapping[str, float] = field(default_factory=dict)
     repeats: bool | None = None
     start_seconds: float = 0.0
     seconds: tuple[float, ...] = ()
     cpu_seconds: tuple[float, ...] = ()
-    error: str | None = None
     other: OtherRun | None = None
 
 
@@ -168,63 +171,58 @@ def _checked(
     limit = manifest.simulator.timeout
     source = "`simulator.timeout` in problem.yaml"
     start = f"the limit is {start_limit(limit):g} s ({source}, or 60 if that is less)"
-
-    def run(number: int) -> AbstractContextManager[None]:
-        return _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell)
-
     section = manifest.simulator.model_dump(mode="json", exclude_none=True)
     units = {**manifest.reported, **manifest.series}
-    parameter_units = {name: entry.unit for name, entry in manifest.parameters.items()}
-    parameter_units |= {name: entry.unit for name, entry in manifest.varied.items()}
+    parameter_units = {name: entry.unit for name, entry in (manifest.parameters | manifest.varied).items()}
     declared = Declared(
         manifest.problem, tuple(manifest.reported), manifest.failures, tuple(manifest.series), units, parameter_units
     )
 
-    def opened() -> SimulatorSession:
+    @contextmanager
+    def opened() -> Iterator[SimulatorSession]:
         with _signs(f"{scenario}: the start", start, tell):
-            return _session(manifest, section, scenario, folder, declared)
+            session = _session(manifest, section, scenario, folder, declared)
+        try:
+            yield session
+        finally:
+            session.close()
 
-    began = time.perf_counter()
+    def run(number: int, session: SimulatorSession, values: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
+        began = time.perf_counter()
+        with _signs(f"{scenario}: run {number}", f"the limit is {limit:g} s ({source})", tell):
+            outcome = session.evaluate(values, series=series)
+        return outcome, time.perf_counter() - began
+
+    began, started = time.perf_counter(), 0.0
+    elsewhere, bits = None, None
     try:
-        session = opened()
-    except (UnavailableError, OSError) as error:
-        return CheckedScenario(scenario, error=str(error))
-    started = time.perf_counter() - began
-    try:
-        with run(1):
-            first, first_seconds = _run(session, parameters, series=bool(manifest.series))
-        with run(2):
-            second, second_seconds = _run(session, parameters, series=bool(manifest.series))
-        with run(3):
-            elsewhere, bits = (None, None) if other is None else _tried(manifest, scenario, session, other)
-    except (NoMeasuresError, UnavailableError, OSError) as error:
-        return CheckedScenario(scenario, error=str(error), start_seconds=started)
-    finally:
-        session.close()
+        with opened() as session:
+            started = time.perf_counter() - began
+            first, first_seconds = run(1, session, parameters, series=bool(manifest.series))
+            second, second_seconds = run(2, session, parameters, series=bool(manifest.series))
+            if other is not None:
+                try:
+                    outcome, _ = run(3, session, other, series=False)
+                    elsewhere, bits = OtherRun(**_rated(manifest, scenario, outcome)), _bits(outcome)
+                except FAULTS as error:
+                    elsewhere = OtherRun(error=str(error))
+    except FAULTS as error:
+        return CheckedScenario(scenario=scenario, error=str(error), start_seconds=started)
     repeats = _bits(first) == _bits(second)
     if other is not None and elsewhere is not None and bits is not None and repeats and _may_keep_state(manifest):
         try:
-            session = opened()
-            try:
-                with run(4):
-                    elsewhere = replace(elsewhere, alone=_bits(session.evaluate(other)) == bits)
-            finally:
-                session.close()
-        except (NoMeasuresError, UnavailableError, OSError) as error:
+            with opened() as session:
+                elsewhere = replace(elsewhere, alone=_bits(run(4, session, other, series=False)[0]) == bits)
+        except FAULTS as error:
             elsewhere = replace(elsewhere, alone_error=str(error))
-    scores, undefined, cut = _rated(manifest, scenario, first)
     return CheckedScenario(
         scenario=scenario,
-        measures=_declared(manifest, first),
-        failure=first.failure,
-        scores=scores,
-        undefined=undefined,
-        cut=cut,
         repeats=repeats,
         start_seconds=started,
         seconds=(first_seconds, second_seconds),
         cpu_seconds=(first.cpu_seconds, second.cpu_seconds),
         other=elsewhere,
+        **_rated(manifest, scenario, first),
     )
 
 
@@ -278,38 +276,19 @@ def _may_keep_state(manifest: Manifest) -> bool:
     return manifest.simulator.deterministic and not manifest.simulator.renews
 
 
-def _tried(
-    manifest: Manifest, scenario: str, session: SimulatorSession, parameters: Mapping[str, Setting]
-) -> tuple[OtherRun, tuple[object, ...] | None]:
-    """Returns the result of another set, and its bits if there are measures."""
-    try:
-        outcome = session.evaluate(parameters)
-    except (NoMeasuresError, UnavailableError, OSError) as error:
-        return OtherRun(error=str(error)), None
-    return OtherRun(_declared(manifest, outcome), outcome.failure, *_rated(manifest, scenario, outcome)), _bits(outcome)
-
-
-def _run(session: SimulatorSession, parameters: Mapping[str, Setting], *, series: bool) -> tuple[RunOutcome, float]:
-    began = time.perf_counter()
-    outcome = session.evaluate(parameters, series=series)
-    return outcome, time.perf_counter() - began
-
-
-def _declared(manifest: Manifest, outcome: RunOutcome) -> dict[str, float]:
-    return {name: value for name, value in outcome.measures.items() if name in manifest.measures}
-
-
-def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> tuple[dict[str, float], dict[str, str], dict[str, float]]:
-    """Returns the scores by name, why some have no value, and the true values of those that are cut off."""
+def _rated(manifest: Manifest, scenario: str, outcome: RunOutcome) -> dict[str, Any]:
+    """Returns the fields of a `CheckedRun`."""
     rated = {
         name: _bench(manifest, scenario, name).rate(scenario, outcome.measures, outcome.failure) for name in manifest.scores
     }
     known = {name: scored for name, scored in rated.items() if scored is not None}
-    return (
-        {name: scored.score for name, scored in known.items()},
-        {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
-        {name: scored.cut for name, scored in known.items() if scored.cut is not None},
-    )
+    return {
+        "measures": {name: value for name, value in outcome.measures.items() if name in manifest.measures},
+        "failure": outcome.failure,
+        "scores": {name: scored.score for name, scored in known.items()},
+        "undefined": {name: scored.undefined for name, scored in known.items() if scored.undefined is not None},
+        "cut": {name: scored.cut for name, scored in known.items() if scored.cut is not None},
+    }
 
 
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
