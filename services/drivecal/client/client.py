@@ -454,35 +454,12 @@ class Client(Transport):
         query: dict[str, Any] = {"tag": list(tags) or None, "archived": None if archived == "without" else archived}
         return self._get(CampaignPage, "campaigns", state=state, limit=limit, cursor=cursor, **query)
 
-    def label(
-        self,
-        identifier: str,
-        *,
-        name: str | None = None,
-        tags: Sequence[str] | None = None,
-        add_tags: Sequence[str] | None = None,
-        remove_tags: Sequence[str] | None = None,
-        comment: str | None = None,
-        archived: bool | None = None,
-    ) -> Campaign:
-        """Changes the given labels of a campaign.
+    def label(self, identifier: str, **changes: Any) -> Campaign:
+        """Changes the labels of a campaign that are given: `name`, `tags` (all of them), `add_tags`, `remove_tags`, `comment`, `archived`.
 
-        Args:
-            identifier: Id of the campaign.
-            name: Another name.
-            tags: Tags that replace all tags.
-            add_tags: Further tags.
-            remove_tags: Tags that are taken away.
-            comment: Another comment.
-            archived: Whether lists leave the campaign out.
-
-        Raises:
-            ConflictError: A campaign that runs is archived.
+        Raises ConflictError if a campaign that runs is archived.
         """
-        lists = {"tags": tags, "add_tags": add_tags, "remove_tags": remove_tags}
-        changes: dict[str, Any] = {label: list(value) for label, value in lists.items() if value is not None}
-        others = {"name": name, "comment": comment, "archived": archived}
-        document = changes | {label: value for label, value in others.items() if value is not None}
+        document = {label: value for label, value in changes.items() if value is not None}
         place = ("campaigns", identifier)
         return self._answer(self._request("PATCH", place, document=document), Campaign, place)
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Text, cast, func, update
 
-from drivecal.contracts.organising import Archived
+from drivecal.contracts.organising import Archived, CampaignChanges
 from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
 from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -16,31 +16,25 @@ from drivecal.storage.engine.types import now
 MOST_TAGS = 20
 
 
-def change(
-    connection: Connection,
-    campaign_id: str,
-    *,
-    name: str | None = None,
-    tags: Sequence[str] | None = None,
-    add_tags: Sequence[str] | None = None,
-    remove_tags: Sequence[str] | None = None,
-    comment: str | None = None,
-    archived: bool | None = None,
-) -> StoredCampaign:
-    """Changes the labels that are given, and returns the campaign. `tags` replaces all tags; of tags that are added and removed, none
-    stays. The same labels again change nothing.
+def change(connection: Connection, campaign_id: str, changes: CampaignChanges) -> StoredCampaign:
+    """Changes labels, and returns the campaign. Of tags that are added and removed, none stays. The same labels again change nothing.
 
     Raises NotFoundError, InvalidInputError for too many tags, and ConflictError if a campaign is to be archived before it has ended.
     """
     before = stored_campaigns.get(connection, campaign_id, lock=True)
-    if add_tags or remove_tags:
-        tags = _changed_tags(before.tags, add_tags or (), remove_tags or ())
-    if archived and not before.state.ended:
+    if changes.archived and not before.state.ended:
         raise ConflictError(f"{campaign_id} is {before.state}; only ended campaigns are archived: cancel it first")
-    values: dict[str, Any] = {"name": name, "comment": comment, "tags": None if tags is None else sorted(set(tags))}
+    tags: Sequence[str] | None = changes.tags
+    if changes.add_tags or changes.remove_tags:
+        tags = _changed_tags(before.tags, changes.add_tags or (), changes.remove_tags or ())
+    values: dict[str, Any] = {
+        "name": changes.name,
+        "comment": changes.comment,
+        "tags": None if tags is None else sorted(set(tags)),
+    }
     values = {column: value for column, value in values.items() if value is not None}
-    if archived is not None and archived != (before.archived_at is not None):
-        values["archived_at"] = now() if archived else None
+    if changes.archived is not None and changes.archived != (before.archived_at is not None):
+        values["archived_at"] = now() if changes.archived else None
     if all(_stored(before, column) == value for column, value in values.items()):
         return before
     here = campaigns.c.sequence == before.sequence

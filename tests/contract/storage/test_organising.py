@@ -10,7 +10,7 @@ from tests.support.runs import WITH_ANALYSIS, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
 
 from drivecal.campaigns.results.verification import verify
-from drivecal.contracts.organising import Archived
+from drivecal.contracts.organising import Archived, CampaignChanges
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError
 from drivecal.domain.evaluations import Outcome
@@ -59,9 +59,9 @@ def runs(database: Database) -> int:
 def test_labels_are_changed_one_by_one_and_again_without_effect(database: Database) -> None:
     with database.transaction() as connection:
         first = campaign(connection, "first")
-        changed = labels.change(connection, first.id, tags=["b", "a", "b"], comment="ä \"quoted\" 'remark'")
-        again = labels.change(connection, first.id, tags=["a", "b"])
-        renamed = labels.change(connection, first.id, name="other")
+        changed = labels.change(connection, first.id, CampaignChanges(tags=["b", "a", "b"], comment="ä \"quoted\" 'remark'"))
+        again = labels.change(connection, first.id, CampaignChanges(tags=["a", "b"]))
+        renamed = labels.change(connection, first.id, CampaignChanges(name="other"))
     assert (changed.tags, changed.comment, changed.name) == (("a", "b"), "ä \"quoted\" 'remark'", "first")
     assert again == changed
     assert (renamed.name, renamed.tags, renamed.revision) == ("other", ("a", "b"), changed.revision + 1)
@@ -69,21 +69,25 @@ def test_labels_are_changed_one_by_one_and_again_without_effect(database: Databa
 
 def test_tags_are_added_and_removed_beside_those_of_others(database: Database) -> None:
     with database.transaction() as connection:
-        first = labels.change(connection, campaign(connection).id, tags=["theirs", "old"])
-        changed = labels.change(connection, first.id, add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
+        first = labels.change(connection, campaign(connection).id, CampaignChanges(tags=["theirs", "old"]))
+        changed = labels.change(
+            connection, first.id, CampaignChanges(add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
+        )
         assert changed.tags == ("mine", "theirs")
-        assert labels.change(connection, first.id, add_tags=["mine"], remove_tags=["old"]) == changed
+        assert labels.change(connection, first.id, CampaignChanges(add_tags=["mine"], remove_tags=["old"])) == changed
         many = [f"tag-{number}" for number in range(labels.MOST_TAGS - 1)]
         with pytest.raises(InvalidInputError) as refused:
-            labels.change(connection, first.id, add_tags=many)
+            labels.change(connection, first.id, CampaignChanges(add_tags=many))
         assert refused.value.problems[0].field == "add_tags"
-        assert labels.change(connection, first.id, add_tags=many, remove_tags=["mine"]).tags == tuple(sorted([*many, "theirs"]))
+        assert labels.change(connection, first.id, CampaignChanges(add_tags=many, remove_tags=["mine"])).tags == tuple(
+            sorted([*many, "theirs"])
+        )
 
 
 def test_tags_are_told_apart_by_case(database: Database) -> None:
     with database.transaction() as connection:
         for name, tag in {"one": "Good", "two": "good"}.items():
-            labels.change(connection, campaign(connection, name).id, tags=[tag])
+            labels.change(connection, campaign(connection, name).id, CampaignChanges(tags=[tag]))
     assert (listed(database, "with", "good"), listed(database, "with", "Good"), listed(database, "with", "GOOD")) == (
         ["two"],
         ["one"],
@@ -94,10 +98,10 @@ def test_tags_are_told_apart_by_case(database: Database) -> None:
 def test_lists_leave_archived_campaigns_out_and_take_those_with_all_tags(database: Database) -> None:
     with database.transaction() as connection:
         for name, tags in {"one": ["new", "a_b"], "two": ["new"], "three": ["ä"], "four": ["a%b", 'a"']}.items():
-            labels.change(connection, campaign(connection, name).id, tags=tags)
+            labels.change(connection, campaign(connection, name).id, CampaignChanges(tags=tags))
         gone = campaigns.page(connection)[0][-1]
         campaigns.request_action(connection, gone.id, "cancel")
-        labels.change(connection, gone.id, archived=True)
+        labels.change(connection, gone.id, CampaignChanges(archived=True))
     assert listed(database) == ["four", "three", "two"]
     assert (listed(database, "only"), listed(database, "with")) == (["one"], ["four", "three", "two", "one"])
     assert listed(database, "with", "new") == ["two", "one"]
@@ -116,7 +120,7 @@ def test_only_ended_campaigns_are_archived_or_deleted(database: Database) -> Non
     with database.transaction() as connection:
         queued = campaign(connection)
         with pytest.raises(ConflictError):
-            labels.change(connection, queued.id, archived=True)
+            labels.change(connection, queued.id, CampaignChanges(archived=True))
         with pytest.raises(ConflictError):
             delete_campaign(connection, queued.id)
         with pytest.raises(NotFoundError):
@@ -127,10 +131,10 @@ def test_only_ended_campaigns_are_archived_or_deleted(database: Database) -> Non
 def test_archiving_and_listing_again_are_idempotent(database: Database) -> None:
     with database.transaction() as connection:
         ended = campaigns.request_action(connection, campaign(connection).id, "cancel")
-        first = labels.change(connection, ended.id, archived=True)
-        assert labels.change(connection, ended.id, archived=True) == first
+        first = labels.change(connection, ended.id, CampaignChanges(archived=True))
+        assert labels.change(connection, ended.id, CampaignChanges(archived=True)) == first
         assert first.archived_at is not None
-        assert labels.change(connection, ended.id, archived=False).archived_at is None
+        assert labels.change(connection, ended.id, CampaignChanges(archived=False)).archived_at is None
 
 
 @pytest.mark.slow("postgresql")

@@ -80,7 +80,7 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
 def change(campaign_id: str, changes: CampaignChanges, response: Response, database: DatabaseDependency) -> Campaign:
     """Changes name, tags or comment of a campaign, archives it or lists it again. Fields that are left out stay."""
     with database.transaction() as connection:
-        stored = labels.change(connection, campaign_id, **changes.model_dump())
+        stored = labels.change(connection, campaign_id, changes)
     return accepted(response, database, stored)
 
 
@@ -93,7 +93,7 @@ def delete(campaign_id: str, database: DatabaseDependency) -> Deletion:
         stored = campaigns.get(connection, campaign_id, deleted=True)
         referring = [] if stored.deleted_at is not None else deletion.references(connection, stored)
         if referring:
-            labels.change(connection, campaign_id, archived=True)
+            labels.change(connection, campaign_id, CampaignChanges(archived=True))
         deleted = None if referring else deletion.delete_campaign(connection, campaign_id)
     if deleted is not None:
         deletion.remove_cells(database, deleted)
